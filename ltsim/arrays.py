@@ -1,0 +1,31 @@
+"""Array aliases and the checks made at the doors of a room."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ltsim.errors import ModelError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+    """Give `values` as a finite float array of `shape` (-1 stands for any length).
+
+    Raises
+    ------
+    ModelError
+        When the shape differs or a value is not finite; the message names the array.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    fits = array.ndim == len(shape) and all(
+        want in (-1, have) for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise ModelError(f"{name} has shape {array.shape}, expected {shape} (-1: any length)")
+    if not np.all(np.isfinite(array)):
+        raise ModelError(f"{name} holds a value that is not finite")
+    return array

@@ -1,0 +1,204 @@
+"""The contract of an effect.
+
+An effect is one physical cause of a difference between the ideal reading and the instrument's. Simulator, calibrator,
+planner and diagnoser all use the same object:
+
+* `parameters`: name, unit, meaning, prior. Effects are linear in their parameters.
+* `design(sightings)` (n, 3, p): change of the raw reading (range [m], azimuth, elevation [rad]) per unit of each
+  parameter. Calibrator, planner and diagnoser need nothing else.
+* `shift(sightings, values)` (n, 3): what the simulator adds. By default design times values; an effect whose exact
+  physics is not linear (a ray through a temperature field) says so here.
+* `shape`: constants that enter nonlinearly (a time constant, a wavelength), with bounds; they are fields of the
+  instance, and the diagnoser profiles over them.
+* `stations`, `targets`: where the effect acts, empty for everywhere.
+
+Sign: a parameter is a correction, truth - reading, as in physics.md; the change of a reading is therefore its negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.recording.setup import Prior
+from ltsim.scene.sightings import Sightings
+from ltsim.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
+
+PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
+
+
+class Stage(IntEnum):
+    """Where on the way of the light an effect acts; the simulator applies them in this order."""
+
+    TARGET = 0
+    STATION = 1
+    AIR = 2
+    OPTICS = 3
+    AXES = 4
+    ENCODERS = 5
+    RANGE = 6
+    ELECTRONICS = 7
+    NOISE = 8
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        The unit a person reads it in, a key of `units.FACTOR`; values are SI.
+    meaning : str
+    prior_kind : str or None
+        Which guarantee of the maker bounds it; None: only `prior_sigma`.
+    prior_sigma : float
+        One standard deviation [SI] where the set-up gives none; also the scale of a plausible size.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    prior_sigma: float
+    prior_kind: PriorKind | None = None
+
+    def sigma_from(self, prior: Prior) -> float:
+        """Prior standard deviation [SI] under a maker's guarantee."""
+        if self.prior_kind is None:
+            return self.prior_sigma
+        return {
+            "angle": prior.angle_arcsec * ARCSECOND,
+            "offset": prior.offset_mm * MILLIMETRE,
+            "range_scale": prior.range_scale_ppm * PPM,
+            "range_offset": prior.range_offset_mm * MILLIMETRE,
+        }[self.prior_kind]
+
+    @property
+    def factor(self) -> float:
+        """The unit in SI."""
+        return FACTOR[self.unit]
+
+
+@dataclass(frozen=True)
+class ShapeParameter:
+    """A constant that enters nonlinearly: a field of the effect, searched between bounds."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Base of all effects; see the module for the contract."""
+
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+
+    name: ClassVar[str]
+    number: ClassVar[int]
+    stage: ClassVar[Stage]
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    shape: ClassVar[tuple[ShapeParameter, ...]] = ()
+    observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
+    covariates: ClassVar[tuple[str, ...]] = ()
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings per unit of each parameter."""
+        raise NotImplementedError
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
+        change: Floats = self.design(sightings) @ values
+        return change
+
+    def reshaped(self, **constants: Any) -> Self:
+        """The same effect with other shape constants."""
+        return replace(self, **constants)
+
+    def mask(self, sightings: Sightings) -> Floats:
+        """(n,) 1 where the effect acts, 0 elsewhere."""
+        acts = np.ones(len(sightings), dtype=bool)
+        if self.stations:
+            ids = [i for i, name in enumerate(sightings.station_names) if name in self.stations]
+            acts &= np.isin(sightings.station, ids)
+        if self.targets:
+            ids = [i for i, name in enumerate(sightings.target_names) if name in self.targets]
+            acts &= np.isin(sightings.target, ids)
+        return acts.astype(np.float64)
+
+
+Basis = Callable[[Floats], Floats]
+
+
+def one(raw: Floats) -> Floats:
+    """The constant basis."""
+    return np.ones(len(raw))
+
+
+@dataclass(frozen=True)
+class Term:
+    """A parameter's part in a kinematic chain: ``error[slot] += value * basis(raw)``."""
+
+    slot: str
+    basis: Basis = one
+
+
+@dataclass(frozen=True)
+class SlotEffect(Effect):
+    """An error of the instrument's geometry: each parameter feeds a slot of the kinematic chain.
+
+    The construction evaluates it exactly; `design` is its first-order form.
+    """
+
+    terms: ClassVar[tuple[Term, ...]]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
+        acts = self.mask(sightings)
+        columns = [
+            sightings.slot_responses[t.slot] * (acts * t.basis(sightings.raw))[:, None] for t in self.terms
+        ]
+        return np.stack(columns, axis=2)
+
+
+def on_readings(
+    sightings: Sightings,
+    *,
+    distance: Floats | float = 0.0,
+    azimuth: Floats | float = 0.0,
+    elevation: Floats | float = 0.0,
+) -> Floats:
+    """A column (n, 3) of a design from corrections (truth - reading) of front-face coordinates.
+
+    The elevation's sign is turned on the back face, whose raw elevation runs backwards, and all are negated: a
+    reading changes by minus its correction.
+    """
+    column = np.empty((len(sightings), 3))
+    column[:, 0], column[:, 1] = distance, azimuth
+    column[:, 2] = np.asarray(elevation) * sightings.face_sign
+    return -column
+
+
+def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
+    """Change (n, 3, p) of the raw readings when targets move by (n, 3, p) [m] in the network frame."""
+    change: Floats = sightings.by_target @ displacement
+    return change
+
+
+def parameter_names(effects: Iterable[Effect]) -> list[str]:
+    """Names of all parameters in order, with the place where an effect is confined to one."""
+    names = []
+    for effect in effects:
+        place = ",".join(effect.stations + effect.targets)
+        names += [p.name + (f"@{place}" if place else "") for p in effect.parameters]
+    return names

@@ -1,0 +1,74 @@
+"""The exceptions of ltsim, and which one to raise when.
+
+* `RecordError`: a file or a recording is not what it should be. One sentence: file, row, column, found,
+  what would be right.
+* `SetupError`: a scenario, campaign or plan file asks for something impossible.
+* `ModelError`: a caller inside Python passed something that makes no sense (a shape, an unknown name).
+* `NetworkError`: the recording is well formed, but its network cannot be solved (a station that shares too
+  few targets with the others).
+
+A solver that does not converge raises nothing: it returns a `Solution` whose status says so in a sentence, and
+`Solution.require_success()` raises `ConvergenceError` for callers who want an exception.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class LtsimError(Exception):
+    """Root of the family; the command line prints its one sentence and exits with status 2."""
+
+
+class RecordError(LtsimError):
+    """A recording or another input file is malformed.
+
+    Parameters
+    ----------
+    message : str
+        What was found and what would be right.
+    file, row, column
+        Where; `row` counts data rows from 1 (the header is row 0). All optional.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: object | None = None,
+        row: int | None = None,
+        column: str | None = None,
+    ) -> None:
+        self.file, self.row, self.column = file, row, column
+        where = [] if file is None else [str(file)]
+        where += [] if row is None else [f"row {row}"]
+        where += [] if column is None else [f"column {column}"]
+        super().__init__(", ".join(where) + ": " + message if where else message)
+
+
+class SetupError(LtsimError):
+    """A scenario, campaign or plan asks for something impossible; the message says what would do."""
+
+
+class ModelError(LtsimError):
+    """An argument makes no sense: a shape, a unit, a name."""
+
+
+class NetworkError(LtsimError):
+    """The network of a recording cannot be solved; the message names the stations or targets."""
+
+
+class ConvergenceError(LtsimError):
+    """Raised by `Solution.require_success()`; carries the solution."""
+
+    def __init__(self, message: str, solution: object) -> None:
+        self.solution = solution
+        super().__init__(message)
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ModelError:
+    """Build the error for a name that does not exist, with the closest ones that do."""
+    choices = sorted(known)
+    close = difflib.get_close_matches(name, choices, n=3, cutoff=0.4) or choices
+    return ModelError(f"there is no {kind} called '{name}'; did you mean {', '.join(close)}?")

@@ -1,0 +1,1 @@
+"""Pure geometry: rotations, polar coordinates, closed-form alignment. Knows nothing of trackers."""

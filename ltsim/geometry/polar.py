@@ -1,0 +1,64 @@
+"""Range, azimuth and elevation of points, on either face, and their derivatives.
+
+Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values: azimuth + 180 deg and
+180 deg - elevation (physics.md section 1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+
+
+def wrap(angle: Floats) -> Floats:
+    """Angle [rad] brought into (-pi, pi]."""
+    return np.pi - np.mod(np.pi - angle, 2 * np.pi)
+
+
+def to_polar(points: Floats) -> Floats:
+    """Front-face range [m], azimuth and elevation [rad], (n, 3), of points (n, 3) [m]."""
+    x, y, z = points.T
+    horizontal = np.hypot(x, y)
+    return np.stack([np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal)], axis=1)
+
+
+def from_polar(readings: Floats) -> Floats:
+    """Points (n, 3) [m] of range, azimuth, elevation (n, 3); raw face-2 values give the same point."""
+    range_, azimuth, elevation = readings.T
+    horizontal = range_ * np.cos(elevation)
+    return np.stack(
+        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation)], axis=1
+    )
+
+
+def to_face(polar: Floats, face: Ints) -> Floats:
+    """Raw readings (n, 3) on `face` (1 or 2) of front-face values (n, 3); its own inverse."""
+    raw = polar.copy()
+    back = face == 2
+    raw[back, 1] = wrap(polar[back, 1] + np.pi)
+    raw[back, 2] = np.pi - polar[back, 2]
+    return raw
+
+
+def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Floats]:
+    """Beam u (outwards), left e_th and up e_ph, each (n, 3), for front-face angles [rad]."""
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    zero = np.zeros_like(ca)
+    beam = np.stack([ce * ca, ce * sa, se], axis=1)
+    left = np.stack([-sa, ca, zero], axis=1)
+    up = np.stack([-se * ca, -se * sa, ce], axis=1)
+    return beam, left, up
+
+
+def polar_jacobian(polar: Floats, face: Ints) -> Floats:
+    """Derivative (n, 3, 3) of the raw readings on `face` by the point's coordinates, at front-face `polar`.
+
+    On face 2 the raw elevation runs backwards (180 deg minus), hence the sign of its row.
+    """
+    range_, azimuth, elevation = polar.T
+    beam, left, up = unit_vectors(azimuth, elevation)
+    sign = np.where(face == 2, -1.0, 1.0)
+    left = left / (range_ * np.cos(elevation))[:, None]
+    up = up * (sign / range_)[:, None]
+    return np.stack([beam, left, up], axis=1)

@@ -1,0 +1,34 @@
+"""Rotations as 3 x 3 matrices in batches; rotation vectors for small increments."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltsim.arrays import Floats
+
+
+def cross_matrix(vectors: Floats) -> Floats:
+    """Matrices [v]_x with ``cross_matrix(v) @ w == cross(v, w)``; `vectors` (..., 3), result (..., 3, 3)."""
+    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_rotation_vector(vectors: Floats) -> Floats:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    matrices: Floats = Rotation.from_rotvec(vectors).as_matrix()
+    return matrices
+
+
+def about_z(angle: float) -> Floats:
+    """Rotation by `angle` [rad] about the z axis, counter-clockwise seen from above."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def quaternion(matrix: Floats) -> Floats:
+    """Unit quaternion (4,) in the order x, y, z, w of a rotation matrix (3, 3)."""
+    values: Floats = Rotation.from_matrix(matrix).as_quat()
+    return values

@@ -1,0 +1,1 @@
+"""Kinematic chains: how a tracker turns readings into a point. One construction a file."""

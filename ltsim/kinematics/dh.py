@@ -1,0 +1,43 @@
+"""The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.
+
+    0T3 = A1 E_Rot1 A2 E_Rot2 A3 E_Trans,   A = Tz(d) Rz(theta) Tx(a) Rx(alpha)
+    E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2; theta_RZ there is our eZ)
+    E_Trans = T(dX, dY, dZ) (I + [e]_x)                                   (eq. 5)
+
+As printed, E follows the whole A: frame 1 has y along the standing axis and z along the transit axis, so the azimuth
+encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do not
+fit these frames (physics.md 2.4). E_Trans stands last and acts on a point: its rotation does nothing; it is
+kept, so that the count of 78 can be seen.
+
+The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use one
+instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ltsim.kinematics.chain import Chain, Motion, Shift, Turn, constant, reading
+
+QUARTER = math.pi / 2
+
+
+def error_motions(joint: str) -> tuple[Motion, ...]:
+    """E_Rot of a rotary joint as elementary motions, slots ``J1.dX`` ... ``J1.eZ``."""
+    shifts = tuple(Shift(i, f"{joint}.d{axis}") for i, axis in enumerate("XYZ"))
+    turns = tuple(Turn(i, f"{joint}.e{axis}") for i, axis in enumerate("XYZ"))
+    return shifts + turns
+
+
+DH: Chain = (
+    Turn(2, nominal=constant(-QUARTER)),
+    Turn(2, nominal=reading(1, -QUARTER)),  # A1 of Table 1: theta - 90, alpha -90
+    Turn(0, nominal=constant(-QUARTER)),
+    *error_motions("J1"),
+    Turn(2, nominal=reading(2, -QUARTER)),  # A2: phi - 90, alpha +90
+    Turn(0, nominal=constant(QUARTER)),
+    *error_motions("J2"),
+    Shift(2, nominal=reading(0)),  # A3: d, theta -90
+    Turn(2, nominal=constant(-QUARTER)),
+    *error_motions("T"),
+)

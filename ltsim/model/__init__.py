@@ -1,0 +1,1 @@
+"""The forward model that simulator, calibrator, planner and diagnoser share."""

@@ -1,0 +1,247 @@
+"""A tracker construction: a kinematic chain with its error parameters, exact in both directions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.effects import BASELINE
+from ltsim.effects.effect import Parameter, SlotEffect, Term, one
+from ltsim.errors import unknown_name
+from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.kinematics.chain import Chain, Motion, point, point_and_derivatives
+from ltsim.kinematics.dh import DH
+from ltsim.kinematics.misalignment import MISALIGNMENT
+from ltsim.units import ARCSECOND, MICROMETRE, PPM
+
+NEWTON_STEPS = 8
+CLOSED = 1e-13
+
+
+@dataclass(frozen=True)
+class Construction:
+    """A chain and the parameters that feed its slots.
+
+    Attributes
+    ----------
+    name : str
+    chain : Chain
+    parameters : tuple of Parameter
+    terms : tuple of Term
+        One a parameter: slot and basis.
+    """
+
+    name: str
+    chain: Chain
+    parameters: tuple[Parameter, ...]
+    terms: tuple[Term, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of parameters p."""
+        return len(self.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of the vector."""
+        return tuple(p.name for p in self.parameters)
+
+    def index(self, name: str) -> int:
+        """Place of a parameter in the vector."""
+        if name not in self.names:
+            raise unknown_name("instrument parameter", name, self.names)
+        return self.names.index(name)
+
+    @cached_property
+    def _moving(self) -> tuple[Motion, Motion, Motion]:
+        """The motions driven by range, azimuth and elevation, in this order."""
+        probe = np.zeros((1, 3))
+        driven = []
+        for column in range(3):
+            moved = probe.copy()
+            moved[0, column] = 1.0
+            driven.append(
+                next(
+                    m
+                    for m in self.chain
+                    if m.nominal is not None and m.nominal(moved)[0] != m.nominal(probe)[0]
+                )
+            )
+        return driven[0], driven[1], driven[2]
+
+    @cached_property
+    def _named_chain(self) -> Chain:
+        """The chain with a private slot on motions driven by a reading that have none of their own."""
+        renamed = {
+            id(m): type(m)(m.axis, m.slot or f"reading-{i}", m.nominal, m.sign)
+            for i, m in enumerate(self._moving)
+        }
+        return tuple(renamed.get(id(m), m) for m in self.chain)
+
+    @cached_property
+    def _reading_slots(self) -> tuple[str, str, str]:
+        slots = [m.slot or f"reading-{i}" for i, m in enumerate(self._moving)]
+        return slots[0], slots[1], slots[2]
+
+    def bases(self, raw: Floats) -> Floats:
+        """(n, p): each parameter's basis at raw readings (n, 3)."""
+        if not self.terms:
+            return np.zeros((len(raw), 0))
+        return np.stack([term.basis(raw) for term in self.terms], axis=1)
+
+    def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
+        """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
+        amounts: dict[str, Floats] = {}
+        for term, amount in zip(self.terms, (self.bases(raw) * values).T, strict=True):
+            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
+        return amounts
+
+    def point(self, raw: Floats, values: Floats) -> Floats:
+        """Point (n, 3) [m] in the instrument frame that raw readings (n, 3) describe; exact."""
+        return point(self.chain, raw, self.errors(raw, values))
+
+    def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Point (n, 3), its derivative by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
+
+        The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the size of the
+        errors themselves); Newton's method corrects for that, as does Gauss-Newton.
+        """
+        slots = {term.slot for term in self.terms} | set(self._reading_slots)
+        p, by_slot = point_and_derivatives(
+            self._named_chain, raw, self.errors(raw, values), slots
+        )
+        by_reading = np.stack([by_slot[slot] for slot in self._reading_slots], axis=2)
+        if not self.terms:
+            return p, by_reading, np.zeros((len(raw), 3, 0))
+        by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
+        return p, by_reading, by_value * self.bases(raw)[:, None, :]
+
+    def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
+        """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact, by Newton's method.
+
+        Closes to 1e-13 m and rad from the ideal reading, in two or three steps for errors of real trackers.
+        """
+        raw = to_face(to_polar(points), face)
+        for _ in range(NEWTON_STEPS):
+            p, by_reading, _ = self.linearised(raw, values)
+            step = np.linalg.solve(by_reading, (points - p)[:, :, None])[:, :, 0]
+            raw = raw + step
+            if not np.max(np.abs(step), initial=0.0) > CLOSED:
+                break
+        raw[:, 1] = wrap(raw[:, 1])
+        return raw
+
+    def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
+        """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""
+        _, by_reading, by_value = self.linearised(raw, values)
+        by_point = np.linalg.inv(by_reading)
+        return by_point, -by_point @ by_value
+
+
+def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
+    """The geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
+    chosen = tuple(effects)
+    return Construction(
+        "misalignment",
+        MISALIGNMENT,
+        tuple(p for effect in chosen for p in effect.parameters),
+        tuple(t for effect in chosen for t in effect.terms),
+    )
+
+
+SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
+"""Names of the coefficients of a rotary joint's error function, as in physics.md 2.4."""
+
+DH_PHYSICAL = {
+    "J1.dX_c": "offset",
+    "T.dX_0": "offset",
+    "T.dY_0": "offset",
+    "J2.eX_c": "angle",
+    "J1.eX_c": "angle",
+    "J2.eY_c": "angle",
+    "J1.eY_sin": "angle",
+    "J1.eY_cos": "angle",
+    "J1.eY_sin2": "angle",
+    "J1.eY_cos2": "angle",
+    "J2.eY_sin": "angle",
+    "J2.eY_cos": "angle",
+    "J2.eY_sin2": "angle",
+    "J2.eY_cos2": "angle",
+    "T.dZ_0": "range_offset",
+    "T.dZ_1": "range_scale",
+}
+"""The D-H coefficients that span the physical set of physics.md 2.2, with the guarantee that bounds each."""
+
+_SPAN = 5.0
+
+
+def _harmonic(column: int, k: int) -> Term:
+    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
+    if k == 0:
+        return Term("", one)
+    order, wave = (k + 1) // 2, np.sin if k % 2 else np.cos
+    return Term("", lambda raw: wave(order * raw[:, column]))
+
+
+def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
+    """The paper's D-H construction with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
+
+    Parameters
+    ----------
+    harmonics : int
+        Order of the rotary joints' error functions, 0 to 4.
+    degree : int
+        Degree of the range axis' polynomials in d.
+    extra : float
+        Prior sigma of the coefficients beyond the physical set, as a share of 5 um or 1 arcsec: they are a
+        penalised remainder (physics.md 2.4), not free parameters.
+
+    Notes
+    -----
+    Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero amplitude.
+    Units: um and urad; a polynomial's coefficient k is per metre^k.
+    """
+    parameters: list[Parameter] = []
+    terms: list[Term] = []
+
+    def add(name: str, slot: str, term: Term, angular: bool, scale: float) -> None:
+        kind = DH_PHYSICAL.get(name)
+        full = 3 * ARCSECOND if angular else 20 * MICROMETRE
+        if kind in ("range_offset", "range_scale"):
+            full = 10 * MICROMETRE if kind == "range_offset" else 2 * PPM
+        penalised = extra * (ARCSECOND if angular else 5 * MICROMETRE) * scale
+        unit = "ppm" if kind == "range_scale" else ("urad" if angular else "um")
+        sigma = full if kind else penalised
+        meaning = f"coefficient {name} of eq. 8"
+        parameters.append(Parameter(name, unit, meaning, sigma, kind))  # type: ignore[arg-type]
+        terms.append(Term(slot, term.basis))
+
+    for joint, column in (("J1", 1), ("J2", 2)):
+        for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
+            for k in range(2 * harmonics + 1):
+                name = f"{joint}.{motion}_{SUFFIX[k]}"
+                add(name, f"{joint}.{motion}", _harmonic(column, k), motion[0] == "e", 1.0)
+    for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
+        for k in range(degree + 1):
+            name = f"T.{motion}_{k}"
+            power = Term("", lambda raw, k=k: raw[:, 0] ** k)
+            add(name, f"T.{motion}", power, motion[0] == "e", _SPAN**-k)
+    return Construction("dh", DH, tuple(parameters), tuple(terms))
+
+
+def ideal() -> Construction:
+    """A tracker without instrument parameters."""
+    return Construction("ideal", MISALIGNMENT, (), ())
+
+
+def construction(name: str) -> Construction:
+    """Give a construction by its name: `misalignment`, `dh` or `ideal`."""
+    known = {"misalignment": misalignment, "dh": dh, "ideal": ideal}
+    if name not in known:
+        raise unknown_name("construction", name, known)
+    made: Construction = known[name]()
+    return made

@@ -1,0 +1,31 @@
+"""Random streams that are keyed, never shared.
+
+Whoever draws asks for a stream by what the draw is for: ``stream(seed, "truth", "beam-tilt", 17)``. A draw
+depends on its key alone, so neither the number of workers nor the list of effects can change it.
+"""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+
+def stream(seed: int, *key: str | int) -> np.random.Generator:
+    """Give the generator that belongs to `key` under the root `seed`.
+
+    Parameters
+    ----------
+    seed : int
+        Root seed, 0 or larger.
+    *key : str or int
+        What the draw is for, from general to particular. Names are hashed by a stable checksum (CRC-32), integers
+        (a trial's number) are used as they are.
+
+    Returns
+    -------
+    numpy.random.Generator
+        Independent of the stream of every other key.
+    """
+    spawn_key = tuple(zlib.crc32(part.encode()) if isinstance(part, str) else part for part in key)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))

@@ -1,0 +1,151 @@
+"""A recording in memory: one row a pointing, as structure of arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.recording.setup import Gauge, Instrument, Setup, Station, Target
+from ltsim.units import ARCSECOND, MILLIMETRE, PPM
+
+OBSERVABLES = ("distance", "azimuth", "elevation")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Readings of a tracker network and what is known about the set-up.
+
+    Attributes
+    ----------
+    setup : Setup
+    stations, targets : tuple of str
+        Names; the index arrays below point into them.
+    station, target : (n,) int
+    face : (n,) int
+        1 or 2.
+    repeat : (n,) int
+    time : (n,) float, [s]
+        Since the start; the row number where the recording has no clock.
+    readings : (n, 3) float, [m, rad, rad]
+        Raw range, azimuth, elevation; NaN where not measured.
+    covariates : mapping of str to (n,) float
+        Every further numeric column, the instrument's air readings among them.
+    labels : mapping of str to tuple of str
+        Every further column of text.
+    has_clock : bool
+        False where `time` is only the row order.
+    """
+
+    setup: Setup
+    stations: tuple[str, ...]
+    targets: tuple[str, ...]
+    station: Ints
+    target: Ints
+    face: Ints
+    repeat: Ints
+    time: Floats
+    readings: Floats
+    covariates: Mapping[str, Floats] = field(default_factory=dict)
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    has_clock: bool = True
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    @property
+    def measured(self) -> Bools:
+        """(n, 3) bool: which readings exist."""
+        return np.isfinite(self.readings)
+
+    @property
+    def instruments(self) -> tuple[str, ...]:
+        """Names of the instruments in use; a single unnamed one is called ''."""
+        names = {self._instrument_name(s) for s in self.stations}
+        return tuple(sorted(names))
+
+    @property
+    def instrument(self) -> Ints:
+        """(n,) int: index into `instruments` of each row."""
+        of_station = [self.instruments.index(self._instrument_name(s)) for s in self.stations]
+        return np.array(of_station, dtype=np.int64)[self.station]
+
+    def _instrument_name(self, station: str) -> str:
+        name = self.setup.stations.get(station, Station()).instrument
+        return name if name is not None and name in self.setup.instruments else ""
+
+    def instrument_of(self, station: str) -> Instrument:
+        """Give the instrument that stood at `station`."""
+        return self.setup.instrument_of(station)
+
+    def station_setup(self, station: str) -> Station:
+        """What the set-up says of a station (defaults where it says nothing)."""
+        return self.setup.stations.get(station, Station())
+
+    def target_setup(self, target: str) -> Target:
+        """What the set-up says of a target (defaults where it says nothing)."""
+        return self.setup.targets.get(target, Target())
+
+    @property
+    def gauge(self) -> Gauge:
+        """The gauge, an empty one where there is none."""
+        return self.setup.gauge or Gauge()
+
+    def sigma(self) -> Floats:
+        """Standard deviation (n, 3) [m, rad, rad] of each reading by the stated noise.
+
+        The azimuth's is that across the beam, divided by cos(elevation).
+        """
+        rows = []
+        for name in self.stations:
+            noise = self.instrument_of(name).noise
+            rows.append(
+                [
+                    noise.distance_mm * MILLIMETRE,
+                    noise.distance_ppm * PPM,
+                    noise.azimuth_arcsec * ARCSECOND,
+                    noise.elevation_arcsec * ARCSECOND,
+                ]
+            )
+        constant, per_metre, azimuth, elevation = np.array(rows)[self.station].T
+        level = np.where(np.isfinite(self.readings[:, 2]), self.readings[:, 2], 0.0)
+        range_ = np.where(np.isfinite(self.readings[:, 0]), self.readings[:, 0], 0.0)
+        across = np.maximum(np.abs(np.cos(level)), 1e-6)
+        return np.stack([constant + per_metre * range_, azimuth / across, elevation], axis=1)
+
+    def select(self, rows: Bools | Ints) -> Recording:
+        """The recording with only some rows; stations and targets without rows are dropped."""
+        keep = np.arange(len(self))[rows]
+        station_ids, station = np.unique(self.station[keep], return_inverse=True)
+        target_ids, target = np.unique(self.target[keep], return_inverse=True)
+        names = tuple(self.targets[k] for k in target_ids)
+        gauge = self.setup.gauge
+        if gauge is not None:
+            present = [g for g in gauge.distance if g.from_ in names and g.to in names]
+            gauge = gauge.model_copy(update={"distance": tuple(present)})
+        return dataclasses.replace(
+            self,
+            setup=self.setup.model_copy(update={"gauge": gauge}),
+            stations=tuple(self.stations[s] for s in station_ids),
+            targets=names,
+            station=station.astype(np.int64),
+            target=target.astype(np.int64),
+            face=self.face[keep],
+            repeat=self.repeat[keep],
+            time=self.time[keep],
+            readings=self.readings[keep],
+            covariates={name: column[keep] for name, column in self.covariates.items()},
+            labels={name: tuple(column[i] for i in keep) for name, column in self.labels.items()},
+        )
+
+    def with_readings(self, readings: Floats) -> Recording:
+        """The same recording with other readings (n, 3)."""
+        return self.replace(readings=readings)
+
+    def replace(self, **changes: Any) -> Recording:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)

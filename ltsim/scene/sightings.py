@@ -1,0 +1,188 @@
+"""Sightings: the geometry of every pointing, computed once and handed to every effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
+from ltsim.kinematics.chain import point_and_derivatives
+from ltsim.kinematics.misalignment import MISALIGNMENT
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Who looks at whom, on which face, when, and the geometry of it.
+
+    n pointings, S stations, T targets; SI units; the network frame unless a name says otherwise.
+
+    Attributes
+    ----------
+    station, target, instrument : (n,) int
+    face, repeat : (n,) int
+    time : (n,) float, [s]
+    position : (S, 3) float, [m]
+        Origin of each instrument.
+    rotation : (S, 3, 3) float
+        Instrument frame to network frame.
+    points : (T, 3) float, [m]
+    nest_normal : (T, 3) float
+        Unit vector, NaN where unknown.
+    reaimed : (T,) bool
+        The reflector is turned toward the station before each pointing.
+    station_names, target_names : tuple of str
+    covariates : mapping of str to (n,) float
+    """
+
+    station: Ints
+    target: Ints
+    instrument: Ints
+    face: Ints
+    repeat: Ints
+    time: Floats
+    position: Floats
+    rotation: Floats
+    points: Floats
+    nest_normal: Floats
+    reaimed: Bools
+    station_names: tuple[str, ...]
+    target_names: tuple[str, ...]
+    covariates: Mapping[str, Floats] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    def at(self, position: Floats, rotation: Floats, points: Floats) -> Sightings:
+        """The same pointings with stations and targets elsewhere."""
+        return replace(self, position=position, rotation=rotation, points=points)
+
+    @cached_property
+    def local(self) -> Floats:
+        """(n, 3) [m]: the target in the instrument's frame."""
+        offset = self.points[self.target] - self.position[self.station]
+        local: Floats = np.einsum("nji,nj->ni", self.rotation[self.station], offset)
+        return local
+
+    @cached_property
+    def polar(self) -> Floats:
+        """(n, 3): ideal range, azimuth, elevation on the front face."""
+        return to_polar(self.local)
+
+    @cached_property
+    def raw(self) -> Floats:
+        """(n, 3): ideal raw readings on the face that was used."""
+        return to_face(self.polar, self.face)
+
+    @property
+    def range_(self) -> Floats:
+        """(n,) [m]."""
+        return self.polar[:, 0]
+
+    @property
+    def azimuth(self) -> Floats:
+        """(n,) [rad], front face."""
+        return self.polar[:, 1]
+
+    @property
+    def elevation(self) -> Floats:
+        """(n,) [rad], front face."""
+        return self.polar[:, 2]
+
+    @cached_property
+    def face_sign(self) -> Floats:
+        """(n,): +1 on the front face, -1 on the back."""
+        return np.where(self.face == 2, -1.0, 1.0)
+
+    @cached_property
+    def jacobian(self) -> Floats:
+        """(n, 3, 3): derivative of the raw reading by the local point."""
+        return polar_jacobian(self.polar, self.face)
+
+    @cached_property
+    def by_target(self) -> Floats:
+        """(n, 3, 3): derivative of the raw reading by the target's network coordinates."""
+        by_target: Floats = self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
+        return by_target
+
+    @cached_property
+    def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
+        """Beam, left and up (n, 3) each, in the network frame."""
+        turn = self.rotation[self.station]
+        beam, left, up = unit_vectors(self.azimuth, self.elevation)
+        network = tuple(np.einsum("nij,nj->ni", turn, v) for v in (beam, left, up))
+        return network[0], network[1], network[2]
+
+    @cached_property
+    def slot_responses(self) -> dict[str, Floats]:
+        """For each slot of the misalignment chain: change (n, 3) of the raw reading per unit of correction.
+
+        A correction lifts the point that a reading describes; for a point that stays, the reading falls, hence the
+        minus sign (physics.md: a residual shows -Delta).
+        """
+        slots = {motion.slot for motion in MISALIGNMENT}
+        _, by_slot = point_and_derivatives(MISALIGNMENT, self.raw, {}, slots)
+        return {
+            slot: -np.einsum("nij,nj->ni", self.jacobian, moved) for slot, moved in by_slot.items()
+        }
+
+    @cached_property
+    def station_time(self) -> Floats:
+        """(n,) [s]: time since the first pointing of the same station."""
+        first = np.full(len(self.station_names), np.inf)
+        np.minimum.at(first, self.station, self.time)
+        since: Floats = self.time - first[self.station]
+        return since
+
+    @cached_property
+    def order(self) -> Ints:
+        """(n,) int: row indices in the order of the work (by time, ties by row)."""
+        return np.argsort(self.time, kind="stable")
+
+    @cached_property
+    def approach(self) -> Floats:
+        """(n, 2): sign of the last move of the raw azimuth and elevation, 0 for a station's first pointing.
+
+        The azimuth takes the short way round; the sequence restarts at every station.
+        """
+        sign = np.zeros((len(self), 2))
+        for s in range(len(self.station_names)):
+            rows = self.order[self.station[self.order] == s]
+            moves = np.diff(self.raw[rows, 1:], axis=0)
+            moves[:, 0] = wrap(moves[:, 0])
+            still = np.abs(moves) < 1e-4
+            step = np.sign(moves)
+            for axis in range(2):
+                last = 0.0
+                for i, row in enumerate(rows[1:]):
+                    last = last if still[i, axis] else float(step[i, axis])
+                    sign[row, axis] = last
+        return sign
+
+    @cached_property
+    def _nest(self) -> tuple[Floats, Floats]:
+        """Incidence angle and its direction in the plane of the open face."""
+        normal = self.nest_normal[self.target]
+        back = -self.unit_vectors[0]
+        up = np.array([0.0, 0.0, 1.0])
+        side = np.cross(up, normal)
+        flat = np.linalg.norm(side, axis=1) < 1e-6
+        side[flat] = [1.0, 0.0, 0.0]
+        side /= np.linalg.norm(side, axis=1)[:, None]
+        above = np.cross(normal, side)
+        cosine = np.clip(np.sum(back * normal, axis=1), -1.0, 1.0)
+        angle = np.arctan2(np.sum(back * above, axis=1), np.sum(back * side, axis=1))
+        return np.arccos(cosine), angle
+
+    @property
+    def incidence(self) -> Floats:
+        """(n,) [rad]: angle between the beam and the nest's normal; NaN where the nest is unknown."""
+        return self._nest[0]
+
+    @property
+    def incidence_direction(self) -> Floats:
+        """(n,) [rad]: where the station lies around the nest's normal, 0 along the horizontal in the open face."""
+        return self._nest[1]

@@ -1,0 +1,1 @@
+"""Least squares on matrices. This room has never heard of a tracker."""
