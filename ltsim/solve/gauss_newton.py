@@ -1,0 +1,132 @@
+"""Gauss-Newton with Levenberg-Marquardt damping: the loop, once, for any problem of the protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, TypeVar
+
+from ltsim.arrays import Floats
+from ltsim.errors import ConvergenceError
+from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+
+X = TypeVar("X")
+
+
+class Problem(Protocol[X]):
+    """What the loop needs to know of a problem; a point X may be any object (a state with rotations)."""
+
+    def linearise(self, x: X) -> BlockSystem:
+        """The whitened linear system at x."""
+        ...
+
+    def cost(self, x: X) -> float:
+        """Sum of squares at x."""
+        ...
+
+    def retract(self, x: X, step: Floats) -> X:
+        """The point reached from x by a step."""
+        ...
+
+
+class Status(Enum):
+    """How an iteration ended, in a sentence for the user."""
+
+    CONVERGED = "the last step was far below one standard deviation"
+    STALLED = "no step, however damped, lowers the sum of squares further"
+    CAPPED = "the cap on iterations was reached before the steps became small"
+    SINGULAR = "some unknowns are not determined by the observations at all"
+
+
+@dataclass(frozen=True)
+class Solution(Generic[X]):
+    """Where the loop ended.
+
+    Attributes
+    ----------
+    x : X
+    cost : float
+    iterations : int
+    status : Status
+    factor : Factor or None
+        Factorised undamped normal equations at x; None where they are singular.
+    system : BlockSystem
+    """
+
+    x: X
+    cost: float
+    iterations: int
+    status: Status
+    factor: Factor | None
+    system: BlockSystem
+
+    @property
+    def converged(self) -> bool:
+        """True when the optimum was reached."""
+        return self.status is Status.CONVERGED
+
+    def require_success(self) -> Solution[X]:
+        """Itself, or `ConvergenceError` with the status sentence."""
+        if not self.converged:
+            raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
+        return self
+
+
+def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e-8) -> Solution[X]:
+    """Minimise a sum of squares from `start`.
+
+    Parameters
+    ----------
+    problem, start
+    cap : int
+        Most iterations.
+    tolerance : float
+        Converged when the squared length of the step, measured by the normal matrix (that is in standard
+        deviations), falls below it.
+    """
+    x, damping = start, 0.0
+    system = problem.linearise(x)
+    for iteration in range(1, cap + 1):
+        step, factor, damping = _damped_step(system, damping)
+        if step is None or factor is None:
+            return Solution(x, system.cost, iteration, Status.SINGULAR, None, system)
+        moved = system.design @ step
+        length = float(moved @ moved)
+        trial = problem.retract(x, step)
+        cost = problem.cost(trial)
+        small = length < tolerance
+        if cost <= system.cost * (1 + 1e-12) + tolerance or small:
+            x, system = trial, problem.linearise(trial)
+            damping = 0.0 if damping < 1e-9 else damping / 10
+            if small:
+                return _finish(x, system, iteration, Status.CONVERGED)
+        elif damping > 1e8:
+            return _finish(x, system, iteration, Status.STALLED)
+        else:
+            damping = max(10 * damping, 1e-6)
+    return _finish(x, system, cap, Status.CAPPED)
+
+
+def _damped_step(
+    system: BlockSystem, damping: float
+) -> tuple[Floats | None, Factor | None, float]:
+    """A step with at least `damping`, more where the normal matrix is singular."""
+    while damping < 1e-2:
+        try:
+            factor = Factor(system, damping)
+            return factor.step(), factor, damping
+        except SingularSystemError:
+            damping = max(100 * damping, 1e-10)
+    try:
+        factor = Factor(system, damping)
+    except SingularSystemError:
+        return None, None, damping
+    return factor.step(), factor, damping
+
+
+def _finish(x: X, system: BlockSystem, iteration: int, status: Status) -> Solution[X]:
+    try:
+        factor = Factor(system)
+    except SingularSystemError:
+        return Solution(x, system.cost, iteration, Status.SINGULAR, None, system)
+    return Solution(x, system.cost, iteration, status, factor, system)
