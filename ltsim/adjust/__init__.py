@@ -1,0 +1,5 @@
+"""Network adjustment: from a recording to poses, targets and parameters with their covariance."""
+
+from ltsim.adjust.adjustment import Adjustment, Outlier, adjust
+
+__all__ = ["Adjustment", "Outlier", "adjust"]

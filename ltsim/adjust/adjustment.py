@@ -1,0 +1,238 @@
+"""Network adjustment of a recording: the call, and everything that is known afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.screening import gross_pointings
+from ltsim.adjust.start import start_network
+from ltsim.arrays import Bools, Floats
+from ltsim.effects.effect import Effect
+from ltsim.model.construction import Construction, ideal
+from ltsim.model.measurement import MeasurementModel, Sightings, State, sightings_of
+from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.solve.blocks import Factor
+from ltsim.solve.gauss_newton import Solution, solve
+
+FAMILY_LEVEL = 0.01
+"""Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """One reading that does not belong, by the w-test (Baarda 1968)."""
+
+    row: int
+    observable: int
+    size: float
+    w: float
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """An adjusted network.
+
+    Attributes
+    ----------
+    problem : NetworkProblem
+    solution : Solution
+    gross : (n,) bool
+        Pointings that were left out because they miss their target by far.
+    """
+
+    problem: NetworkProblem
+    solution: Solution[State]
+    gross: Bools
+
+    @property
+    def recording(self) -> Recording:
+        """The recording that was adjusted."""
+        return self.problem.model.recording
+
+    @property
+    def construction(self) -> Construction:
+        """The construction whose parameters were estimated."""
+        return self.problem.model.construction
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The further effects that were estimated."""
+        return self.problem.model.effects
+
+    @property
+    def state(self) -> State:
+        """Adjusted poses, targets and parameters."""
+        return self.solution.x
+
+    @property
+    def chi2(self) -> float:
+        """Weighted sum of squares of readings, known lengths and priors."""
+        return self.solution.cost
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom."""
+        return self.problem.dof
+
+    @property
+    def sigma0(self) -> float:
+        """Standard deviation of unit weight; NaN without redundancy."""
+        return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else float("nan")
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger chi2 if model and stated noise hold."""
+        return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof > 0 else float("nan")
+
+    @property
+    def factor(self) -> Factor:
+        """Factorised normal equations at the optimum."""
+        self.solution.require_success()
+        assert self.solution.factor is not None  # noqa: S101 - converged implies factorised
+        return self.solution.factor
+
+    @cached_property
+    def sightings(self) -> Sightings:
+        """Geometry of the pointings at the adjusted network."""
+        return sightings_of(self.recording, self.state)
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Observed minus adjusted readings (n, 3) [m, rad, rad]; NaN where not measured."""
+        return self.problem.residuals(self.problem.model.predict(self.state))
+
+    @cached_property
+    def redundancy(self) -> Floats:
+        """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
+        share = np.full(self.residuals.shape, np.nan)
+        used = self.problem.use
+        share[used] = 1.0 - self.factor.leverage()[: int(used.sum())]
+        return share
+
+    @cached_property
+    def w(self) -> Floats:
+        """Normalised residuals (n, 3), standard normal where the model holds (Baarda 1968)."""
+        spread = self.problem.sigma * np.sqrt(np.maximum(self.redundancy, 1e-12))
+        w: Floats = np.where(self.redundancy > 1e-9, self.residuals / spread, 0.0)
+        return np.where(self.problem.use, w, np.nan)
+
+    def outliers(self, level: float = FAMILY_LEVEL) -> list[Outlier]:
+        """Readings whose |w| is too large for chance over the whole recording, largest first."""
+        count = int(self.problem.use.sum())
+        limit = stats.norm.isf(0.5 * (1.0 - (1.0 - level) ** (1.0 / max(count, 1))))
+        rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
+        found = [
+            Outlier(
+                int(i),
+                int(j),
+                float(self.residuals[i, j] / self.redundancy[i, j]),
+                float(self.w[i, j]),
+            )
+            for i, j in zip(rows, columns, strict=True)
+        ]
+        return sorted(found, key=lambda outlier: -abs(outlier.w))
+
+    @cached_property
+    def kept_covariance(self) -> Floats:
+        """Covariance (K, K) of poses, gauge targets, instrument parameters and further effects."""
+        return self.factor.kept_covariance()
+
+    @property
+    def instrument_covariance(self) -> Floats:
+        """Covariance (p, p) of the first instrument's parameters [SI]."""
+        return self.instrument_covariance_of(0)
+
+    def instrument_covariance_of(self, instrument: int) -> Floats:
+        """Covariance (p, p) of one instrument's parameters [SI]."""
+        at = self.problem.layout.instrument[instrument]
+        return self.kept_covariance[np.ix_(at, at)]
+
+    @property
+    def extra_covariance(self) -> Floats:
+        """Covariance (q, q) of the further effects' parameters [SI]."""
+        at = self.problem.layout.extra
+        return self.kept_covariance[np.ix_(at, at)]
+
+    @property
+    def pose_covariance(self) -> Floats:
+        """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame."""
+        at = self.problem.layout.pose
+        covariance: Floats = self.kept_covariance[at[:, :, None], at[:, None, :]]
+        return covariance
+
+    @cached_property
+    def target_covariance(self) -> Floats:
+        """Covariance (T, 3, 3) [m^2] of each target."""
+        layout = self.problem.layout
+        covariance = np.empty((len(layout.target), 3, 3))
+        kept = layout.target[:, 0] < layout.kept
+        at = layout.target[kept]
+        covariance[kept] = self.kept_covariance[at[:, :, None], at[:, None, :]]
+        blocks = self.factor.block_covariance()
+        covariance[~kept] = blocks[(layout.target[~kept][:, 0] - layout.kept) // 3]
+        return covariance
+
+
+def adjust(
+    recording: Recording,
+    construction: Construction | None = None,
+    *,
+    effects: Sequence[Effect] = (),
+    sigma: Floats | None = None,
+    use: Bools | None = None,
+    start: State | None = None,
+) -> Adjustment:
+    """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
+
+    Parameters
+    ----------
+    recording : Recording
+    construction : Construction, optional
+        Default: an ideal tracker without parameters.
+    effects : sequence of Effect
+        Further effects to estimate, without priors.
+    sigma : (n, 3) float, optional, [m, rad, rad]
+        Standard deviations of the readings; default the stated noise.
+    use : (n, 3) bool, optional
+        Readings to use; default all.
+    start : State, optional
+        Where to start; default closed-form alignment. With a start no pointing is screened out.
+
+    Returns
+    -------
+    Adjustment
+        In the frame of the first station unless control points or levels define another. Its solution carries a
+        status; an adjustment that did not converge is returned, not raised.
+
+    Raises
+    ------
+    NetworkError
+        When stations share too few targets.
+    """
+    built = construction or ideal()
+    model = MeasurementModel(recording, built, tuple(effects))
+    gross = np.zeros(len(recording), dtype=bool)
+    if start is None:
+        position, rotation, points = start_network(recording)
+        gross = gross_pointings(recording, position, rotation, points)
+        parameters = np.zeros((len(recording.instruments), built.size))
+        start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
+    elif len(start.extra) != model.extra_size:
+        start = State(
+            start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size)
+        )
+    keep = np.broadcast_to(~gross[:, None], recording.readings.shape)
+    chosen = keep if use is None else keep & use
+    problem = NetworkProblem.of(model, start.points, sigma=sigma, use=chosen)
+    return Adjustment(problem, solve(problem, start), gross)
+
+
+def observable_name(column: int) -> str:
+    """Name of a column of the readings."""
+    return OBSERVABLES[column]
