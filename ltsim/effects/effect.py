@@ -10,7 +10,7 @@ planner and diagnoser all use the same object:
   physics is not linear (a ray through a temperature field) says so here.
 * `shape`: constants that enter nonlinearly (a time constant, a wavelength), with bounds; they are fields of the
   instance, and the diagnoser profiles over them.
-* `stations`, `targets`: where the effect acts, empty for everywhere.
+* `stations`, `targets`: where the effect acts, empty for everywhere; `candidates` lists the places to try.
 
 Sign: a parameter is a correction, truth - reading, as in physics.md; the change of a reading is therefore its negative.
 """
@@ -20,16 +20,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from itertools import product
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 from ltsim.recording.setup import Prior
 from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
 
 PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
+Scope = Literal["all", "station", "target", "pointing", "reading"]
 
 
 class Stage(IntEnum):
@@ -95,6 +97,13 @@ class ShapeParameter:
     low: float
     high: float
     logarithmic: bool = False
+    steps: int = 9
+
+    def grid(self) -> Floats:
+        """Values (steps,) [SI] between the bounds, at which a search tries the effect."""
+        if self.logarithmic:
+            return np.geomspace(self.low, self.high, self.steps)
+        return np.linspace(self.low, self.high, self.steps)
 
 
 @dataclass(frozen=True)
@@ -111,6 +120,21 @@ class Effect:
     shape: ClassVar[tuple[ShapeParameter, ...]] = ()
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
     covariates: ClassVar[tuple[str, ...]] = ()
+    scope: ClassVar[Scope] = "all"
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Instances a diagnosis tries on a network: every place of the effect's scope, every shape of its grid.
+
+        An effect whose places follow from the recording (a change point between two pointings) says so here.
+        """
+        places: list[dict[str, Any]] = [{}]
+        if cls.scope == "station":
+            places = [{"stations": (name,)} for name in sightings.station_names]
+        elif cls.scope == "target":
+            places = [{"targets": (name,)} for name in sightings.target_names]
+        grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape]
+        return [cls(**place, **dict(shape)) for place in places for shape in product(*grids)]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, p) of the raw readings per unit of each parameter."""
@@ -120,6 +144,13 @@ class Effect:
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
         change: Floats = self.design(sightings) @ values
         return change
+
+    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+        """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.
+
+        Only effects on the gauge itself have one.
+        """
+        return np.zeros((len(first), len(self.parameters)))
 
     def reshaped(self, **constants: Any) -> Self:
         """The same effect with other shape constants."""
@@ -135,6 +166,22 @@ class Effect:
             ids = [i for i, name in enumerate(sightings.target_names) if name in self.targets]
             acts &= np.isin(sightings.target, ids)
         return acts.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class NoiseEffect(Effect):
+    """A change of the noise: parameters are added variances or factors on them, not mean shifts."""
+
+    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+        """Variance (n, 3) of the readings when the stated standard deviations are `sigma` (n, 3).
+
+        Must give sigma^2 at zero values.
+        """
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        """No mean shift: zeros (n, 3, p)."""
+        return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
 Basis = Callable[[Floats], Floats]
