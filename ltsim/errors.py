@@ -7,8 +7,8 @@
 * `NetworkError`: the recording is well formed, but its network cannot be solved (a station that shares too
   few targets with the others).
 
-A solver that does not converge raises nothing: it returns a `Solution` whose status says so in a sentence, and
-`Solution.require_success()` raises `ConvergenceError` for callers who want an exception.
+A solver that does not converge raises nothing: it returns a `Solution` whose status says so in a sentence,
+and `Solution.require_success()` raises `ConvergenceError` for callers who want an exception.
 """
 
 from __future__ import annotations

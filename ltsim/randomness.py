@@ -19,8 +19,8 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     seed : int
         Root seed, 0 or larger.
     *key : str or int
-        What the draw is for, from general to particular. Names are hashed by a stable checksum (CRC-32), integers
-        (a trial's number) are used as they are.
+        What the draw is for, from general to particular. Names are hashed by a stable checksum (CRC-32),
+        integers (a trial's number) are used as they are.
 
     Returns
     -------

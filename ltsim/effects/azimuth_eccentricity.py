@@ -1,7 +1,8 @@
 """Eccentricity of the azimuth encoder (6), one lobe a turn.
 
 Delta_theta = A1 cos(theta_raw) + B1 sin(theta_raw).
-Source: Muralikrishnan et al. 2009 (x6); physics.md 2.2, entry 6. Validated: first order against the exact chain, and against the D-H columns of physics.md 2.4.
+Source: Muralikrishnan et al. 2009 (x6); physics.md 2.2, entry 6. Validated: first order against the exact
+chain, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

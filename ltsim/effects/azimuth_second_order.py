@@ -1,7 +1,8 @@
 """Two-lobe error of the azimuth encoder (8).
 
 A2 cos(2 x) + B2 sin(2 x) of the raw azimuth x.
-Source: Muralikrishnan et al. 2009 (x9a, x9b); physics.md 2.2, entry 8. Validated: first order against the exact chain, and against the D-H columns of physics.md 2.4.
+Source: Muralikrishnan et al. 2009 (x9a, x9b); physics.md 2.2, entry 8. Validated: first order against the
+exact chain, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations
@@ -20,8 +21,12 @@ class AzimuthSecondOrder(SlotEffect):
     stage = Stage.ENCODERS
     observables = ("azimuth",)
     parameters = (
-        Parameter("azimuth-second-order-cos", "urad", "cosine of twice the raw azimuth", 3 * ARCSECOND, "angle"),
-        Parameter("azimuth-second-order-sin", "urad", "sine of twice the raw azimuth", 3 * ARCSECOND, "angle"),
+        Parameter(
+            "azimuth-second-order-cos", "urad", "cosine of twice the raw azimuth", 3 * ARCSECOND, "angle"
+        ),
+        Parameter(
+            "azimuth-second-order-sin", "urad", "sine of twice the raw azimuth", 3 * ARCSECOND, "angle"
+        ),
     )
     terms = (
         Term("azimuth", lambda raw: np.cos(2 * raw[:, 1])),

@@ -1,7 +1,8 @@
 """Beam tilt (3), the horizontal collimation error.
 
 Delta_theta = f c / cos(phi); exact u = (cos c, sin c, 0) in the chain.
-Source: Muralikrishnan et al. 2009 (x4t); physics.md 2.2, entry 3. Validated: first order against the exact chain, and against the D-H columns of physics.md 2.4.
+Source: Muralikrishnan et al. 2009 (x4t); physics.md 2.2, entry 3. Validated: first order against the exact
+chain, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ class BeamTilt(SlotEffect):
     stage = Stage.OPTICS
     observables = ("azimuth",)
     parameters = (
-        Parameter("beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"),
+        Parameter(
+            "beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"
+        ),
     )
-    terms = (
-        Term("beam-tilt"),
-    )
+    terms = (Term("beam-tilt"),)

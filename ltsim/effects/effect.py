@@ -1,18 +1,19 @@
 """The contract of an effect.
 
-An effect is one physical cause of a difference between the ideal reading and the instrument's. Simulator, calibrator,
-planner and diagnoser all use the same object:
+An effect is one physical cause of a difference between the ideal reading and the instrument's. Simulator,
+calibrator, planner and diagnoser all use the same object:
 
 * `parameters`: name, unit, meaning, prior. Effects are linear in their parameters.
-* `design(sightings)` (n, 3, p): change of the raw reading (range [m], azimuth, elevation [rad]) per unit of each
-  parameter. Calibrator, planner and diagnoser need nothing else.
-* `shift(sightings, values)` (n, 3): what the simulator adds. By default design times values; an effect whose exact
-  physics is not linear (a ray through a temperature field) says so here.
-* `shape`: constants that enter nonlinearly (a time constant, a wavelength), with bounds; they are fields of the
-  instance, and the diagnoser profiles over them.
+* `design(sightings)` (n, 3, p): change of the raw reading (range [m], azimuth, elevation [rad]) per unit of
+  each parameter. Calibrator, planner and diagnoser need nothing else.
+* `shift(sightings, values)` (n, 3): what the simulator adds. By default design times values; an effect whose
+  exact physics is not linear (a ray through a temperature field) says so here.
+* `shape`: constants that enter nonlinearly (a time constant, a wavelength), with bounds; they are fields of
+  the instance, and the diagnoser profiles over them.
 * `stations`, `targets`: where the effect acts, empty for everywhere; `candidates` lists the places to try.
 
-Sign: a parameter is a correction, truth - reading, as in physics.md; the change of a reading is therefore its negative.
+Sign: a parameter is a correction, truth - reading, as in physics.md; the change of a reading is therefore its
+negative.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ class Effect:
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Instances a diagnosis tries on a network: every place of the effect's scope, every shape of its grid.
+        """Instances a diagnosis tries on a network: all places of the effect's scope, all shapes of its grid.
 
         An effect whose places follow from the recording (a change point between two pointings) says so here.
         """
@@ -134,7 +135,8 @@ class Effect:
         elif cls.scope == "target":
             places = [{"targets": (name,)} for name in sightings.target_names]
         grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape]
-        return [cls(**place, **dict(shape)) for place in places for shape in product(*grids)]
+        shapes: list[dict[str, Any]] = [dict(shape) for shape in product(*grids)]
+        return [cls(**place, **shape) for place in places for shape in shapes]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, p) of the raw readings per unit of each parameter."""
@@ -146,9 +148,9 @@ class Effect:
         return change
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.
+        """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit.
 
-        Only effects on the gauge itself have one.
+        One column a parameter; only effects on the gauge itself have one.
         """
         return np.zeros((len(first), len(self.parameters)))
 
@@ -227,8 +229,8 @@ def on_readings(
 ) -> Floats:
     """A column (n, 3) of a design from corrections (truth - reading) of front-face coordinates.
 
-    The elevation's sign is turned on the back face, whose raw elevation runs backwards, and all are negated: a
-    reading changes by minus its correction.
+    The elevation's sign is turned on the back face, whose raw elevation runs backwards, and all are negated:
+    a reading changes by minus its correction.
     """
     column = np.empty((len(sightings), 3))
     column[:, 0], column[:, 1] = distance, azimuth

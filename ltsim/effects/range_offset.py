@@ -1,6 +1,7 @@
 """Range offset (15): zero of the range, from the bird bath or the ADM.
 
-Delta_d = rho_0. Source: Muralikrishnan et al. 2009 (x8); physics.md 2.2, entry 15. Validated: first order against the exact chain, and against the D-H columns of physics.md 2.4.
+Delta_d = rho_0. Source: Muralikrishnan et al. 2009 (x8); physics.md 2.2, entry 15. Validated: first order
+against the exact chain, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations
@@ -19,6 +20,4 @@ class RangeOffset(SlotEffect):
     parameters = (
         Parameter("range-offset", "um", "constant missing from every range", 10 * MICROMETRE, "range_offset"),
     )
-    terms = (
-        Term("range"),
-    )
+    terms = (Term("range"),)

@@ -1,7 +1,8 @@
 """Range scale (16, 17): frequency of the laser, or one refractive index of air for all.
 
 Delta_d = s d. Without a known length it is exactly the scale of the network.
-Source: physics.md 2.2, entries 16 and 17. Validated: first order against the exact chain, and against the D-H columns of physics.md 2.4.
+Source: physics.md 2.2, entries 16 and 17. Validated: first order against the exact chain, and against the D-H
+columns of physics.md 2.4.
 """
 
 from __future__ import annotations
@@ -17,9 +18,5 @@ class RangeScale(SlotEffect):
     number = 16
     stage = Stage.RANGE
     observables = ("distance",)
-    parameters = (
-        Parameter("range-scale", "ppm", "share missing from every range", 2 * PPM, "range_scale"),
-    )
-    terms = (
-        Term("range", lambda raw: raw[:, 0]),
-    )
+    parameters = (Parameter("range-scale", "ppm", "share missing from every range", 2 * PPM, "range_scale"),)
+    terms = (Term("range", lambda raw: raw[:, 0]),)

@@ -1,6 +1,7 @@
 """Vertical index (5): zero of the elevation encoder, and the vertical part of the beam's tilt.
 
-Delta_phi = f phi_0. Source: Muralikrishnan et al. 2009 (x3, x4m); physics.md 2.2, entry 5. Validated: first order against the exact chain, and against the D-H columns of physics.md 2.4.
+Delta_phi = f phi_0. Source: Muralikrishnan et al. 2009 (x3, x4m); physics.md 2.2, entry 5. Validated: first
+order against the exact chain, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations
@@ -19,6 +20,4 @@ class VerticalIndex(SlotEffect):
     parameters = (
         Parameter("vertical-index", "urad", "zero of the elevation encoder", 3 * ARCSECOND, "angle"),
     )
-    terms = (
-        Term("elevation"),
-    )
+    terms = (Term("elevation"),)

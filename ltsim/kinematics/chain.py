@@ -1,9 +1,10 @@
 """Kinematic chains: a tracker as a sequence of elementary motions, exact, with exact derivatives.
 
-A chain is a literal list read from the base outwards: turn about z by the azimuth, shift along x by the transit
-offset, ... The target sits at the origin of the last frame. Errors enter as an amount added to a motion's nominal
-amount; the motion's `slot` is the name under which they are added. The derivative of the point by any slot is
-the axis carried into the base frame (a translation) or crossed with the lever arm behind it (a rotation).
+A chain is a literal list read from the base outwards: turn about z by the azimuth, shift along x by the
+transit offset, ... The target sits at the origin of the last frame. Errors enter as an amount added to a
+motion's nominal amount; the motion's `slot` is the name under which they are added. The derivative of the
+point by any slot is the axis carried into the base frame (a translation) or crossed with the lever arm behind
+it (a rotation).
 """
 
 from __future__ import annotations

@@ -4,13 +4,13 @@
     E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2; theta_RZ there is our eZ)
     E_Trans = T(dX, dY, dZ) (I + [e]_x)                                   (eq. 5)
 
-As printed, E follows the whole A: frame 1 has y along the standing axis and z along the transit axis, so the azimuth
-encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do not
-fit these frames (physics.md 2.4). E_Trans stands last and acts on a point: its rotation does nothing; it is
-kept, so that the count of 78 can be seen.
+As printed, E follows the whole A: frame 1 has y along the standing axis and z along the transit axis, so the
+azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do
+not fit these frames (physics.md 2.4). E_Trans stands last and acts on a point: its rotation does nothing; it
+is kept, so that the count of 78 can be seen.
 
-The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use one
-instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
+The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use
+one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The geometric-misalignment tracker with the source in the rotating head.
 
-Source: Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, the model family of ASME B89.4.19; written here in the exact
-form (not the first-order one), from the base outwards:
+Source: Muralikrishnan et al., J. Res. NIST 114 (2009) 21-35, the model family of ASME B89.4.19; written here
+in the exact form (not the first-order one), from the base outwards:
 
     p = Rz(azimuth_t) { [tau, 0, 0] + Rx(kappa) [ Ry(-elevation_t) ( [0, b_y, b_z] + range_t * u ) ] }
     u = (cos c, sin c, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -107,8 +107,8 @@ class Construction:
     def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Point (n, 3), its derivative by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
 
-        The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the size of the
-        errors themselves); Newton's method corrects for that, as does Gauss-Newton.
+        The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the
+        size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
         """
         slots = {term.slot for term in self.terms} | set(self._reading_slots)
         p, by_slot = point_and_derivatives(
@@ -123,8 +123,8 @@ class Construction:
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact.
 
-        Newton's method with the ideal tracker's derivative: each step closes the gap by a factor of the size of the
-        errors (1e-5), so that four steps reach rounding.
+        Newton's method with the ideal tracker's derivative: each step closes the gap by a factor of the size
+        of the errors (1e-5), so that four steps reach rounding.
         """
         polar = to_polar(points)
         raw, by_point = to_face(polar, face), polar_jacobian(polar, face)
@@ -139,7 +139,7 @@ class Construction:
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearised(raw, values)
-        by_point = np.linalg.inv(by_reading)
+        by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
@@ -188,6 +188,11 @@ def _harmonic(column: int, k: int) -> Term:
     return Term("", lambda raw: wave(order * raw[:, column]))
 
 
+def _power(k: int) -> Term:
+    """Basis number k of the range axis' polynomials: range to the power k."""
+    return Term("", lambda raw: raw[:, 0] ** k)
+
+
 def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
     """The paper's D-H construction with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
 
@@ -203,8 +208,8 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
 
     Notes
     -----
-    Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero amplitude.
-    Units: um and urad; a polynomial's coefficient k is per metre^k.
+    Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero
+    amplitude. Units: um and urad; a polynomial's coefficient k is per metre^k.
     """
     parameters: list[Parameter] = []
     terms: list[Term] = []
@@ -229,8 +234,7 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
         for k in range(degree + 1):
             name = f"T.{motion}_{k}"
-            power = Term("", lambda raw, k=k: raw[:, 0] ** k)
-            add(name, f"T.{motion}", power, motion[0] == "e", _SPAN**-k)
+            add(name, f"T.{motion}", _power(k), motion[0] == "e", _SPAN**-k)
     return Construction("dh", DH, tuple(parameters), tuple(terms))
 
 
@@ -241,8 +245,7 @@ def ideal() -> Construction:
 
 def construction(name: str) -> Construction:
     """Give a construction by its name: `misalignment`, `dh` or `ideal`."""
-    known = {"misalignment": misalignment, "dh": dh, "ideal": ideal}
+    known: dict[str, Callable[[], Construction]] = {"misalignment": misalignment, "dh": dh, "ideal": ideal}
     if name not in known:
         raise unknown_name("construction", name, known)
-    made: Construction = known[name]()
-    return made
+    return known[name]()

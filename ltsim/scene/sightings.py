@@ -120,8 +120,8 @@ class Sightings:
     def slot_responses(self) -> dict[str, Floats]:
         """For each slot of the misalignment chain: change (n, 3) of the raw reading per unit of correction.
 
-        A correction lifts the point that a reading describes; for a point that stays, the reading falls, hence the
-        minus sign (physics.md: a residual shows -Delta).
+        A correction lifts the point that a reading describes; for a point that stays, the reading falls,
+        hence the minus sign (physics.md: a residual shows -Delta).
         """
         slots = {motion.slot for motion in MISALIGNMENT}
         _, by_slot = point_and_derivatives(MISALIGNMENT, self.raw, {}, slots)
@@ -184,5 +184,5 @@ class Sightings:
 
     @property
     def incidence_direction(self) -> Floats:
-        """(n,) [rad]: where the station lies around the nest's normal, 0 along the horizontal in the open face."""
+        """(n,) [rad]: where the station lies around the nest's normal, 0 along the open face's horizontal."""
         return self._nest[1]

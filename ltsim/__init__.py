@@ -1,0 +1,1 @@
+"""Simulate, calibrate, plan and diagnose laser-tracker networks."""

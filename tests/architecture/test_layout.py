@@ -1,0 +1,80 @@
+"""What style and layout promise and no other tool checks."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+
+import ltsim
+from ltsim import effects
+from ltsim.effects.effect import Effect
+
+PACKAGE = Path(ltsim.__file__).parent
+MODULES = sorted(PACKAGE.rglob("*.py"))
+LARGEST = 400
+CONTRACT = {"__init__", "effect"}
+
+
+def named(path: Path) -> str:
+    return path.relative_to(PACKAGE.parent).as_posix()
+
+
+def effects_in(module: str) -> list[type[Effect]]:
+    """The effects a file of the room defines: classes of its own that carry a name."""
+    loaded = importlib.import_module(f"ltsim.effects.{module}")
+    classes = inspect.getmembers(loaded, inspect.isclass)
+    return [
+        cls
+        for _, cls in classes
+        if issubclass(cls, Effect) and cls.__module__ == loaded.__name__ and hasattr(cls, "name")
+    ]
+
+
+@pytest.mark.parametrize(
+    "module", [m.name for m in pkgutil.iter_modules(effects.__path__) if m.name not in CONTRACT]
+)
+def test_every_effect_file_is_in_the_catalogue(module: str) -> None:
+    catalogue = {entry if isinstance(entry, type) else type(entry) for entry in effects.CATALOGUE}
+    missing = [cls.__name__ for cls in effects_in(module) if cls not in catalogue]
+    assert not missing, f"ltsim/effects/{module}.py: add {', '.join(missing)} to CATALOGUE"
+
+
+def test_catalogue_names_each_effect_once() -> None:
+    names = [entry.name for entry in effects.CATALOGUE]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=named)
+def test_module_is_small_enough_to_read(path: Path) -> None:
+    lines = len(path.read_text().splitlines())
+    assert lines <= LARGEST, f"{named(path)} has {lines} lines: divide it"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=named)
+def test_only_the_command_line_prints(path: Path) -> None:
+    if path.parent == PACKAGE / "cli":
+        return
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    prints = [c.lineno for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
+    assert not prints, f"{named(path)} prints in lines {prints}"
+
+
+def test_every_room_is_a_package() -> None:
+    """The layers are checked only in folders with an `__init__.py`."""
+    rooms = {path.parent for path in MODULES}
+    assert [named(room) for room in rooms if not (room / "__init__.py").exists()] == []
+
+
+def test_continuous_integration_runs_what_the_readme_says(root: Path) -> None:
+    commands = [line for line in (root / ".ci" / "run").read_text().splitlines() if "pytest" in line]
+    assert len(commands) == 1
+    readme = (root / "README.md").read_text()
+    blocks = re.findall(r"^```[^\n]*\n(.*?)^```", readme, re.MULTILINE | re.DOTALL)
+    said = [line for block in blocks for line in block.splitlines()]
+    assert commands[0] in said, f"README.md does not say: {commands[0]}"

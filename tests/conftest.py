@@ -1,0 +1,37 @@
+"""Settings of all tests: one thread, no windows, the same random examples on every run."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# Before numpy is imported for the first time: its thread pools read these once.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+os.environ["MPLBACKEND"] = "Agg"
+os.environ["PYVISTA_OFF_SCREEN"] = "true"
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile(
+    "ltsim", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None
+)
+settings.load_profile("ltsim")
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The checkout."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder `shared` beside the checkout, with recordings that are not part of the project."""
+    folder = ROOT.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip("there is no folder 'shared' beside the checkout: real recordings are not at hand")
+    return folder
