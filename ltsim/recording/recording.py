@@ -14,6 +14,14 @@ from ltsim.recording.setup import Gauge, Instrument, Setup, Station, Target
 from ltsim.units import ARCSECOND, MILLIMETRE, PPM
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
+SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
+"""Covariates: the standard deviation of single readings, empty where the instrument's noise holds."""
+HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
+"""Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
+BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
+"""Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
+KIND_COLUMN = "distance_kind"
+"""Label ``slope`` (or empty) or ``horizontal`` of each distance."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class Recording:
         Every further column of text.
     has_clock : bool
         False where `time` is only the row order.
+    notes : tuple of str
+        What a reader decided about an ambiguous file, skipped or left out: one sentence each.
     """
 
     setup: Setup
@@ -53,6 +63,7 @@ class Recording:
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     has_clock: bool = True
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.station)
@@ -98,24 +109,42 @@ class Recording:
     def sigma(self) -> Floats:
         """Standard deviation (n, 3) [m, rad, rad] of each reading by the stated noise.
 
-        The azimuth's is that across the beam, divided by cos(elevation).
+        The azimuth's is that across the beam, divided by cos(elevation). The columns `SIGMA_COLUMNS`, where
+        present, state that of single readings instead, the azimuth's being that of the reading itself.
         """
-        rows = []
-        for name in self.stations:
-            noise = self.instrument_of(name).noise
-            rows.append(
-                [
-                    noise.distance_mm * MILLIMETRE,
-                    noise.distance_ppm * PPM,
-                    noise.azimuth_arcsec * ARCSECOND,
-                    noise.elevation_arcsec * ARCSECOND,
-                ]
-            )
-        constant, per_metre, azimuth, elevation = np.array(rows)[self.station].T
+        noise = [self.instrument_of(name).noise for name in self.stations]
+        rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
+        units = [MILLIMETRE, PPM, ARCSECOND, ARCSECOND]
+        constant, per_metre, azimuth, elevation = (np.array(rows) * units)[self.station].T
         level = np.where(np.isfinite(self.readings[:, 2]), self.readings[:, 2], 0.0)
         range_ = np.where(np.isfinite(self.readings[:, 0]), self.readings[:, 0], 0.0)
         across = np.maximum(np.abs(np.cos(level)), 1e-6)
-        return np.stack([constant + per_metre * range_, azimuth / across, elevation], axis=1)
+        sigma = np.stack([constant + per_metre * range_, azimuth / across, elevation], axis=1)
+        for column, (name, unit) in enumerate(
+            zip(SIGMA_COLUMNS, (MILLIMETRE, ARCSECOND, ARCSECOND), strict=True)
+        ):
+            if name in self.covariates:
+                stated = self.covariates[name] * unit
+                sigma[:, column] = np.where(np.isfinite(stated), stated, sigma[:, column])
+        return sigma
+
+    def heights(self) -> tuple[Floats, Floats]:
+        """Heights (n,) [m] of the instrument and of the reflector over their marks, along the vertical."""
+        instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
+        target = [self.target_setup(t).height_mm for t in self.targets]
+        constant = np.array(instrument)[self.station], np.array(target)[self.target]
+        stated = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
+        first, second = (
+            np.where(np.isfinite(one), one, other) * MILLIMETRE
+            for one, other in zip(stated, constant, strict=True)
+        )
+        return first, second
+
+    @property
+    def is_horizontal(self) -> Bools:
+        """(n,) bool: distances reduced to the horizontal plane of the instrument."""
+        kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
+        return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
     def select(self, rows: Bools | Ints) -> Recording:
         """The recording with only some rows; stations and targets without rows are dropped."""

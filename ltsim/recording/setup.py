@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
 
 
 class Section(BaseModel):
@@ -24,24 +26,30 @@ class Noise(Section):
 
     distance_mm: NonNegative = 0.003
     distance_ppm: NonNegative = 0.3
-    azimuth_arcsec: PositiveFloat = 0.37
-    elevation_arcsec: PositiveFloat = 0.37
+    azimuth_arcsec: Positive = 0.37
+    elevation_arcsec: Positive = 0.37
+
+    @model_validator(mode="after")
+    def _some_range_noise(self) -> Noise:
+        if self.distance_mm == 0 and self.distance_ppm == 0:
+            raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
+        return self
 
 
 class Prior(Section):
     """One standard deviation of what the maker guarantees."""
 
-    range_scale_ppm: PositiveFloat = 2.0
-    range_offset_mm: PositiveFloat = 0.010
-    angle_arcsec: PositiveFloat = 3.0
-    offset_mm: PositiveFloat = 0.020
+    range_scale_ppm: Positive = 2.0
+    range_offset_mm: Positive = 0.010
+    angle_arcsec: Positive = 3.0
+    offset_mm: Positive = 0.020
 
 
 class Limits(Section):
     """Travel of the elevation axis."""
 
-    elevation_min_deg: FiniteFloat = -55.0
-    elevation_max_deg: FiniteFloat = 77.0
+    elevation_min_deg: Finite = -55.0
+    elevation_max_deg: Finite = 77.0
 
 
 class Instrument(Section):
@@ -59,39 +67,53 @@ class GaugeDistance(Section):
 
     from_: str = Field(alias="from")
     to: str
-    length_mm: PositiveFloat
-    sigma_mm: PositiveFloat
+    length_mm: Positive
+    sigma_mm: Positive
 
 
 class Gauge(Section):
     """Lengths known from elsewhere and the temperatures that bring them to the workshop."""
 
-    calibrated_at_c: FiniteFloat = 20.0
-    measured_at_c: FiniteFloat = 20.0
-    expansion_per_k: FiniteFloat = 0.0
+    calibrated_at_c: Finite = 20.0
+    measured_at_c: Finite = 20.0
+    expansion_per_k: Finite = 0.0
     distance: tuple[GaugeDistance, ...] = ()
 
 
 class Station(Section):
-    """What is known about one set-up, from the floor plan or a level."""
+    """What is known about one set-up, from the floor plan or a level.
+
+    `over` names the target whose mark the instrument stands on, `instrument_height_mm` above it along
+    `vertical`: the direction of plumb there in the network frame (z where it is not given; it differs where a
+    network is wide enough to feel the curvature of the earth).
+    """
 
     position_mm: Vector | None = None
-    yaw_deg: FiniteFloat | None = None
+    yaw_deg: Finite | None = None
     levelled: bool = False
-    levelling_sigma_arcsec: PositiveFloat = 1.0
+    levelling_sigma_arcsec: Positive = 1.0
     instrument: str | None = None
-    instrument_height_mm: FiniteFloat = 0.0
+    instrument_height_mm: Finite = 0.0
+    over: str | None = None
+    vertical: Vector | None = None
 
 
 class Target(Section):
-    """What is known about one reflector position."""
+    """What is known about one reflector position.
+
+    `known_mm` holds with `known_sigma_mm` along `known_axes`. `approximate_mm` is a start value without
+    weight; where `datum` is set, all such targets together define the frame by inner constraints.
+    """
 
     nest_normal: Vector | None = None
     reflector: str | None = None
     reaimed: bool = True
     known_mm: Vector | None = None
-    known_sigma_mm: PositiveFloat = 0.01
-    height_mm: FiniteFloat = 0.0
+    known_sigma_mm: Positive = 0.01
+    known_axes: Literal["xyz", "xy", "xz", "yz", "x", "y", "z"] = "xyz"
+    approximate_mm: Vector | None = None
+    datum: bool = False
+    height_mm: Finite = 0.0
 
 
 class Setup(Section):
@@ -108,4 +130,4 @@ class Setup(Section):
     def instrument_of(self, station: str) -> Instrument:
         """Give the instrument that stood at `station`."""
         name = self.stations.get(station, Station()).instrument
-        return self.instruments[name] if name in self.instruments else self.instrument
+        return self.instruments.get(name or "", self.instrument)

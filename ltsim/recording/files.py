@@ -1,0 +1,193 @@
+"""Bounded reading of files, the numbers and names in them, and writing without leaving half a file."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from pathlib import Path
+
+from ltsim.errors import RecordError
+
+MAX_BYTES = 64 * 1024 * 1024
+MAX_LINE = 20_000
+MAX_NAME = 100
+MAX_TEXT = 500
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+_NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_FORBIDDEN = re.compile(r"[<>/\\]")
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file of at most `MAX_BYTES`.
+
+    Raises
+    ------
+    RecordError
+        When it is missing, a folder, unreadable, empty or too large.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise RecordError("there is no such file", file=path) from None
+    except IsADirectoryError:
+        raise RecordError("this is a folder, expected a file", file=path) from None
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or "not a usable path"
+        raise RecordError(f"cannot be read ({reason})", file=path) from None
+    if len(content) > MAX_BYTES:
+        raise RecordError(f"is larger than {MAX_BYTES >> 20} MiB, the most that is read", file=path)
+    if not content.strip():
+        raise RecordError("is empty", file=path)
+    return content
+
+
+def read_text(path: Path, *, latin: bool = False) -> str:
+    """The text of a file in UTF-8 (with or without a byte-order mark); `latin` falls back to Latin-1."""
+    content = read_bytes(path)
+    if b"\x00" in content:
+        raise RecordError("holds binary data or UTF-16, expected UTF-8 text", file=path)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        if latin:
+            return content.decode("latin-1")
+        line = content[: problem.start].count(b"\n") + 1
+        raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
+
+
+def read_lines(path: Path, *, latin: bool = False) -> list[str]:
+    """The lines of a text file, without line breaks; none longer than `MAX_LINE` characters."""
+    lines = read_text(path, latin=latin).split("\n")
+    for i, line in enumerate(lines):
+        if len(line) > MAX_LINE:
+            raise RecordError(f"line {i + 1} is longer than {MAX_LINE} characters", file=path)
+    return [line.rstrip("\r") for line in lines]
+
+
+def is_number(text: str) -> bool:
+    """Whether `text` is a decimal number in plain ASCII."""
+    return len(text) <= 40 and _NUMBER.fullmatch(text) is not None
+
+
+def is_not_finite(text: str) -> bool:
+    """Whether `text` spells NaN or infinity."""
+    return len(text) <= 10 and _NOT_FINITE.fullmatch(text) is not None
+
+
+def number(
+    text: str,
+    *,
+    file: object,
+    row: int | None = None,
+    column: str | None = None,
+    limit: float = 1e12,
+) -> float:
+    """A finite decimal number of at most `limit` in size.
+
+    Raises
+    ------
+    RecordError
+        For anything else; NaN, infinities and digits of other scripts included.
+    """
+    text = text.strip()
+    if not is_number(text):
+        wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
+        hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
+        raise RecordError(f"found '{shown(text)}', {wanted}{hint}", file=file, row=row, column=column)
+    value = float(text)
+    if not abs(value) <= limit:
+        message = f"found {shown(text)}, expected a number of at most {limit:g} in size"
+        raise RecordError(message, file=file, row=row, column=column)
+    return value
+
+
+def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
+    """A number that may have a decimal comma."""
+    return number(text.strip().replace(",", ".", 1), file=file, row=row, column=column)
+
+
+def shown(text: str, length: int = 40) -> str:
+    """`text` as it can stand in a one-line message: printable and short."""
+    clean = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
+    return clean if len(clean) <= length else clean[:length] + "..."
+
+
+def check_name(
+    name: str,
+    kind: str,
+    *,
+    file: object = None,
+    row: int | None = None,
+    column: str | None = None,
+) -> str:
+    """`name` itself when it can serve as the name of a station, target or instrument.
+
+    Names end up in tables, pages and paths, so control characters, markup and path separators are refused.
+
+    Raises
+    ------
+    RecordError
+    """
+    if not name or name != name.strip():
+        what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
+        raise RecordError(f"the name of a {kind} {what}", file=file, row=row, column=column)
+    found = _FORBIDDEN.search(name)
+    reason = (
+        f"is longer than {MAX_NAME} characters"
+        if len(name) > MAX_NAME
+        else "holds a control character"
+        if not name.isprintable()
+        else f"holds '{found.group()}'; a name may not hold < > / or \\"
+        if found
+        else "is the name of a folder"
+        if name in (".", "..")
+        else ""
+    )
+    if reason:
+        message = f"the name of a {kind}, '{shown(name)}', {reason}"
+        raise RecordError(message, file=file, row=row, column=column)
+    return name
+
+
+def check_text(text: str, *, file: object, row: int | None = None, column: str | None = None) -> str:
+    """`text` itself when it is a short line without control characters or markup."""
+    markup = "<" in text or ">" in text or not text.isprintable()
+    if len(text) > MAX_TEXT or markup:
+        reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
+        raise RecordError(f"the text '{shown(text)}' {reason}", file=file, row=row, column=column)
+    return text
+
+
+def write_texts(folder: Path, texts: dict[str, str]) -> None:
+    """Write files into `folder`: all to temporary siblings first, then each moved to its place.
+
+    Raises
+    ------
+    RecordError
+        When the folder cannot be made or written to; nothing half-written stays behind.
+    """
+    waiting: list[tuple[str, Path]] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            handle, temporary = tempfile.mkstemp(prefix=f".{name}.", dir=folder)
+            waiting.append((temporary, folder / name))
+            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+                stream.write(text)
+            os.chmod(temporary, 0o644)
+        while waiting:
+            os.replace(*waiting[0])
+            waiting.pop(0)
+    except (OSError, UnicodeEncodeError) as problem:
+        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot hold"
+        raise RecordError(f"cannot be written ({reason})", file=folder) from None
+    finally:
+        for temporary, _ in waiting:
+            Path(temporary).unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write one file at once: to a temporary sibling that then takes its place."""
+    write_texts(path.parent, {path.name: text})

@@ -1,0 +1,1 @@
+"""Formats that people have: one file a format."""

@@ -1,0 +1,276 @@
+"""The native recording, a folder with `observations.csv` and `setup.toml` (format ltsim-recording/1)."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import RecordError
+from ltsim.recording.files import (
+    check_name,
+    check_text,
+    is_not_finite,
+    is_number,
+    number,
+    read_lines,
+    shown,
+    write_texts,
+)
+from ltsim.recording.plausibility import check_degrees
+from ltsim.recording.recording import KIND_COLUMN, SIGMA_COLUMNS, Recording
+from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
+from ltsim.recording.setup import Setup
+from ltsim.units import DEGREE, MILLIMETRE
+
+OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
+REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
+MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
+KNOWN = (*REQUIRED, "repeat", "time_s")
+WORDS = {"distance_mode": ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+BOUNDS = {
+    "distance_mm": (0.001, 1e9),
+    "azimuth_deg": (-720.0, 720.0),
+    "elevation_deg": (-90.0, 270.0),
+    "time_s": (-1e10, 1e10),
+    "air_temperature_c": (-60.0, 80.0),
+    "air_pressure_hpa": (300.0, 1200.0),
+    "relative_humidity_pct": (0.0, 100.0),
+    **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
+}
+UNITS = "rad mrad urad gon grad mgon cc arcsec deg mm m cm um in inch ft s ms min h c k f hpa pa bar mbar pct"
+MAX_COLUMNS = 500
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording folder (or the `observations.csv` in it).
+
+    Raises
+    ------
+    RecordError
+        One sentence: file, row, column, what was found, what would be right.
+    """
+    folder = path.parent if path.name == OBSERVATIONS else path
+    if not folder.is_dir():
+        message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
+        raise RecordError(message, file=path)
+    return parse(_table(folder / OBSERVATIONS), read_setup(folder / SETUP), folder)
+
+
+def _table(path: Path) -> list[list[str]]:
+    """Header and rows, all of one length."""
+    lines = read_lines(path)
+    if lines[-1]:
+        message = "the file ends inside this row, without a line break: it was cut"
+        raise RecordError(message, file=path, row=len(lines) - 1)
+    rows: list[list[str]] = []
+    try:
+        for fields in csv.reader(lines, strict=True):
+            if any(field.strip() for field in fields):
+                rows.append([field.strip() for field in fields])
+                _check_width(fields, rows, path)
+    except csv.Error as problem:
+        raise RecordError(f"is not CSV here ({problem})", file=path, row=len(rows)) from None
+    if len(rows) < 2:
+        raise RecordError("holds a header only, expected one row a pointing", file=path)
+    return rows
+
+
+def _check_width(fields: Sequence[str], rows: list[list[str]], path: Path) -> None:
+    if len(fields) > MAX_COLUMNS:
+        message = f"{len(fields)} columns, expected at most {MAX_COLUMNS}"
+        raise RecordError(message, file=path, row=len(rows) - 1)
+    if len(fields) != len(rows[0]):
+        message = f"{len(fields)} fields, expected {len(rows[0])} as in the header"
+        raise RecordError(message, file=path, row=len(rows) - 1)
+
+
+def parse(rows: list[list[str]], setup: Setup, folder: Path) -> Recording:
+    """A recording of the header and rows of its table; `folder` is named in errors."""
+    file = folder / OBSERVATIONS
+    header = rows[0]
+    _check_header(header, file)
+    columns = {name: [row[i] for row in rows[1:]] for i, name in enumerate(header)}
+    stations, station = _names(columns["station"], "station", file)
+    targets, target = _names(columns["target"], "target", file)
+    count = len(rows) - 1
+    face = _whole(columns["face"], "face", file, (1, 2))
+    repeat = np.ones(count, dtype=np.int64)
+    if "repeat" in columns:
+        repeat = _whole(columns["repeat"], "repeat", file, (1, 1_000_000))
+    time = np.arange(count, dtype=np.float64)
+    if "time_s" in columns:
+        time = _floats(columns["time_s"], "time_s", file, optional=False)
+    measured = np.stack([_floats(columns[name], name, file) for name in MEASURED], axis=1)
+    _check_measured(measured, file)
+    check_degrees(measured[:, 1], measured[:, 2], measured[:, 0], station, target, face, file)
+    covariates, labels = _further(columns, file)
+    recording = Recording(
+        setup=setup,
+        stations=stations,
+        targets=targets,
+        station=station,
+        target=target,
+        face=face,
+        repeat=repeat,
+        time=time,
+        readings=measured * [MILLIMETRE, DEGREE, DEGREE],
+        covariates=covariates,
+        labels=labels,
+        has_clock="time_s" in columns,
+    )
+    _check_gauge(recording, folder / SETUP)
+    return recording
+
+
+def _check_header(header: Sequence[str], file: Path) -> None:
+    """Every required column once, none in another unit."""
+    if any(";" in name or "\t" in name for name in header):
+        raise RecordError("the header holds ';' or tabs, expected commas between columns", file=file, row=0)
+    for i, name in enumerate(header):
+        check_text(name, file=file, row=0)
+        if not name:
+            raise RecordError(f"column {i + 1} has no name", file=file, row=0)
+        if name in header[:i]:
+            raise RecordError("this column appears twice in the header", file=file, row=0, column=name)
+        stem, _, unit = name.rpartition("_")
+        right = next((k for k in BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
+        if right is not None and unit.lower() in UNITS.split() and name not in BOUNDS:
+            message = f"the unit '{unit}' is not one of this format, expected {right}"
+            raise RecordError(message, file=file, row=0, column=name)
+    for name in REQUIRED:
+        if name not in header:
+            near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
+            hint = f" ('{shown(near[0])}' looks like it)" if near else ""
+            message = f"the required column {name} is missing{hint}"
+            raise RecordError(message, file=file, row=0)
+
+
+def _names(column: list[str], kind: str, file: Path) -> tuple[tuple[str, ...], Ints]:
+    """Names in order of appearance and the index of each row's."""
+    index: dict[str, int] = {}
+    for i, name in enumerate(column):
+        if name not in index:
+            index[check_name(name, kind, file=file, row=i + 1, column=kind)] = len(index)
+    return tuple(index), np.array([index[name] for name in column], dtype=np.int64)
+
+
+def _whole(column: list[str], name: str, file: Path, bounds: tuple[int, int]) -> Ints:
+    """A column of whole numbers within bounds."""
+    low, high = bounds
+    for i, text in enumerate(column):
+        if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
+            wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
+            raise RecordError(f"found '{shown(text)}', expected {wanted}", file=file, row=i + 1, column=name)
+    return np.array([int(text) for text in column], dtype=np.int64)
+
+
+def _floats(column: list[str], name: str, file: Path, *, optional: bool = True) -> Floats:
+    """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
+    low, high = BOUNDS.get(name, (-1e15, 1e15))
+    values = np.full(len(column), np.nan)
+    for i, text in enumerate(column):
+        if text or not optional:
+            values[i] = number(text, file=file, row=i + 1, column=name, limit=1e15)
+            if not low <= values[i] <= high:
+                hint = " (it looks like gon)" if name == "elevation_deg" and 270 < values[i] < 400 else ""
+                message = f"found {shown(text)}, expected a value from {low:g} to {high:g}{hint}"
+                raise RecordError(message, file=file, row=i + 1, column=name)
+    return values
+
+
+def _check_measured(measured: Floats, file: Path) -> None:
+    nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
+    if len(nothing):
+        message = "nothing was measured here, expected an azimuth, an elevation or a distance"
+        raise RecordError(message, file=file, row=int(nothing[0]) + 1)
+
+
+def _further(
+    columns: dict[str, list[str]], file: Path
+) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
+    """Numeric columns as covariates, the others as labels."""
+    covariates: dict[str, Floats] = {}
+    labels: dict[str, tuple[str, ...]] = {}
+    for name, column in columns.items():
+        if name in KNOWN:
+            continue
+        filled = [text for text in column if text]
+        numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
+        if (numeric or name in BOUNDS) and name not in WORDS:
+            covariates[name] = _floats(column, name, file)
+            continue
+        for i, text in enumerate(column):
+            check_text(text, file=file, row=i + 1, column=name)
+            if name in WORDS and text not in WORDS[name]:
+                wanted = " or ".join(word for word in WORDS[name] if word)
+                message = f"found '{shown(text)}', expected {wanted}"
+                raise RecordError(message, file=file, row=i + 1, column=name)
+        labels[name] = tuple(column)
+    return covariates, labels
+
+
+def _check_gauge(recording: Recording, file: Path) -> None:
+    for i, line in enumerate(recording.gauge.distance):
+        for name in (line.from_, line.to):
+            if name not in recording.targets:
+                near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
+                hint = f"; measured were e.g. {', '.join(near)}" if near else ""
+                message = f"the target '{shown(name)}' was never measured{hint}"
+                raise RecordError(message, file=file, column=f"gauge.distance {i + 1}")
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording as a folder; both files appear whole or not at all.
+
+    Raises
+    ------
+    RecordError
+        When it holds names or values that could not be read back, or the folder cannot be written.
+    """
+    if path.exists() and not path.is_dir():
+        raise RecordError("this is a file, expected a folder to write the recording to", file=path)
+    rows, toml = table_of(recording), setup_to_toml(recording.setup)
+    setup_from(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP)
+    parse(rows, recording.setup, path)
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    write_texts(path, {OBSERVATIONS: stream.getvalue(), SETUP: toml})
+
+
+def table_of(recording: Recording) -> list[list[str]]:
+    """Header and rows of `observations.csv`."""
+    polar = recording.readings
+    columns: dict[str, Sequence[str]] = {
+        "station": [recording.stations[i] for i in recording.station],
+        "target": [recording.targets[i] for i in recording.target],
+        "face": [str(f) for f in recording.face],
+        "repeat": [str(r) for r in recording.repeat],
+    }
+    if recording.has_clock:
+        columns["time_s"] = _texts(recording.time)
+    columns["azimuth_deg"] = _texts(polar[:, 1], DEGREE, 9)
+    columns["elevation_deg"] = _texts(polar[:, 2], DEGREE, 9)
+    columns["distance_mm"] = _texts(polar[:, 0], MILLIMETRE, 6)
+    columns |= {name: _texts(values) for name, values in recording.covariates.items()}
+    columns |= dict(recording.labels)
+    return [list(columns), *(list(row) for row in zip(*columns.values(), strict=True))]
+
+
+def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
+    """Values in `unit`: `digits` decimals where they say it exactly, otherwise all digits; empty for NaN."""
+    return [_text(float(value), unit, digits) for value in values]
+
+
+def _text(value: float, unit: float, digits: int | None) -> str:
+    if not np.isfinite(value):
+        return ""
+    if digits is None:
+        return repr(value / unit)
+    short = f"{value / unit:.{digits}f}"
+    return short if float(short) * unit == value else repr(value / unit)

@@ -1,0 +1,183 @@
+"""setup.toml: reading with one sentence for whatever is wrong, and writing."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from ltsim.errors import RecordError
+from ltsim.recording.files import check_name, read_text, shown
+from ltsim.recording.setup import Setup
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+_COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
+
+
+def read_setup(path: Path) -> Setup:
+    """The contents of a `setup.toml`.
+
+    Raises
+    ------
+    RecordError
+        One sentence: which key, what was found, what would be right.
+    """
+    text = read_text(path)
+    if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
+        message = "has no line break after its last value and may be cut there; end the line if it is whole"
+        raise RecordError(message, file=path)
+    try:
+        data = tomllib.loads(text.replace("\r\n", "\n"))
+    except (tomllib.TOMLDecodeError, ValueError) as problem:
+        raise RecordError(f"is not TOML: {_one_line(problem)}", file=path) from None
+    except RecursionError:
+        raise RecordError("is nested too deeply to be a set-up", file=path) from None
+    return setup_from(data, path)
+
+
+def setup_from(data: Mapping[str, Any], file: object) -> Setup:
+    """Check a table of settings; `file` is named in the error."""
+    if "format" not in data:
+        raise RecordError('the key format is missing, expected format = "ltsim-recording/1"', file=file)
+    try:
+        setup = Setup.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as problem:
+        raise RecordError(_sentence(problem.errors()[0]), file=file) from None
+    except (ValueError, RecursionError):
+        raise RecordError("holds a value that no set-up can hold", file=file) from None
+    _check_names(setup, file)
+    return setup
+
+
+def _one_line(problem: Exception) -> str:
+    return shown(" ".join(str(problem).split()), 160)
+
+
+def _check_names(setup: Setup, file: object) -> None:
+    """Names that can stand in tables and paths, instruments that exist, gauge lengths between two targets."""
+    for kind, names in (
+        ("station", setup.stations),
+        ("target", setup.targets),
+        ("instrument", setup.instruments),
+    ):
+        for name in names:
+            check_name(name, kind, file=file)
+    for name, station in setup.stations.items():
+        wanted = station.instrument
+        if wanted is not None and wanted not in setup.instruments:
+            known = ", ".join(_close(wanted, setup.instruments)) or "none is declared"
+            message = f"there is no table [instruments.{shown(wanted)}]; instruments: {known}"
+            raise RecordError(message, file=file, column=f"stations.{name}.instrument")
+    for i, line in enumerate(setup.gauge.distance if setup.gauge else ()):
+        if line.from_ == line.to:
+            message = f"a length from '{shown(line.to)}' to itself, expected two different targets"
+            raise RecordError(message, file=file, column=f"gauge.distance {i + 1}")
+
+
+def _close(name: str, known: Any) -> list[str]:
+    choices = sorted(str(k) for k in known)
+    return difflib.get_close_matches(name, choices, n=3, cutoff=0.5) or choices[:12]
+
+
+def _sentence(error: ErrorDetails) -> str:
+    """One validation error as a sentence: key, found, expected."""
+    place = [part for part in error["loc"] if part != "[key]"]
+    key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
+    found = shown(json.dumps(error["input"], default=str), 60)
+    if error["type"] == "extra_forbidden":
+        known = _keys_at(tuple(place[:-1]))
+        near = ", ".join(_close(str(place[-1]), known))
+        return f"unknown key {shown(key, 100)}; did you mean {near}?"
+    if error["type"] == "missing":
+        return f"the key {shown(key, 100)} is missing"
+    wanted = error["msg"][0].lower() + error["msg"][1:]
+    return f"{shown(key, 100)} is {found}, but {shown(_expected(wanted), 120)}"
+
+
+def _expected(message: str) -> str:
+    return message.replace("input should", "it should").removeprefix("value error, ")
+
+
+def _keys_at(place: tuple[Any, ...]) -> list[str]:
+    """Keys that the table at `place` may hold."""
+    model: type[BaseModel] = Setup
+    for part in place:
+        for name, field in model.model_fields.items():
+            if part in (name, field.alias):
+                model = _section(field.annotation) or model
+                break
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _section(annotation: Any) -> type[BaseModel] | None:
+    """The table inside an annotation such as ``dict[str, Station]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in get_args(annotation):
+        found = _section(inner)
+        if found is not None:
+            return found
+    return None
+
+
+def setup_to_toml(setup: Setup) -> str:
+    """The text of a `setup.toml` that `read_setup` turns into the same set-up.
+
+    Instruments and the gauge are written in full, stations and targets where they differ from the defaults.
+    """
+    table: dict[str, Any] = {"format": setup.format, "title": setup.title}
+    table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
+    named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
+    table["instruments"] = named
+    if setup.gauge is not None:
+        table["gauge"] = setup.gauge.model_dump(by_alias=True, exclude_none=True)
+    for kind in ("stations", "targets"):
+        entries: dict[str, BaseModel] = getattr(setup, kind)
+        table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
+    return "\n".join(_table_lines(table, ())).strip() + "\n"
+
+
+def _table_lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+    """Lines of one table: its values first, then the tables below it."""
+    lines = []
+    below: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        is_list_of_tables = isinstance(value, (list, tuple)) and value and isinstance(value[0], dict)
+        if isinstance(value, dict) or is_list_of_tables:
+            below.append((key, value))
+        else:
+            lines.append(f"{_key(key)} = {_value(value)}")
+    for key, value in below:
+        here = (*path, key)
+        heading = ".".join(_key(part) for part in here)
+        if isinstance(value, dict):
+            inner = _table_lines(value, here)
+            bare = not value or any(not isinstance(v, dict) for v in value.values())
+            is_group = len(path) == 0 and key in ("stations", "targets", "instruments")
+            lines += (["", f"[{heading}]"] if bare and not is_group else []) + inner
+        else:
+            for entry in value:
+                lines += ["", f"[[{heading}]]", *_table_lines(entry, here)]
+    return lines
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _value(key)
+
+
+def _value(value: Any) -> str:
+    """One TOML value."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return "[" + ", ".join(_value(v) for v in value) + "]"
