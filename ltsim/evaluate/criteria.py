@@ -1,0 +1,199 @@
+"""The paper's two criteria without nominal data: how far stations disagree about distances and coordinates.
+
+Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1. Equation 11 lacks an absolute value and refers to station 1,
+while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
+the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats
+from ltsim.errors import NetworkError
+from ltsim.evaluate.clouds import in_first_frame, measured_points, station_means
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+from ltsim.units import MICROMETRE
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Sizes of disagreement, one an item.
+
+    Attributes
+    ----------
+    items : (k, c) int
+        Which: pairs of targets for distances (c = 2), targets for coordinates (c = 1).
+    values : (k,) float, [m]
+    """
+
+    items: np.ndarray
+    values: Floats
+
+    @property
+    def mean(self) -> float:
+        """[m]."""
+        return float(self.values.mean())
+
+    @property
+    def maximum(self) -> float:
+        """[m]."""
+        return float(self.values.max())
+
+    def as_json(self) -> dict[str, float]:
+        """Mean and maximum in um."""
+        return {"mean_um": self.mean / MICROMETRE, "max_um": self.maximum / MICROMETRE}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A criterion before and after calibration; `after` is None where there are no parameters."""
+
+    before: Differences
+    after: Differences | None = None
+
+    @property
+    def improvement_percent(self) -> float | None:
+        """100 (1 - mean after / mean before)."""
+        if self.after is None or self.before.mean == 0:
+            return None
+        return 100.0 * (1.0 - self.after.mean / self.before.mean)
+
+    def as_json(self) -> dict[str, Any]:
+        """As in `calibration.json`."""
+        entry: dict[str, Any] = {"before": self.before.as_json()}
+        if self.after is not None:
+            entry |= {"after": self.after.as_json(), "improvement_percent": self.improvement_percent}
+        return entry
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Both criteria; verification fills only the first and the last."""
+
+    distance: Comparison
+    coordinate: Comparison
+    distance_to_first: Comparison | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """As in `calibration.json`."""
+        entry = {"distance": self.distance.as_json(), "coordinate": self.coordinate.as_json()}
+        if self.distance_to_first is not None:
+            entry["distance_to_first"] = self.distance_to_first.as_json()
+        return entry
+
+
+def pair_distances(cloud: Floats) -> Floats:
+    """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
+    first, second = np.triu_indices(cloud.shape[-2], k=1)
+    lengths: Floats = np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
+    return lengths
+
+
+def _pairs(count: int) -> np.ndarray:
+    return np.stack(np.triu_indices(count, k=1), axis=1)
+
+
+def distance_differences(clouds: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - its mean over stations| (section 3.2.1).
+
+    Parameters
+    ----------
+    clouds : (S, T, 3) float, [m]
+        Each station's targets in its own frame; NaN where not seen. Pairs seen by one station are left out.
+    """
+    lengths = pair_distances(clouds)
+    have = np.isfinite(lengths)
+    count = have.sum(axis=0)
+    shared = count >= 2
+    lengths, have, count = lengths[:, shared], have[:, shared], count[shared]
+    mean = np.where(have, lengths, 0.0).sum(axis=0) / count
+    values = np.where(have, np.abs(lengths - mean), 0.0).sum(axis=0) / count
+    return Differences(_pairs(clouds.shape[1])[shared], values)
+
+
+def distance_differences_to_first(clouds: Floats) -> Differences:
+    """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
+    lengths = pair_distances(clouds)
+    gap = np.abs(lengths[1:] - lengths[0])
+    have = np.isfinite(gap)
+    count = have.sum(axis=0)
+    shared = count >= 1
+    values = np.where(have, gap, 0.0).sum(axis=0)[shared] / count[shared]
+    return Differences(_pairs(clouds.shape[1])[shared], values)
+
+
+def coordinate_differences(placed: Floats) -> Differences:
+    """Per target, the mean over pairs of stations of the distance between its two places (eq. 12).
+
+    Parameters
+    ----------
+    placed : (S, T, 3) float, [m]
+        All stations' targets in one frame; NaN where not seen.
+    """
+    gaps = [np.linalg.norm(placed[m] - placed[n], axis=1) for m, n in combinations(range(len(placed)), 2)]
+    gap = np.stack(gaps) if gaps else np.full((1, placed.shape[1]), np.nan)
+    have = np.isfinite(gap)
+    count = have.sum(axis=0)
+    shared = count >= 1
+    values = np.where(have, gap, 0.0).sum(axis=0)[shared] / count[shared]
+    return Differences(np.flatnonzero(shared)[:, None], values)
+
+
+def evaluate(
+    recording: Recording,
+    construction: Construction | None = None,
+    values: Floats | None = None,
+    *,
+    use: Bools | None = None,
+) -> Criteria:
+    """The criteria of a recording, before and after calibration.
+
+    Parameters
+    ----------
+    recording : Recording
+    construction, values
+        The parameters (p,) or (n, p) [SI] that correct it; without them there is no "after".
+    use : (n,) bool, optional
+        Pointings to use; faces and repeats of a target from a station are averaged.
+
+    Raises
+    ------
+    NetworkError
+        When fewer than two stations share targets.
+    """
+    before = station_means(recording, measured_points(recording), use)
+    after = None
+    if construction is not None and values is not None:
+        after = station_means(recording, measured_points(recording, construction, values), use)
+    if len(recording.stations) < 2:
+        raise NetworkError("the criteria compare stations; this recording has one station only")
+
+    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> Comparison:
+        def of(clouds: Floats) -> Differences:
+            return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
+
+        found = Comparison(of(before), None if after is None else of(after))
+        if not len(found.before.values):
+            raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
+        return found
+
+    return Criteria(
+        distance=compare(distance_differences, aligned=False),
+        coordinate=compare(coordinate_differences, aligned=True),
+        distance_to_first=_to_first(before, after),
+    )
+
+
+def _to_first(before: Floats, after: Floats | None) -> Comparison | None:
+    """Eq. 11; None where no other station shares a pair of targets with the first."""
+    found = distance_differences_to_first(before)
+    if not len(found.values):
+        return None
+    return Comparison(found, None if after is None else distance_differences_to_first(after))
