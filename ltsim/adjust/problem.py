@@ -16,6 +16,7 @@ from ltsim.solve.blocks import BlockSystem
 
 DATUM_SIGMA = np.array([1e-6] * 3 + [1e-6] * 3)
 """Stiffness of the datum rows: any value gives the same adjustment, this one keeps the numbers balanced."""
+WEAK = 300.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class NetworkProblem:
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior_sigma=np.array(priors).reshape(len(recording.instruments), model.construction.size),
-            extra_sigma=np.full(model.extra_size, np.inf),
+            extra_sigma=_weak_priors(model),
             free=free_motions(points, control, levels),
             use=measured,
             gauge=GaugeRows.of(recording),
@@ -183,8 +184,8 @@ class NetworkProblem:
 
     @property
     def dof(self) -> int:
-        """Rows with a value less unknowns; the free rigid motions are no loss."""
-        priors = int(np.isfinite(self.prior_sigma).sum() + np.isfinite(self.extra_sigma).sum())
+        """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
+        priors = int(np.isfinite(self.prior_sigma).sum())
         known = len(self.gauge) + 3 * len(self.control) + 2 * len(self.levels) + priors
         return int(self.use.sum()) + known - self.layout.size + self.free.shape[1]
 
@@ -192,6 +193,12 @@ class NetworkProblem:
 def _instrument_prior(recording, name):  # type: ignore[no-untyped-def]
     setup = recording.setup
     return setup.instruments[name].prior if name in setup.instruments else setup.instrument.prior
+
+
+def _weak_priors(model: MeasurementModel) -> Floats:
+    """Sigmas (q,) far beyond any plausible size: they only keep what the readings do not determine from diverging."""
+    sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
+    return WEAK * np.array(sizes, dtype=np.float64)
 
 
 def _diagonal_rows(sigma: Floats, columns: np.ndarray, size: int) -> sp.csr_array:

@@ -181,6 +181,13 @@ class NoiseEffect(Effect):
         """
         raise NotImplementedError
 
+    def size_grid(self) -> list[tuple[float, ...]]:
+        """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
+        count = len(self.parameters)
+        subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
+        prior = np.array([p.prior_sigma for p in self.parameters])
+        return [tuple(size * subset * prior) for subset in subsets for size in (0.25, 0.6, 1.5, 4.0, 12.0)]
+
     def design(self, sightings: Sightings) -> Floats:
         """No mean shift: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))

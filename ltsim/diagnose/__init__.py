@@ -1,0 +1,6 @@
+"""Diagnosis: from a recording to the physics that was left out."""
+
+from ltsim.diagnose.diagnose import diagnose
+from ltsim.diagnose.diagnosis import Diagnosis, Finding
+
+__all__ = ["Diagnosis", "Finding", "diagnose"]

@@ -1,0 +1,217 @@
+"""From a recording to a verdict: detect, locate, name, model, show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.arrays import Bools, Floats
+from ltsim.diagnose.bank import Bank, Hypothesis
+from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
+from ltsim.diagnose.detect import Detection, detect, noise_prior
+from ltsim.diagnose.diagnosis import Diagnosis, Fit
+from ltsim.diagnose.findings import gross_finding, mean_finding, noise_finding
+from ltsim.diagnose.flexible import flexible_hypotheses
+from ltsim.diagnose.gross import GrossFinding, explain_gross
+from ltsim.diagnose.held_out import (
+    held_out_rms,
+    pair_folds,
+    pointing_folds,
+    station_target_folds,
+)
+from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, pattern_hypotheses
+from ltsim.diagnose.refit import Refit, refit
+from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.diagnose.search import EffectSet, Searcher
+from ltsim.diagnose.words import summarise
+from ltsim.effects import BASELINE, CATALOGUE
+from ltsim.effects.effect import NoiseEffect
+from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.scene.sightings import Sightings
+
+MOST_ROUNDS = 3
+NEXT_LEVEL = 0.01
+"""Chance that a further finding is added to a recording that holds no more than those found."""
+
+
+def catalogue_hypotheses(sightings: Sightings) -> list[Hypothesis]:
+    """Every effect of the catalogue beyond the ordinary calibration, at every place and shape."""
+    ordinary = {type(effect) for effect in BASELINE}
+    return [
+        Hypothesis(kind.name, effect)
+        for kind in CATALOGUE
+        if kind not in ordinary and not issubclass(kind, NoiseEffect)
+        for effect in kind.candidates(sightings)
+    ]
+
+
+def noise_hypotheses(sightings: Sightings) -> list[NoiseHypothesis]:
+    """Every change of the noise that is tried, with a grid of sizes."""
+    known = [
+        NoiseHypothesis(kind.name, effect, values)
+        for kind in CATALOGUE
+        if issubclass(kind, NoiseEffect)
+        for effect in kind.candidates(sightings)
+        for values in effect.size_grid()
+    ]
+    return [*known, *pattern_hypotheses(sightings)]
+
+
+@dataclass
+class _Case:
+    """The recording under examination and what is known of it so far."""
+
+    recording: Recording
+    construction: Construction
+    use: Bools
+    sigma: Floats
+    start: State
+    noise: list[NoiseHypothesis]
+
+    def adjustment(self) -> Adjustment:
+        return adjust(
+            self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start
+        )
+
+
+def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Diagnosis:
+    """Diagnose a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    seed : int
+        Root seed of the simulated null distribution.
+    level : float
+        False-alarm rate of the whole search.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
+    """
+    construction = misalignment()
+    first = adjust(recording, construction)
+    mended, use, gross = explain_gross(first)
+    case = _Case(mended, construction, use, mended.sigma(), first.state, [])
+    baseline = case.adjustment() if gross else first
+    case.start = baseline.state
+    space, searcher, noise = _prepare(baseline)
+    detection = detect(searcher, noise, seed)
+    found, mismatch = searcher.empty, detection.p_value < level
+    if mismatch:
+        found, searcher = _explain(case, searcher, noise, detection)
+    return _assemble(case, baseline, space, searcher, detection, found, gross, mismatch)
+
+
+def _prepare(adjustment: Adjustment) -> tuple[ResidualSpace, Searcher, NoiseBank]:
+    space = ResidualSpace.of(adjustment)
+    hypotheses = [
+        *catalogue_hypotheses(space.sightings),
+        *flexible_hypotheses(space.sightings),
+    ]
+    return (
+        space,
+        Searcher(space, Bank.of(space, hypotheses)),
+        NoiseBank.of(space, noise_hypotheses(space.sightings)),
+    )
+
+
+def _explain(
+    case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection
+) -> tuple[EffectSet, Searcher]:
+    """Mean shifts and changes of the noise in turn, whichever explains more first."""
+    threshold = max(detection.threshold(1.0 - NEXT_LEVEL), 2.0)
+    found = searcher.search(threshold)
+    for _ in range(MOST_ROUNDS):
+        prior = noise_prior(noise)
+        alone = noise.log_likelihood_ratio(searcher.space.residual)
+        beside = noise.log_likelihood_ratio(found.residual)
+        alone_best = float(np.max(noise.family_evidence(alone) + prior, initial=-np.inf))
+        beside_best = float(np.max(noise.family_evidence(beside) + prior, initial=-np.inf))
+        noise_first = alone_best > found.score
+        if not noise_first and beside_best < threshold:
+            break
+        ratio = alone if noise_first else beside
+        residual = searcher.space.residual if noise_first else found.residual
+        hypothesis = noise.best(searcher.space, ratio, prior, residual)
+        case.noise.append(hypothesis)
+        variance = hypothesis.effect.variance(
+            searcher.space.sightings, case.sigma, np.array(hypothesis.values)
+        )
+        case.sigma = np.sqrt(variance)
+        _, searcher, noise = _prepare(case.adjustment())
+        found = searcher.search(threshold)
+    return found, searcher
+
+
+def _fit(adjustment: Adjustment, dof: int) -> Fit:
+    space = ResidualSpace.of(adjustment)
+    held_out = {
+        "pointings": held_out_rms(space, pointing_folds(space)),
+        "station-target pairs": held_out_rms(space, pair_folds(space)),
+        "a quarter of a station's targets": held_out_rms(space, station_target_folds(space)),
+    }
+    return Fit(adjustment.chi2, dof, held_out["station-target pairs"], held_out)
+
+
+def _assemble(
+    case: _Case,
+    baseline: Adjustment,
+    space: ResidualSpace,
+    searcher: Searcher,
+    detection: Detection,
+    found: EffectSet,
+    gross: Sequence[GrossFinding],
+    mismatch: bool,
+) -> Diagnosis:
+    """Refit with what was found and put the verdict together."""
+    effects = [h.effect for h in found.hypotheses]
+    fitted = (
+        refit(
+            case.recording, case.construction, effects,
+            start=baseline.state, sigma=case.sigma, use=case.use,
+        )
+        if effects
+        else Refit(case.adjustment() if case.noise else baseline, (), ())
+    )
+    findings = [gross_finding(g, baseline) for g in gross]
+    for i, member in enumerate(found.members):
+        effect = fitted.effects[i]
+        others = searcher.with_members(found.hypotheses[:i] + found.hypotheses[i + 1 :])
+        ranking = searcher.rank(others)
+        findings.append(
+            mean_finding(
+                replace(member.hypothesis, effect=effect),
+                fitted.estimates[i], others, found, ranking, detection,
+            )
+        )
+    findings += [noise_finding(h, searcher, detection) for h in case.noise]
+    findings.sort(key=lambda f: -f.evidence.chi2_drop)
+    spent = found.extension.shape[1]
+    before = _fit(baseline, baseline.dof)
+    after = _fit(fitted.adjustment, baseline.dof - spent) if effects or case.noise else before
+    verdict = "mismatch" if mismatch or gross else "consistent"
+    return Diagnosis(
+        verdict=verdict,
+        summary=summarise(verdict, findings, detection.p_value, before, after),
+        statistic=baseline.chi2,
+        dof=baseline.dof,
+        p_value=detection.chi2_p_value,
+        search_p_value=detection.p_value,
+        findings=tuple(findings),
+        before=before,
+        after=after,
+        undetectable=undetectable_effects(space, searcher.bank),
+        detectable=detectable_sizes(space, searcher.bank),
+        baseline=baseline,
+        adjusted=fitted.adjustment,
+    )
+
+
+__all__ = ["catalogue_hypotheses", "diagnose", "noise_hypotheses"]

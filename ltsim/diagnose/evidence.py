@@ -1,0 +1,41 @@
+"""Evidence of hypotheses that differ in kind, place, shape and number of parameters.
+
+Mean shifts: with T the drop in chi2 of a signature of r visible directions, the marginal likelihood ratio against no
+effect, under Zellner's g-prior (a size that gives a noncentrality of about g r), is
+    exp(T/2 * g / (1 + g)) (1 + g)^(-r/2),
+averaged over g, because nobody knows how strong an effect is. Places and shapes are averaged as well: whoever tries more of
+them pays for it (the look-elsewhere effect). Changes of the noise are averaged over a grid of sizes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import logsumexp
+
+from ltsim.arrays import Floats, Ints
+
+STRENGTHS = np.array([10.0, 40.0, 160.0, 640.0])
+"""Values of g: noncentralities per parameter that an effect worth naming may have."""
+
+PLAUSIBLE = 3.0
+"""Sizes up to so many prior sigmas are not marked down."""
+
+
+def log_evidence(drop: Floats, rank: Ints) -> Floats:
+    """Log marginal likelihood ratio of mean shifts; `drop` (..., k) of chi2, `rank` (k,) visible directions."""
+    g = STRENGTHS.reshape(-1, *([1] * np.ndim(drop)))
+    terms = 0.5 * drop * g / (1.0 + g) - 0.5 * rank * np.log1p(g)
+    averaged: Floats = logsumexp(terms, axis=0) - np.log(len(STRENGTHS))
+    return averaged
+
+
+def log_mean(values: Floats, axis: int = -1) -> Floats:
+    """Log of the mean of exp(values)."""
+    mean: Floats = logsumexp(values, axis=axis) - np.log(values.shape[axis])
+    return mean
+
+
+def plausibility(sizes: Floats) -> float:
+    """Log weight of parameter sizes in units of their prior sigma: 0 up to `PLAUSIBLE`, then falling fast."""
+    excess = np.log(np.maximum(np.abs(sizes) / PLAUSIBLE, 1.0))
+    return -2.0 * float(np.max(excess**2, initial=0.0))

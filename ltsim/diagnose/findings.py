@@ -1,0 +1,106 @@
+"""Findings from hypotheses: where, how large, how sure, and what else it could be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.diagnose.bank import Hypothesis
+from ltsim.diagnose.detect import Detection
+from ltsim.diagnose.diagnosis import Estimate, Evidence, Finding, Where
+from ltsim.diagnose.gross import GrossFinding
+from ltsim.diagnose.noise import NoiseHypothesis
+from ltsim.diagnose.search import EffectSet, Ranking, Searcher
+from ltsim.diagnose.words import finding_sentence
+from ltsim.effects.effect import Effect
+from ltsim.recording.recording import OBSERVABLES
+
+NOT_EXCLUDED = 0.01
+"""Probability above which another effect is stated as an equivalent."""
+MOST_EQUIVALENTS = 3
+
+
+def where_of(effect: Effect) -> Where:
+    """What an effect is confined to."""
+    observables = tuple(effect.observables)
+    return Where(
+        () if set(observables) == set(OBSERVABLES) else observables,
+        effect.stations,
+        effect.targets,
+        tuple(effect.covariates),
+    )
+
+
+def equivalents_of(ranking: Ranking, name: str) -> tuple[float, tuple[tuple[str, float], ...]]:
+    """Probability of a name beside the others, and the others that are not excluded."""
+    probability = ranking.probabilities()
+    others = sorted(
+        ((n, p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED),
+        key=lambda pair: -pair[1],
+    )
+    return probability.get(name, 0.0), tuple(others[:MOST_EQUIVALENTS])
+
+
+def mean_finding(
+    hypothesis: Hypothesis,
+    estimates: Sequence[Estimate],
+    others: EffectSet,
+    found: EffectSet,
+    ranking: Ranking,
+    detection: Detection,
+) -> Finding:
+    """The finding of a mean shift."""
+    name = hypothesis.effect.name if hypothesis.known else "unknown"
+    probability, equivalents = equivalents_of(ranking, name)
+    drop = float(others.residual @ others.residual - found.residual @ found.residual)
+    spent = found.extension.shape[1] - others.extension.shape[1]
+    p_value = min(detection.p_value, float(np.exp(-max(found.score - others.score, 0.0))))
+    formula = "" if hypothesis.known else str(getattr(hypothesis.effect, "formula", ""))
+    where = where_of(hypothesis.effect)
+    return Finding(
+        effect=name,
+        known=hypothesis.known,
+        where=where,
+        parameters=tuple(estimates),
+        evidence=Evidence(drop, spent, p_value, probability),
+        sentence=finding_sentence(name, where, estimates, probability, formula),
+        equivalents=equivalents,
+        formula=formula,
+    )
+
+
+def noise_finding(hypothesis: NoiseHypothesis, searcher: Searcher, detection: Detection) -> Finding:
+    """The finding of a change of the noise."""
+    effect = hypothesis.effect
+    name = effect.name if hypothesis.known else "unknown"
+    where = where_of(effect)
+    acting = max(float(effect.mask(searcher.space.sightings).sum()), 1.0)
+    rows = [
+        Estimate(p.name, v / p.factor, abs(v + 1.0) * np.sqrt(2.0 / acting) / p.factor, p.unit)
+        for p, v in zip(effect.parameters, hypothesis.values, strict=True)
+    ]
+    return Finding(
+        effect=name,
+        known=hypothesis.known,
+        where=where,
+        parameters=tuple(rows),
+        evidence=Evidence(hypothesis.drop, len(rows), detection.p_value, hypothesis.probability),
+        sentence=finding_sentence(name, where, rows, hypothesis.probability, "larger noise"),
+        equivalents=hypothesis.equivalents,
+        formula="" if hypothesis.known else "variance grows with the covariate",
+    )
+
+
+def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
+    """The finding of a gross error, certain by its size."""
+    floor = float(adjustment.recording.sigma()[:, 0].min())
+    return Finding(
+        effect=gross.effect,
+        known=True,
+        where=Where(gross.observables, gross.stations, gross.targets, ()),
+        parameters=(Estimate("size", 1e3 * gross.size, 1e3 * floor, "mm"),),
+        evidence=Evidence((gross.size / floor) ** 2, 3, 0.0, 1.0),
+        sentence=gross.sentence,
+    )

@@ -1,0 +1,272 @@
+"""Flexible terms: what is fitted where the catalogue fails.
+
+A term acts on one observable (or moves the targets along one axis of the room) and is a sum of columns, each a product of
+simple functions of covariates. Terms are effects like any other, so they are tested, refitted and simulated in the same way;
+they are only never given a name of the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.diagnose.bank import Hypothesis
+from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+from ltsim.units import ARCSECOND, MICROMETRE
+
+Factor = tuple[str, str, float]
+"""Covariate, function, argument: ("azimuth", "cos", 2) is cos(2 azimuth)."""
+Column = tuple[Factor, ...]
+
+AXES = ("x", "y", "z")
+AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
+
+
+def covariate(sightings: Sightings, name: str) -> Floats:
+    """Values (n,) of a covariate [SI, or the unit of the recording's own column]; unknown ones are zero."""
+    place = sightings.points[sightings.target]
+    simple = {
+        "azimuth": lambda: sightings.azimuth,
+        "elevation": lambda: sightings.elevation,
+        "distance": lambda: sightings.range_,
+        "time": lambda: sightings.time,
+        "station-time": lambda: sightings.station_time,
+        "incidence": lambda: np.nan_to_num(sightings.incidence),
+        "height": lambda: sightings.local[:, 2],
+        "x": lambda: place[:, 0],
+        "y": lambda: place[:, 1],
+        "z": lambda: place[:, 2],
+        "face": lambda: sightings.face_sign,
+    }
+    values = simple[name]() if name in simple else sightings.covariates[name]
+    known: Floats = np.nan_to_num(np.asarray(values, dtype=np.float64))
+    return known
+
+
+def _centred(values: Floats) -> Floats:
+    low, high = float(values.min()), float(values.max())
+    half = 0.5 * (high - low)
+    return (values - 0.5 * (low + high)) / half if half > 0 else np.zeros_like(values)
+
+
+def evaluate(sightings: Sightings, factor: Factor) -> Floats:
+    """Values (n,) of one factor."""
+    name, function, k = factor
+    x = covariate(sightings, name)
+    if function == "legendre":
+        coefficients = np.zeros(int(k) + 1)
+        coefficients[-1] = 1.0
+        legendre: Floats = np.polynomial.legendre.legval(_centred(x), coefficients)
+        return legendre
+    simple = {
+        "power": lambda: x**k,
+        "cos": lambda: np.cos(k * x),
+        "sin": lambda: np.sin(k * x),
+        "tan": lambda: np.tan(k * x),
+        "sec": lambda: 1 / np.cos(k * x),
+    }
+    return np.asarray(simple[function](), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class FlexibleTerm(Effect):
+    """A sum of columns on one observable, or a displacement of the targets along one axis.
+
+    Attributes
+    ----------
+    observable : str
+        distance, azimuth (across the beam, as a length over distance), elevation, or x, y, z for a displacement.
+    columns : tuple of Column
+    across : bool
+        The azimuth's error is one across the beam: divided by cos(elevation).
+    """
+
+    observable: str = "distance"
+    columns: tuple[Column, ...] = ()
+
+    name = "unknown"
+    number = 0
+    stage = Stage.ELECTRONICS
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        """One coefficient a column."""
+        angular = self.observable in ("azimuth", "elevation")
+        unit, size = ("urad", 3 * ARCSECOND) if angular else ("um", 20 * MICROMETRE)
+        return tuple(Parameter(describe(c), unit, "coefficient", size) for c in self.columns)
+
+    @property
+    def observables(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What the term acts on."""
+        return OBSERVABLES if self.observable in AXES else (self.observable,)
+
+    @property
+    def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What the term depends on, in the words of the interface."""
+        names = dict.fromkeys(f[0] for column in self.columns for f in column)
+        words = ["place" if n in AXES else ("time" if n == "station-time" else n) for n in names]
+        return tuple(dict.fromkeys(words))
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings per unit of each coefficient."""
+        acts = self.mask(sightings)
+        made = []
+        for column in self.columns:
+            values = acts.copy()
+            for factor in column:
+                values = values * evaluate(sightings, factor)
+            if self.observable in AXES:
+                moved = np.zeros((len(sightings), 3, 1))
+                moved[:, AXES.index(self.observable), 0] = values
+                made.append(by_displacement(sightings, moved)[:, :, 0])
+            else:
+                made.append(on_readings(sightings, **{self.observable: values}))
+        return np.stack(made, axis=2)
+
+    @property
+    def formula(self) -> str:
+        """The term as a formula with its coefficients left open."""
+        terms = " + ".join(f"{chr(ord('a') + i)} {describe(c)}" for i, c in enumerate(self.columns))
+        place = f" at {', '.join(self.stations + self.targets)}" if self.stations + self.targets else ""
+        return f"{self.observable} correction = {terms}{place}"
+
+
+def describe(column: Column) -> str:
+    """A column in words: ``cos(2 azimuth) tan(elevation)``."""
+    words = []
+    for name, function, k in column:
+        if function == "legendre":
+            words.append(f"P{int(k)}({name})")
+        elif function == "power":
+            words.append({1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}"))
+        else:
+            scale = "" if k == 1 else f"{k:.4g} "
+            words.append(f"{function}({scale}{name})")
+    return " ".join(words) or "1"
+
+
+def smooth(name: str, count: int) -> tuple[Column, ...]:
+    """Columns of a smooth function of one covariate: Fourier in the azimuth, Legendre elsewhere; no constant."""
+    if name == "azimuth":
+        waves = range(1, count // 2 + 1)
+        return tuple(((name, f, float(k)),) for k in waves for f in ("cos", "sin"))
+    return tuple(((name, "legendre", float(k)),) for k in range(1, count + 1))
+
+
+def _further(sightings: Sightings) -> list[str]:
+    """Covariates of the network at hand: geometry, clock, and every further column that varies."""
+    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
+    if np.isfinite(sightings.incidence).any():
+        names.append("incidence")
+    names += [c for c, v in sightings.covariates.items() if np.nanstd(v) > 0]
+    return names
+
+
+def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    for observable, name in product(OBSERVABLES, _further(sightings)):
+        for count in (2, 5, 8):
+            columns = smooth(name, count)
+            yield Hypothesis(f"unknown:{observable}:{name}", FlexibleTerm((), (), observable, columns), False)
+            if (sightings.face == 2).any():
+                odd = tuple((("face", "power", 1.0), *c) for c in columns)
+                yield Hypothesis(
+                    f"unknown:{observable}:{name}:face", FlexibleTerm((), (), observable, odd), False
+                )
+        if len(sightings.station_names) <= 12:
+            for station in sightings.station_names:
+                term = FlexibleTerm((station,), (), observable, smooth(name, 4))
+                yield Hypothesis(f"unknown:{observable}:{name}:station", term, False)
+
+
+def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    for observable, name in product(OBSERVABLES, ("time", "distance", "azimuth", "elevation", "x", "y", "z")):
+        span = float(np.ptp(covariate(sightings, name)))
+        if span <= 0:
+            continue
+        most = min(len(sightings) / 8, 60)
+        for cycles in np.geomspace(1.0, most, 48):
+            rate = float(2 * np.pi * cycles / span)
+            columns: tuple[Column, ...] = (((name, "cos", rate),), ((name, "sin", rate),))
+            term = FlexibleTerm((), (), observable, columns)
+            yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
+
+
+AZIMUTH: tuple[Column, ...] = (
+    *(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),
+)
+ELEVATION: tuple[Column, ...] = (
+    (),
+    (("elevation", "sin", 1.0),),
+    (("elevation", "cos", 1.0),),
+    (("elevation", "tan", 1.0),),
+    (("elevation", "sin", 2.0),),
+    (("elevation", "power", 2.0),),
+)
+DISTANCE: tuple[Column, ...] = (
+    (),
+    (("distance", "power", 1.0),),
+    (("distance", "power", 2.0),),
+    (("distance", "power", -1.0),),
+)
+CLOCK: tuple[Column, ...] = (
+    (),
+    (("time", "power", 1.0),),
+    (("station-time", "power", 1.0),),
+)
+
+
+def _product_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Products of simple functions: a cosine and a sine of the azimuth always go together."""
+    both = (sightings.face == 2).any()
+    for observable, e, d, t in product(OBSERVABLES, ELEVATION, DISTANCE, CLOCK):
+        rest = e + d + t
+        for sign in ((), (("face", "power", 1.0),)) if both else ((),):
+            if rest + sign:
+                term = FlexibleTerm((), (), observable, (rest + sign,))
+                yield Hypothesis(f"unknown:{observable}:product", term, False)
+            for k in range(0, 8, 2):
+                pair = (AZIMUTH[k] + rest + sign, AZIMUTH[k + 1] + rest + sign)
+                yield Hypothesis(
+                    f"unknown:{observable}:product", FlexibleTerm((), (), observable, pair), False
+                )
+
+
+def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Fields over the room and over the directions of the instrument."""
+    powers = [p for p in product(range(4), repeat=3) if 0 < sum(p) <= 3]
+    for degree in (2, 3):
+        place = tuple(
+            tuple((axis, "legendre", float(k)) for axis, k in zip(AXES, p, strict=True) if k)
+            for p in powers
+            if sum(p) <= degree
+        )
+        for observable in OBSERVABLES:
+            yield Hypothesis(
+                f"unknown:{observable}:place", FlexibleTerm((), (), observable, place), False
+            )
+    directions = tuple(
+        a + e for a in AZIMUTH[:6] for e in ((), (("elevation", "legendre", 1.0),), (("elevation", "legendre", 2.0),))
+    )
+    for observable in OBSERVABLES:
+        yield Hypothesis(
+            f"unknown:{observable}:direction", FlexibleTerm((), (), observable, directions), False
+        )
+    for axis in AXES:
+        moving = tuple(((other, "legendre", 1.0), ("time", "legendre", 1.0)) for other in AXES)
+        yield Hypothesis("unknown:place:time", FlexibleTerm((), (), axis, moving), False)
+
+
+def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
+    """All flexible terms tried on a network."""
+    return [
+        *_smooth_terms(sightings),
+        *_periodic_terms(sightings),
+        *_product_terms(sightings),
+        *_field_terms(sightings),
+    ]

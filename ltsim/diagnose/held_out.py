@@ -1,0 +1,72 @@
+"""Error on observations that the fit did not see, by leaving out and predicting: exact, without refitting.
+
+With H the hat matrix and F a fold, the prediction error of the fold is (I - H_FF)^-1 r_F and its covariance (I - H_FF)^-1, in
+whitened units; the normalised square is r_F' (I - H_FF)^-1 r_F. It is 1 per reading where model and noise hold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.diagnose.residual_space import ResidualSpace
+
+PREDICTED = 1e-6
+"""Directions with less redundancy than this are not predicted by the rest of the network at all."""
+
+
+def held_out_rms(space: ResidualSpace, folds: Ints) -> float:
+    """Normalised root mean square error of readings predicted from the other folds.
+
+    Parameters
+    ----------
+    space : ResidualSpace
+    folds : (r,) int
+        Fold of each used reading (the first rows of the space); -1 is never left out.
+    """
+    square, count = 0.0, 0.0
+    for fold in np.unique(folds[folds >= 0]):
+        rows = np.flatnonzero(folds == fold)
+        basis = space.basis[rows]
+        values, vectors = np.linalg.eigh(np.eye(len(rows)) - basis @ basis.T)
+        seen = values > PREDICTED
+        along = vectors[:, seen].T @ space.residual[rows]
+        square += float(np.sum(along**2 / values[seen]))
+        count += float(seen.sum())
+    return float(np.sqrt(square / count)) if count else float("nan")
+
+
+def pointing_folds(space: ResidualSpace, count: int = 10) -> Ints:
+    """Folds that leave out whole pointings, dealt round robin over the station-target pairs."""
+    sightings = space.sightings
+    pair = sightings.station * len(sightings.target_names) + sightings.target
+    order = np.lexsort((sightings.time, pair))
+    fold = np.empty(len(sightings), dtype=np.int64)
+    fold[order] = np.arange(len(order)) % count
+    return _by_reading(space, fold)
+
+
+def pair_folds(space: ResidualSpace) -> Ints:
+    """Folds that leave out everything one station measured of one target."""
+    sightings = space.sightings
+    pair = sightings.station * len(sightings.target_names) + sightings.target
+    return _by_reading(space, np.unique(pair, return_inverse=True)[1])
+
+
+def station_target_folds(space: ResidualSpace, parts: int = 4) -> Ints:
+    """Folds that leave out a quarter of the targets at one station at a time: the pose is held by the others."""
+    sightings = space.sightings
+    fold = sightings.station * parts + sightings.target % parts
+    return _by_reading(space, fold)
+
+
+def _by_reading(space: ResidualSpace, fold: Ints) -> Ints:
+    used = space.use
+    by_reading: Ints = np.broadcast_to(fold[:, None], used.shape)[used].astype(np.int64)
+    return by_reading
+
+
+def gain_by_station(before: Floats, after: Floats, station: Ints, count: int) -> Floats:
+    """Drop of the squared residuals (S,) at each station."""
+    drop: Floats = np.bincount(station, before**2 - after**2, minlength=count)
+    return drop

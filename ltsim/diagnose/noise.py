@@ -1,0 +1,191 @@
+"""Hypotheses about the noise: some readings scatter more (or less) than stated.
+
+With r a whitened residual of redundancy k, a variance factor s raises the log likelihood by
+    (r^2 (1 - 1/s) - k log s) / 2,
+summed over readings: the diagonal form of the restricted likelihood (residuals' correlations are second order here). Sizes are
+averaged over a grid, so these hypotheses compete with mean shifts by the same evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import logsumexp
+
+from ltsim.arrays import Floats, Ints
+from ltsim.diagnose.flexible import covariate
+from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.effects.effect import NoiseEffect, Parameter, Stage
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class NoisePattern(NoiseEffect):
+    """Noise of one observable that grows with a covariate, or is larger at one target: not in the catalogue.
+
+    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network.
+    """
+
+    observable: str = "distance"
+    covariate_name: str = ""
+    falling: bool = False
+
+    name = "unknown"
+    number = 0
+    stage = Stage.NOISE
+    parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
+
+    @property
+    def observables(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What scatters."""
+        return (self.observable,) if self.observable else OBSERVABLES
+
+    @property
+    def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What the scatter depends on."""
+        return (self.covariate_name,) if self.covariate_name else ()
+
+    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+        """Variance (n, 3)."""
+        pattern = self.mask(sightings)
+        if self.covariate_name:
+            x = covariate(sightings, self.covariate_name)
+            x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
+            pattern = pattern * ((1 - x) if self.falling else x) ** 2
+        acts = [float(o in self.observables) for o in OBSERVABLES]
+        grown: Floats = sigma**2 * (1.0 + values[0] * pattern[:, None] * np.array(acts))
+        return grown
+
+
+@dataclass(frozen=True)
+class NoiseHypothesis:
+    """A noise effect with parameter values: one point of its grid of sizes."""
+
+    family: str
+    effect: NoiseEffect
+    values: tuple[float, ...]
+    known: bool = True
+    drop: float = 0.0
+    probability: float = 0.0
+    equivalents: tuple[tuple[str, float], ...] = ()
+
+
+def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
+    """Noise that no effect of the catalogue describes."""
+    names = ["elevation", "time"] + (["incidence"] if np.isfinite(sightings.incidence).any() else [])
+    names += [c for c, v in sightings.covariates.items() if np.nanstd(v) > 0]
+    for observable in OBSERVABLES:
+        for name in names:
+            for falling in (False, True):
+                for size in (2.0, 6.0, 20.0):
+                    effect = NoisePattern((), (), observable, name, falling)
+                    yield NoiseHypothesis(f"unknown:noise:{observable}", effect, (size,), False)
+    if len(sightings.target_names) <= 60:
+        for target in sightings.target_names:
+            for observable in (*OBSERVABLES, ""):
+                for size in (3.0, 15.0):
+                    effect = NoisePattern((), (target,), observable)
+                    yield NoiseHypothesis("unknown:noise:target", effect, (size,), False)
+
+
+@dataclass(frozen=True)
+class NoiseBank:
+    """Noise hypotheses as linear forms of squared residuals.
+
+    Attributes
+    ----------
+    gain : (h, m) float32
+        1 - 1/s of each row.
+    cost : (h,) float
+        Sum of redundancy times log s.
+    """
+
+    hypotheses: list[NoiseHypothesis]
+    families: tuple[str, ...]
+    family: Ints
+    gain: Floats
+    cost: Floats
+
+    @classmethod
+    def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
+        """Build the bank on a residual space."""
+        share = space.redundancy
+        used = space.use
+        count = int(used.sum())
+        gain = np.zeros((len(hypotheses), space.size), dtype=np.float32)
+        cost = np.zeros(len(hypotheses))
+        for i, h in enumerate(hypotheses):
+            variance = h.effect.variance(space.sightings, space.sigma, np.array(h.values))
+            factor = (variance / space.sigma**2)[used]
+            gain[i, :count] = 1.0 - 1.0 / factor
+            cost[i] = float(share[:count] @ np.log(factor))
+        names = tuple(dict.fromkeys(h.family for h in hypotheses))
+        index = {name: i for i, name in enumerate(names)}
+        family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
+        return cls(list(hypotheses), names, family, gain, cost)
+
+    def log_likelihood_ratio(self, residual: Floats) -> Floats:
+        """(h,) or (h, trials) for whitened residuals (m,) or (m, trials)."""
+        squares = (residual**2).astype(np.float32)
+        cost = self.cost if residual.ndim == 1 else self.cost[:, None]
+        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - cost)
+        return ratio
+
+    def family_evidence(self, ratio: Floats) -> Floats:
+        """Log evidence (families, ...) from log likelihood ratios (h, ...)."""
+        rows = []
+        for f in range(len(self.families)):
+            members = ratio[self.family == f]
+            rows.append(logsumexp(members, axis=0) - np.log(len(members)))
+        return np.stack(rows) if rows else np.zeros((0, *ratio.shape[1:]))
+
+    def best(self, space: ResidualSpace, ratio: Floats, prior: Floats, residual: Floats) -> NoiseHypothesis:
+        """The most probable hypothesis with its size at the maximum of the likelihood.
+
+        Parameters
+        ----------
+        ratio : (h,) float
+            Log likelihood ratios.
+        prior : (families,) float
+            Log prior odds.
+        residual : (m,) float
+            The whitened residuals they belong to.
+        """
+        evidence = self.family_evidence(ratio) + prior
+        weight = np.exp(evidence - evidence.max())
+        weight /= weight.sum()
+        total: dict[str, float] = {}
+        for name, w in zip(self.families, weight, strict=True):
+            name = "unknown" if name.startswith("unknown") else name
+            total[name] = total.get(name, 0.0) + float(w)
+        family = int(np.argmax(evidence))
+        members = np.flatnonzero(self.family == family)
+        chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
+        name = chosen.effect.name if chosen.known else "unknown"
+        others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
+        values, drop = _most_likely(space, chosen, residual)
+        return replace(
+            chosen, values=values, drop=drop, probability=total[name], equivalents=tuple(others[:3])
+        )
+
+
+def _most_likely(
+    space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats
+) -> tuple[tuple[float, ...], float]:
+    """Size at the maximum of the restricted likelihood, and twice the log likelihood ratio there."""
+    used = space.use
+    share = space.redundancy[: int(used.sum())]
+    squares = residual[: len(share)] ** 2
+    start = np.array(hypothesis.values)
+
+    def lost(log_scale: float) -> float:
+        variance = hypothesis.effect.variance(space.sightings, space.sigma, start * np.exp(log_scale))
+        factor = np.maximum((variance / space.sigma**2)[used], 1e-6)
+        return -float(squares @ (1 - 1 / factor) - share @ np.log(factor))
+
+    found = minimize_scalar(lost, bounds=(-2.5, 2.5), method="bounded")
+    return tuple(float(v) for v in start * np.exp(found.x)), -float(found.fun)

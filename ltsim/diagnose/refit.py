@@ -1,0 +1,177 @@
+"""Nonlinear refit of a network with the effects found, their shapes included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.arrays import Bools, Floats
+from ltsim.diagnose.diagnosis import Estimate
+from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.scene.sightings import Sightings
+
+ITERATIONS = 4
+SHAPE_STEP = 1e-3
+FELT = 1e-3
+"""A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
+
+
+@dataclass(frozen=True)
+class ShapeDirection(Effect):
+    """How an effect's readings change with one of its shape constants: lets a refit estimate the constant.
+
+    The parameter is the change of the constant relative to its size.
+    """
+
+    base: Effect | None = None
+    values: tuple[float, ...] = ()
+    constant: str = ""
+
+    name = "shape"
+    number = 0
+    stage = Stage.ELECTRONICS
+    parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Central difference (n, 3, 1) by the relative change of the constant."""
+        assert self.base is not None  # noqa: S101 - set by the only maker
+        now = getattr(self.base, self.constant)
+        values = np.array(self.values)
+        up, down = (
+            self.base.reshaped(**{self.constant: now * (1 + s)}).design(sightings) @ values
+            for s in (SHAPE_STEP, -SHAPE_STEP)
+        )
+        change: Floats = ((up - down) / (2 * SHAPE_STEP))[:, :, None]
+        return change
+
+
+def _directions(effect: Effect, values: Floats, sightings: Sightings) -> list[ShapeDirection]:
+    """Shape constants of an effect that the readings feel and that vary smoothly."""
+    found = []
+    size = float(np.abs(effect.design(sightings) @ values).max())
+    for shape in type(effect).shape:
+        now = getattr(effect, shape.name)
+        if not isinstance(now, float) or now == 0.0 or shape.steps < 2:
+            continue
+        direction = ShapeDirection((), (), effect, tuple(values), shape.name)
+        if float(np.abs(direction.design(sightings)).max()) > FELT * size:
+            found.append(direction)
+    return found
+
+
+def _bounded(effect: Effect, constant: str, change: float) -> float:
+    shape = next(s for s in type(effect).shape if s.name == constant)
+    now = float(getattr(effect, constant))
+    return float(np.clip(now * (1 + np.clip(change, -0.5, 1.0)), 0.5 * shape.low, 2 * shape.high))
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A refitted network and the effects with their final shapes and estimates."""
+
+    adjustment: Adjustment
+    effects: tuple[Effect, ...]
+    estimates: tuple[tuple[Estimate, ...], ...]
+
+
+def refit(
+    recording: Recording,
+    construction: Construction,
+    effects: Sequence[Effect],
+    *,
+    start: State,
+    sigma: Floats,
+    use: Bools,
+) -> Refit:
+    """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along."""
+    current = list(effects)
+    plain = replace(start, extra=np.zeros(0))
+    found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=plain)
+    directions: list[list[ShapeDirection]] = [[] for _ in current]
+    joint, best = found, (found, list(current))
+    for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
+        values = _split(current, found.state.extra)
+        directions = [
+            _directions(e, v, found.sightings) for e, v in zip(current, values, strict=True)
+        ]
+        flat = [d for group in directions for d in group]
+        if not flat:
+            break
+        joint = adjust(
+            recording, construction, effects=[*current, *flat], sigma=sigma, use=use, start=found.state
+        )
+        if not joint.solution.converged:
+            break
+        changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
+        if np.all(np.abs(changes) < 1e-3):
+            break
+        current = _reshaped(current, directions, changes)
+        found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=found.state)
+        if found.chi2 > best[0].chi2 + 1e-3:
+            found, current = best
+            break
+        best = (found, list(current))
+    return Refit(found, tuple(current), _estimates(found, joint, current, directions))
+
+
+def _split(effects: Sequence[Effect], extra: Floats) -> list[Floats]:
+    sizes = [len(e.parameters) for e in effects]
+    return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
+
+
+def _reshaped(
+    effects: list[Effect], directions: list[list[ShapeDirection]], changes: Floats
+) -> list[Effect]:
+    moved, at = [], 0
+    for effect, group in zip(effects, directions, strict=True):
+        constants = {}
+        for direction in group:
+            constants[direction.constant] = _bounded(effect, direction.constant, float(changes[at]))
+            at += 1
+        moved.append(effect.reshaped(**constants) if constants else effect)
+    return moved
+
+
+def _estimates(
+    found: Adjustment,
+    joint: Adjustment,
+    effects: Sequence[Effect],
+    directions: list[list[ShapeDirection]],
+) -> tuple[tuple[Estimate, ...], ...]:
+    """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""
+    carrier = joint if joint.solution.converged and len(joint.effects) > len(effects) else found
+    if not carrier.solution.converged:
+        return tuple(() for _ in effects)
+    sigma = np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0))
+    at, shape_at = 0, sum(len(e.parameters) for e in effects)
+    rows = []
+    for i, (effect, values) in enumerate(
+        zip(effects, _split(effects, found.state.extra), strict=True)
+    ):
+        row = []
+        for parameter, value in zip(effect.parameters, values, strict=True):
+            row.append(
+                Estimate(
+                    parameter.name, value / parameter.factor, sigma[at] / parameter.factor, parameter.unit
+                )
+            )
+            at += 1
+        group = directions[i] if carrier is joint and i < len(directions) else []
+        for direction in group:
+            shape = next(s for s in type(effect).shape if s.name == direction.constant)
+            now = float(getattr(effect, shape.name))
+            row.append(_shape_estimate(shape.name, shape.unit, now, float(sigma[shape_at]) * abs(now)))
+            shape_at += 1
+        rows.append(tuple(row))
+    return tuple(rows)
+
+
+def _shape_estimate(name: str, unit: str, value: float, sigma: float) -> Estimate:
+    factor = Parameter(name, unit, "", 1.0).factor
+    return Estimate(name, value / factor, sigma / factor, unit)

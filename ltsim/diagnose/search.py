@@ -1,0 +1,228 @@
+"""Search for the effects that explain a mismatch: several at once, whole sets compared by their evidence.
+
+The score of a set is the log marginal likelihood of all its signatures together, less what each member's place and shape
+cost among the alternatives of its family, less what an implausible size costs. A beam of sets grows by one member at a
+time; then every member is examined again beside the others, and replaced or dropped where that scores better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from ltsim.arrays import Floats
+from ltsim.diagnose.bank import Bank, Hypothesis
+from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
+from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
+
+BEAM = 4
+MOST_MEMBERS = 4
+REFINED = 8
+UNKNOWN_ODDS = 0.05
+"""Prior odds of all physics outside the catalogue together against one effect of it."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A hypothesis in a set, with its signature (m, q)."""
+
+    hypothesis: Hypothesis
+    signature: Floats
+    cost: float
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """A set of effects and what it scores.
+
+    Attributes
+    ----------
+    members : tuple of Member
+    extension : (m, e) float
+        Orthonormal columns of all members.
+    residual : (m,) float
+        What they leave.
+    score : float
+        Log evidence of the set against no effect at all.
+    """
+
+    members: tuple[Member, ...]
+    extension: Floats
+    residual: Floats
+    score: float
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """The hypotheses of the members."""
+        return tuple(m.hypothesis for m in self.members)
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Families in the order of their evidence beside a set: (family, best hypothesis, log evidence)."""
+
+    entries: tuple[tuple[str, Hypothesis, float], ...]
+
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of each family; all unknown families are one."""
+        logs = np.array([e[2] for e in self.entries])
+        weight = np.exp(logs - logs.max())
+        total: dict[str, float] = {}
+        for (family, _, _), w in zip(self.entries, weight / weight.sum(), strict=True):
+            name = family if not family.startswith("unknown") else "unknown"
+            total[name] = total.get(name, 0.0) + float(w)
+        return total
+
+
+class Searcher:
+    """Search over a bank of hypotheses in one residual space."""
+
+    def __init__(self, space: ResidualSpace, bank: Bank) -> None:
+        self.space, self.bank = space, bank
+        self._size = np.bincount(bank.family, minlength=len(bank.families))
+        unknown = [name.startswith("unknown") for name in bank.families]
+        share = UNKNOWN_ODDS / max(sum(unknown), 1)
+        self.prior = np.log(np.where(unknown, share, 1.0))
+        self.prior -= np.log(np.exp(self.prior).sum())
+
+    @property
+    def empty(self) -> EffectSet:
+        """The set without members."""
+        return EffectSet((), np.zeros((self.space.size, 0)), self.space.residual, 0.0)
+
+    def family_evidence(self, drop: Floats, rank: Floats) -> Floats:
+        """Log evidence (families,) with places and shapes averaged, prior odds included."""
+        evidence = log_evidence(drop, rank)
+        return np.array(
+            [log_mean(evidence[self.bank.family == f]) for f in range(len(self.bank.families))]
+        ) + self.prior
+
+    def rank(self, base: EffectSet, count: int = REFINED) -> Ranking:
+        """The best hypothesis of each family beside a set, shapes refined and sizes weighed for the first ones."""
+        drop, rank = self.bank.drops(base.residual, base.extension)
+        evidence = log_evidence(drop, rank)
+        families = self.family_evidence(drop, rank)
+        entries = []
+        for f in np.argsort(-families)[: max(count, 1)]:
+            members = np.flatnonzero(self.bank.family == f)
+            best = members[int(np.argmax(evidence[members]))]
+            refined, gain = self._refined(self.bank.hypotheses[best], base, float(evidence[best]))
+            size = plausibility(self._sizes(refined, base))
+            entries.append((self.bank.families[f], refined, float(families[f]) + gain + size))
+        return Ranking(tuple(sorted(entries, key=lambda e: -e[2])))
+
+    def _drop(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, int]:
+        signature = self.space.signature(hypothesis.effect)
+        left = self.space.project(signature)
+        left -= base.extension @ (base.extension.T @ left)
+        columns = orthonormal(left, signature)
+        return float(((columns.T @ base.residual) ** 2).sum()), columns.shape[1]
+
+    def _refined(
+        self, hypothesis: Hypothesis, base: EffectSet, evidence: float
+    ) -> tuple[Hypothesis, float]:
+        """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
+        best, value = hypothesis, evidence
+        for shape in type(hypothesis.effect).shape:
+            now = getattr(best.effect, shape.name)
+            if not isinstance(now, float) or shape.steps < 2:
+                continue
+            step = (shape.high / shape.low) ** (1 / (shape.steps - 1)) if shape.logarithmic else (
+                (shape.high - shape.low) / (shape.steps - 1)
+            )
+            low, high = (now / step, now * step) if shape.logarithmic else (now - step, now + step)
+            bounds = (max(low, shape.low), min(high, shape.high))
+
+            def lost(x: float, name: str = shape.name, start: Hypothesis = best) -> float:
+                moved = replace(start, effect=start.effect.reshaped(**{name: float(x)}))
+                drop, rank = self._drop(moved, base)
+                return -float(log_evidence(np.array([drop]), np.array([rank]))[0])
+
+            found = minimize_scalar(lost, bounds=bounds, method="bounded", options={"maxiter": 12})
+            if -found.fun > value:
+                best = replace(best, effect=best.effect.reshaped(**{shape.name: float(found.x)}))
+                value = -float(found.fun)
+        return best, value - evidence
+
+    def _sizes(self, hypothesis: Hypothesis, base: EffectSet) -> Floats:
+        """Estimated parameters over their prior sigma."""
+        if not hypothesis.known:
+            return np.zeros(0)
+        signature = self.space.signature(hypothesis.effect)
+        left = self.space.project(signature)
+        left -= base.extension @ (base.extension.T @ left)
+        values = np.linalg.lstsq(left, base.residual, rcond=1e-6)[0]
+        return values / np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+
+    def with_members(self, hypotheses: Sequence[Hypothesis]) -> EffectSet:
+        """The set of some hypotheses, scored."""
+        members = []
+        for h in hypotheses:
+            f = self.bank.families.index(h.family)
+            members.append(
+                Member(h, self.space.signature(h.effect), float(np.log(self._size[f]) - self.prior[f]))
+            )
+        if not members:
+            return self.empty
+        whole = np.hstack([m.signature for m in members])
+        extension = orthonormal(self.space.project(whole), whole)
+        fitted = extension.T @ self.space.residual
+        residual = self.space.residual - extension @ fitted
+        drop = float((fitted**2).sum())
+        score = float(log_evidence(np.array([drop]), np.array([extension.shape[1]]))[0])
+        score -= sum(m.cost for m in members)
+        made = EffectSet(tuple(members), extension, residual, score)
+        return replace(made, score=score + self._set_plausibility(made))
+
+    def _set_plausibility(self, made: EffectSet) -> float:
+        whole = np.hstack([m.signature for m in made.members])
+        values = np.linalg.lstsq(self.space.project(whole), self.space.residual, rcond=1e-6)[0]
+        total, at = 0.0, 0
+        for member in made.members:
+            q = member.signature.shape[1]
+            if member.hypothesis.known:
+                scale = np.array([p.prior_sigma for p in member.hypothesis.effect.parameters])
+                total += plausibility(values[at : at + q] / scale)
+            at += q
+        return total
+
+    def search(self, threshold: float) -> EffectSet:
+        """The best set. The first member is the best there is (the caller has seen that something is missing); a further
+        one is added only where it raises the score by more than `threshold`.
+        """
+        beam = [self.empty]
+        best = self.empty
+        for depth in range(MOST_MEMBERS):
+            grown: dict[tuple[str, ...], EffectSet] = {}
+            for base in beam:
+                for _, hypothesis, _ in self.rank(base).entries[:BEAM]:
+                    made = self.with_members((*base.hypotheses, hypothesis))
+                    key = tuple(sorted(repr(h.effect) for h in made.hypotheses))
+                    if key not in grown:
+                        grown[key] = made
+            beam = sorted(grown.values(), key=lambda s: -s.score)[:BEAM]
+            beam[0] = self.reexamined(beam[0])
+            if depth and beam[0].score < best.score + threshold:
+                break
+            best = beam[0]
+        return best
+
+    def reexamined(self, found: EffectSet) -> EffectSet:
+        """Each member replaced by what fits better beside the others, until nothing changes."""
+        if len(found.members) < 2:
+            return found
+        for _ in range(3):
+            before = found.score
+            for i in range(len(found.members)):
+                others = found.hypotheses[:i] + found.hypotheses[i + 1 :]
+                base = self.with_members(others)
+                for _, hypothesis, _ in self.rank(base, 4).entries[:2]:
+                    made = self.with_members((*others, hypothesis))
+                    if made.score > found.score + 1e-6:
+                        found = made
+            if found.score <= before + 1e-6:
+                break
+        return found

@@ -1,0 +1,88 @@
+"""Sentences for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ltsim.diagnose.diagnosis import Estimate, Finding, Fit, Where
+
+MOST_NAMED = 4
+
+
+def number(value: float, sigma: float) -> str:
+    """Value and uncertainty with the digits that mean something: 12.1 +- 1.8."""
+    if not sigma > 0:
+        return f"{value:.3g}"
+    digits = max(0, 1 - int(f"{sigma:e}".split("e")[1]))
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def estimates(parameters: Sequence[Estimate]) -> str:
+    """The most telling estimates in a phrase."""
+    told = sorted(parameters, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
+    chosen = [p for p in parameters if p in told]
+    return ", ".join(f"{p.name} {number(p.value, p.sigma)} {p.unit}".strip() for p in chosen)
+
+
+def place(where: Where) -> str:
+    """Where, in a phrase."""
+    parts = []
+    if where.stations:
+        parts.append(f"at {'station' if len(where.stations) == 1 else 'stations'} {_list(where.stations)}")
+    if where.targets:
+        parts.append(f"at {'target' if len(where.targets) == 1 else 'targets'} {_list(where.targets)}")
+    if where.observables:
+        parts.append(f"in {_list(where.observables)}")
+    return " ".join(parts) or "in the whole recording"
+
+
+def _list(names: Sequence[str]) -> str:
+    few = list(names[:6])
+    more = len(names) - len(few)
+    return ", ".join(few) + (f" and {more} more" if more else "")
+
+
+def percent(probability: float) -> str:
+    """A probability for people."""
+    return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+
+
+def finding_sentence(
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, formula: str
+) -> str:
+    """One finding in one sentence."""
+    if effect == "unknown":
+        on = f", depending on {_list(where.covariates)}" if where.covariates else ""
+        law = f"; a formula that fits: {formula}" if formula else ""
+        return f"Physics outside the catalogue {place(where)}{on}{law}."
+    told = estimates(parameters)
+    name = effect.replace("-", " ").capitalize()
+    return f"{name} {place(where)}" + (f": {told}" if told else "") + f" (probability {percent(probability)})."
+
+
+def summarise(
+    verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit
+) -> str:
+    """The first sentence of a report."""
+    if verdict == "consistent":
+        return (
+            f"The recording agrees with the model and the stated noise (chi-square {before.chi2:.0f} for "
+            f"{before.dof} degrees of freedom; chance of a search like this finding as much in a clean "
+            f"recording: {100 * p_value:.0f} %)."
+        )
+    if not findings:
+        return (
+            "The recording does not agree with the model and the stated noise, but no single cause stands out; "
+            f"chi-square {before.chi2:.0f} for {before.dof} degrees of freedom."
+        )
+    first = findings[0]
+    more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
+    others = [e for e, _ in first.equivalents]
+    open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
+    gain = ""
+    if after is not before:
+        gain = (
+            f" With it in the model the error on readings not used for the fit falls from "
+            f"{before.held_out_rms:.2f} to {after.held_out_rms:.2f} times the stated noise."
+        )
+    return first.sentence + open_ + more + gain
