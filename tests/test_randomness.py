@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -27,10 +27,10 @@ def test_another_effect_changes_no_draw() -> None:
     assert {name: many[name] for name in few} == few
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, 2, 6])
 def test_workers_change_no_draw(workers: int) -> None:
     alone = [draw(["beam-tilt"], trial) for trial in range(6)]
-    with ProcessPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         assert list(pool.map(draw, [["beam-tilt"]] * 6, range(6))) == alone
 
 
