@@ -15,8 +15,9 @@ from ltsim.adjust.start import start_network
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, Sightings, State, sightings_of
+from ltsim.model.measurement import MeasurementModel, State, sightings_of
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor
 from ltsim.solve.gauss_newton import Solution, solve
 
@@ -94,7 +95,7 @@ class Adjustment:
     def factor(self) -> Factor:
         """Factorised normal equations at the optimum."""
         self.solution.require_success()
-        assert self.solution.factor is not None  # noqa: S101 - converged implies factorised
+        assert self.solution.factor is not None
         return self.solution.factor
 
     @cached_property
@@ -224,9 +225,7 @@ def adjust(
         parameters = np.zeros((len(recording.instruments), built.size))
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
-        start = State(
-            start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size)
-        )
+        start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
     keep = np.broadcast_to(~gross[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     problem = NetworkProblem.of(model, start.points, sigma=sigma, use=chosen)

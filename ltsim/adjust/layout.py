@@ -56,6 +56,4 @@ class Layout:
 
     def retract(self, state: State, step: Floats) -> State:
         """The state after a step (size,)."""
-        return state.moved(
-            step[self.pose], step[self.target], step[self.instrument], step[self.extra]
-        )
+        return state.moved(step[self.pose], step[self.target], step[self.instrument], step[self.extra])

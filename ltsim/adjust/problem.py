@@ -9,9 +9,11 @@ import scipy.sparse as sp
 
 from ltsim.adjust.layout import Layout
 from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.model.measurement import MeasurementModel, Prediction, State
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Prior
 from ltsim.solve.blocks import BlockSystem
 
 DATUM_SIGMA = np.array([1e-6] * 3 + [1e-6] * 3)
@@ -107,9 +109,7 @@ class NetworkProblem:
     def linearise(self, state: State) -> BlockSystem:
         """The whitened system at a state."""
         prediction = self.model.linearised(state)
-        design = sp.vstack(
-            [self._pointing_design(prediction), self._other_design(state)], format="csr"
-        )
+        design = sp.vstack([self._pointing_design(prediction), self._other_design(state)], format="csr")
         rows = self._residual_rows(state, prediction.readings)
         return BlockSystem(sp.csr_array(design), rows, self.layout.kept)
 
@@ -190,7 +190,7 @@ class NetworkProblem:
         return int(self.use.sum()) + known - self.layout.size + self.free.shape[1]
 
 
-def _instrument_prior(recording, name):  # type: ignore[no-untyped-def]
+def _instrument_prior(recording: Recording, name: str) -> Prior:
     setup = recording.setup
     return setup.instruments[name].prior if name in setup.instruments else setup.instrument.prior
 
@@ -201,9 +201,7 @@ def _weak_priors(model: MeasurementModel) -> Floats:
     return WEAK * np.array(sizes, dtype=np.float64)
 
 
-def _diagonal_rows(sigma: Floats, columns: np.ndarray, size: int) -> sp.csr_array:
+def _diagonal_rows(sigma: Floats, columns: Ints, size: int) -> sp.csr_array:
     finite = np.isfinite(sigma)
     count = int(finite.sum())
-    return sp.csr_array(
-        sp.coo_array((1 / sigma[finite], (np.arange(count), columns[finite])), shape=(count, size))
-    )
+    return sp.csr_array(sp.coo_array((1 / sigma[finite], (np.arange(count), columns[finite])), shape=(count, size)))

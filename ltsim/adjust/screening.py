@@ -14,9 +14,7 @@ LARGEST_ERROR = 1e-3
 FACTOR = 30.0
 
 
-def gross_pointings(
-    recording: Recording, position: Floats, rotation: Floats, points: Floats
-) -> Bools:
+def gross_pointings(recording: Recording, position: Floats, rotation: Floats, points: Floats) -> Bools:
     """(n,) True where a pointing misses its target by far more than the rest of the recording does.
 
     A swapped or misnamed reflector, a wrong unit in one row. These rows stay out of the adjustment and are reported.

@@ -74,9 +74,7 @@ class Bank:
         for group in self.groups:
             rank[group.members] = group.rank
         object.__setattr__(self, "families", names)
-        object.__setattr__(
-            self, "family", np.array([index[h.family] for h in self.hypotheses], dtype=np.int64)
-        )
+        object.__setattr__(self, "family", np.array([index[h.family] for h in self.hypotheses], dtype=np.int64))
         object.__setattr__(self, "rank", rank)
 
     @classmethod
@@ -100,8 +98,7 @@ class Bank:
                     columns.setdefault(basis.shape[1], []).append(basis.astype(np.float32))
                     members.setdefault(basis.shape[1], []).append(i)
         groups = [
-            Group(rank, np.array(members[rank], dtype=np.int64), np.hstack(columns[rank]))
-            for rank in sorted(members)
+            Group(rank, np.array(members[rank], dtype=np.int64), np.hstack(columns[rank])) for rank in sorted(members)
         ]
         return cls(space, list(hypotheses), groups, visible)
 

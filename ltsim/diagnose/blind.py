@@ -57,14 +57,9 @@ def undetectable_effects(space: ResidualSpace, bank: Bank) -> tuple[Undetectable
         relative = _smallest(space, hypothesis) / prior
         if float(relative.min()) < OUT_OF_REACH:
             continue
-        hidden = max(
-            _hidden_error(space, hypothesis, np.eye(len(prior))[i] * prior) for i in range(len(prior))
-        )
+        hidden = max(_hidden_error(space, hypothesis, np.eye(len(prior))[i] * prior) for i in range(len(prior)))
         share = "nothing" if not np.isfinite(relative).any() else f"only {relative.min():.0f} times that size"
-        reason = (
-            "absorbed by poses, targets and instrument parameters: of a bad but plausible size "
-            f"{share} would show"
-        )
+        reason = f"absorbed by poses, targets and instrument parameters: of a bad but plausible size {share} would show"
         cure = str(getattr(type(hypothesis.effect), "cure", "")) or "an independent measurement of its cause"
         rows.append(Undetectable(family, reason, hidden, cure))
     return tuple(rows)

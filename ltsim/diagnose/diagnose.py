@@ -74,9 +74,7 @@ class _Case:
     noise: list[NoiseHypothesis]
 
     def adjustment(self) -> Adjustment:
-        return adjust(
-            self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start
-        )
+        return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
 
 
 def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Diagnosis:
@@ -122,9 +120,7 @@ def _prepare(adjustment: Adjustment) -> tuple[ResidualSpace, Searcher, NoiseBank
     )
 
 
-def _explain(
-    case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection
-) -> tuple[EffectSet, Searcher]:
+def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection) -> tuple[EffectSet, Searcher]:
     """Mean shifts and changes of the noise in turn, whichever explains more first."""
     threshold = max(detection.threshold(1.0 - NEXT_LEVEL), 2.0)
     found = searcher.search(threshold)
@@ -141,9 +137,7 @@ def _explain(
         residual = searcher.space.residual if noise_first else found.residual
         hypothesis = noise.best(searcher.space, ratio, prior, residual)
         case.noise.append(hypothesis)
-        variance = hypothesis.effect.variance(
-            searcher.space.sightings, case.sigma, np.array(hypothesis.values)
-        )
+        variance = hypothesis.effect.variance(searcher.space.sightings, case.sigma, np.array(hypothesis.values))
         case.sigma = np.sqrt(variance)
         _, searcher, noise = _prepare(case.adjustment())
         found = searcher.search(threshold)
@@ -174,8 +168,12 @@ def _assemble(
     effects = [h.effect for h in found.hypotheses]
     fitted = (
         refit(
-            case.recording, case.construction, effects,
-            start=baseline.state, sigma=case.sigma, use=case.use,
+            case.recording,
+            case.construction,
+            effects,
+            start=baseline.state,
+            sigma=case.sigma,
+            use=case.use,
         )
         if effects
         else Refit(case.adjustment() if case.noise else baseline, (), ())
@@ -188,7 +186,11 @@ def _assemble(
         findings.append(
             mean_finding(
                 replace(member.hypothesis, effect=effect),
-                fitted.estimates[i], others, found, ranking, detection,
+                fitted.estimates[i],
+                others,
+                found,
+                ranking,
+                detection,
             )
         )
     findings += [noise_finding(h, searcher, detection) for h in case.noise]

@@ -130,8 +130,7 @@ class Diagnosis:
                 for u in self.undetectable
             ],
             "detectable": [
-                {"effect": d.effect, "parameter": d.parameter, "size": d.size, "unit": d.unit}
-                for d in self.detectable
+                {"effect": d.effect, "parameter": d.parameter, "size": d.size, "unit": d.unit} for d in self.detectable
             ],
         }
 
@@ -158,8 +157,7 @@ def _finding_json(finding: Finding) -> dict[str, Any]:
             "covariates": list(where.covariates),
         },
         "parameters": [
-            {"name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit}
-            for p in finding.parameters
+            {"name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit} for p in finding.parameters
         ],
         "evidence": {
             "chi2_drop": evidence.chi2_drop,

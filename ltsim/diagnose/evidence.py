@@ -3,7 +3,8 @@
 Mean shifts: with T the drop in chi2 of a signature of r visible directions, the marginal likelihood ratio against no
 effect, under Zellner's g-prior (a size that gives a noncentrality of about g r), is
     exp(T/2 * g / (1 + g)) (1 + g)^(-r/2),
-averaged over g, because nobody knows how strong an effect is. Places and shapes are averaged as well: whoever tries more of
+averaged over g, because nobody knows how strong an effect is. Places and shapes are averaged as well: whoever
+tries more of
 them pays for it (the look-elsewhere effect). Changes of the noise are averaged over a grid of sizes.
 """
 
@@ -21,7 +22,7 @@ PLAUSIBLE = 3.0
 """Sizes up to so many prior sigmas are not marked down."""
 
 
-def log_evidence(drop: Floats, rank: Ints) -> Floats:
+def log_evidence(drop: Floats, rank: Floats | Ints) -> Floats:
     """Log marginal likelihood ratio of mean shifts; `drop` (..., k) of chi2, `rank` (k,) visible directions."""
     g = STRENGTHS.reshape(-1, *([1] * np.ndim(drop)))
     terms = 0.5 * drop * g / (1.0 + g) - 0.5 * rank * np.log1p(g)

@@ -1,7 +1,9 @@
 """Flexible terms: what is fitted where the catalogue fails.
 
-A term acts on one observable (or moves the targets along one axis of the room) and is a sum of columns, each a product of
-simple functions of covariates. Terms are effects like any other, so they are tested, refitted and simulated in the same way;
+A term acts on one observable (or moves the targets along one axis of the room) and is a sum of columns, each a
+product of
+simple functions of covariates. Terms are effects like any other, so they are tested, refitted and simulated in the
+same way;
 they are only never given a name of the catalogue.
 """
 
@@ -16,6 +18,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Hypothesis
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
+from ltsim.errors import unknown_name
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, MICROMETRE
@@ -31,22 +34,20 @@ AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
 def covariate(sightings: Sightings, name: str) -> Floats:
     """Values (n,) of a covariate [SI, or the unit of the recording's own column]; unknown ones are zero."""
     place = sightings.points[sightings.target]
-    simple = {
-        "azimuth": lambda: sightings.azimuth,
-        "elevation": lambda: sightings.elevation,
-        "distance": lambda: sightings.range_,
-        "time": lambda: sightings.time,
-        "station-time": lambda: sightings.station_time,
-        "incidence": lambda: np.nan_to_num(sightings.incidence),
-        "height": lambda: sightings.local[:, 2],
-        "x": lambda: place[:, 0],
-        "y": lambda: place[:, 1],
-        "z": lambda: place[:, 2],
-        "face": lambda: sightings.face_sign,
+    geometry = {
+        "azimuth": sightings.azimuth,
+        "elevation": sightings.elevation,
+        "distance": sightings.range_,
+        "time": sightings.time,
+        "station-time": sightings.station_time,
+        "incidence": sightings.incidence,
+        "height": sightings.local[:, 2],
+        "x": place[:, 0],
+        "y": place[:, 1],
+        "z": place[:, 2],
+        "face": sightings.face_sign,
     }
-    values = simple[name]() if name in simple else sightings.covariates[name]
-    known: Floats = np.nan_to_num(np.asarray(values, dtype=np.float64))
-    return known
+    return np.nan_to_num(geometry[name] if name in geometry else sightings.covariates[name])
 
 
 def _centred(values: Floats) -> Floats:
@@ -59,19 +60,18 @@ def evaluate(sightings: Sightings, factor: Factor) -> Floats:
     """Values (n,) of one factor."""
     name, function, k = factor
     x = covariate(sightings, name)
-    if function == "legendre":
-        coefficients = np.zeros(int(k) + 1)
-        coefficients[-1] = 1.0
-        legendre: Floats = np.polynomial.legendre.legval(_centred(x), coefficients)
-        return legendre
-    simple = {
-        "power": lambda: x**k,
-        "cos": lambda: np.cos(k * x),
-        "sin": lambda: np.sin(k * x),
-        "tan": lambda: np.tan(k * x),
-        "sec": lambda: 1 / np.cos(k * x),
-    }
-    return np.asarray(simple[function](), dtype=np.float64)
+    match function:
+        case "legendre":
+            return np.asarray(np.polynomial.legendre.legval(_centred(x), [0.0] * int(k) + [1.0]), dtype=np.float64)
+        case "power":
+            return x**k
+        case "cos":
+            return np.cos(k * x)
+        case "sin":
+            return np.sin(k * x)
+        case "tan":
+            return np.tan(k * x)
+    raise unknown_name("function", function, ("legendre", "power", "cos", "sin", "tan"))
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,7 @@ def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             yield Hypothesis(f"unknown:{observable}:{name}", FlexibleTerm((), (), observable, columns), False)
             if (sightings.face == 2).any():
                 odd = tuple((("face", "power", 1.0), *c) for c in columns)
-                yield Hypothesis(
-                    f"unknown:{observable}:{name}:face", FlexibleTerm((), (), observable, odd), False
-                )
+                yield Hypothesis(f"unknown:{observable}:{name}:face", FlexibleTerm((), (), observable, odd), False)
         if len(sightings.station_names) <= 12:
             for station in sightings.station_names:
                 term = FlexibleTerm((station,), (), observable, smooth(name, 4))
@@ -197,9 +195,7 @@ def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
 
 
-AZIMUTH: tuple[Column, ...] = (
-    *(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),
-)
+AZIMUTH: tuple[Column, ...] = (*(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),)
 ELEVATION: tuple[Column, ...] = (
     (),
     (("elevation", "sin", 1.0),),
@@ -232,9 +228,7 @@ def _product_terms(sightings: Sightings) -> Iterator[Hypothesis]:
                 yield Hypothesis(f"unknown:{observable}:product", term, False)
             for k in range(0, 8, 2):
                 pair = (AZIMUTH[k] + rest + sign, AZIMUTH[k + 1] + rest + sign)
-                yield Hypothesis(
-                    f"unknown:{observable}:product", FlexibleTerm((), (), observable, pair), False
-                )
+                yield Hypothesis(f"unknown:{observable}:product", FlexibleTerm((), (), observable, pair), False)
 
 
 def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
@@ -247,16 +241,12 @@ def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             if sum(p) <= degree
         )
         for observable in OBSERVABLES:
-            yield Hypothesis(
-                f"unknown:{observable}:place", FlexibleTerm((), (), observable, place), False
-            )
+            yield Hypothesis(f"unknown:{observable}:place", FlexibleTerm((), (), observable, place), False)
     directions = tuple(
         a + e for a in AZIMUTH[:6] for e in ((), (("elevation", "legendre", 1.0),), (("elevation", "legendre", 2.0),))
     )
     for observable in OBSERVABLES:
-        yield Hypothesis(
-            f"unknown:{observable}:direction", FlexibleTerm((), (), observable, directions), False
-        )
+        yield Hypothesis(f"unknown:{observable}:direction", FlexibleTerm((), (), observable, directions), False)
     for axis in AXES:
         moving = tuple(((other, "legendre", 1.0), ("time", "legendre", 1.0)) for other in AXES)
         yield Hypothesis("unknown:place:time", FlexibleTerm((), (), axis, moving), False)

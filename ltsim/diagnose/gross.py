@@ -1,6 +1,7 @@
 """Gross errors explained: swapped reflectors, wrong units, mixed-up faces, single bad readings.
 
-A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the mistakes people
+A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the
+mistakes people
 make; what a mistake explains is mended for the adjustment that follows, the rest stays out of it.
 """
 
@@ -115,16 +116,12 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> list[tuple[GrossFinding, dict
             f"At station {recording.stations[s]} the reflectors {names[0]} and {names[1]}, {gap:.2f} m apart, "
             f"were exchanged in {len(members)} pointings."
         )
-        finding = GrossFinding(
-            "target-swap", at[members], (recording.stations[s],), names, (), gap, sentence
-        )
+        finding = GrossFinding("target-swap", at[members], (recording.stations[s],), names, (), gap, sentence)
         found.append((finding, {int(at[i]): int(nearest[i]) for i in members}))
     return found
 
 
-def _mended_rows(
-    adjustment: Adjustment, rows: Bools, readings: Floats
-) -> Ints:
+def _mended_rows(adjustment: Adjustment, rows: Bools, readings: Floats) -> Ints:
     """Rows among `rows` that land on their target with other readings (n, 3)."""
     recording = adjustment.recording
     at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
@@ -136,9 +133,7 @@ def _mended_rows(
     return hit
 
 
-def _finding(
-    adjustment: Adjustment, effect: str, rows: Ints, observables: tuple[str, ...], cause: str
-) -> GrossFinding:
+def _finding(adjustment: Adjustment, effect: str, rows: Ints, observables: tuple[str, ...], cause: str) -> GrossFinding:
     recording = adjustment.recording
     stations = tuple(sorted({recording.stations[s] for s in recording.station[rows]}))
     targets = tuple(sorted({recording.targets[t] for t in recording.target[rows]}))
@@ -147,9 +142,7 @@ def _finding(
         - adjustment.state.points[recording.target[rows]],
         axis=1,
     )
-    sentence = (
-        f"{len(rows)} pointings at station {', '.join(stations)} to {', '.join(targets[:6])} hold {cause}."
-    )
+    sentence = f"{len(rows)} pointings at station {', '.join(stations)} to {', '.join(targets[:6])} hold {cause}."
     return GrossFinding(effect, rows, stations, targets, observables, float(miss.max()), sentence)
 
 
@@ -176,9 +169,7 @@ def _faces(adjustment: Adjustment, rows: Bools) -> list[tuple[GrossFinding, Floa
     found, left = [], rows.copy()
     for column in (1, 2):
         readings = adjustment.recording.readings.copy()
-        readings[:, column] = (
-            wrap(readings[:, 1] + np.pi) if column == 1 else np.pi - readings[:, 2]
-        )
+        readings[:, column] = wrap(readings[:, 1] + np.pi) if column == 1 else np.pi - readings[:, 2]
         hit = _mended_rows(adjustment, left, readings)
         if len(hit):
             left[hit] = False
@@ -198,9 +189,7 @@ def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:
             adjustment.state.rotation[station],
             adjustment.state.points[target] - adjustment.state.position[station],
         )
-        expected = adjustment.construction.readings(
-            local, recording.face[[row]], adjustment.state.instrument[0]
-        )[0]
+        expected = adjustment.construction.readings(local, recording.face[[row]], adjustment.state.instrument[0])[0]
         gap = recording.readings[row] - expected
         gap[1:] = wrap(gap[1:])
         length = np.abs(gap * [1.0, expected[0] * np.cos(expected[2]), expected[0]])
@@ -221,5 +210,3 @@ def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:
             )
         )
     return found
-
-

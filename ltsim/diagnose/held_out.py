@@ -1,6 +1,7 @@
 """Error on observations that the fit did not see, by leaving out and predicting: exact, without refitting.
 
-With H the hat matrix and F a fold, the prediction error of the fold is (I - H_FF)^-1 r_F and its covariance (I - H_FF)^-1, in
+With H the hat matrix and F a fold, the prediction error of the fold is (I - H_FF)^-1 r_F and its covariance (I -
+H_FF)^-1, in
 whitened units; the normalised square is r_F' (I - H_FF)^-1 r_F. It is 1 per reading where model and noise hold.
 """
 
@@ -68,5 +69,4 @@ def _by_reading(space: ResidualSpace, fold: Ints) -> Ints:
 
 def gain_by_station(before: Floats, after: Floats, station: Ints, count: int) -> Floats:
     """Drop of the squared residuals (S,) at each station."""
-    drop: Floats = np.bincount(station, before**2 - after**2, minlength=count)
-    return drop
+    return np.bincount(station, before**2 - after**2, minlength=count).astype(np.float64)

@@ -2,7 +2,8 @@
 
 With r a whitened residual of redundancy k, a variance factor s raises the log likelihood by
     (r^2 (1 - 1/s) - k log s) / 2,
-summed over readings: the diagonal form of the restricted likelihood (residuals' correlations are second order here). Sizes are
+summed over readings: the diagonal form of the restricted likelihood (residuals' correlations are second order
+here). Sizes are
 averaged over a grid, so these hypotheses compete with mean shifts by the same evidence.
 """
 
@@ -116,7 +117,7 @@ class NoiseBank:
         share = space.redundancy
         used = space.use
         count = int(used.sum())
-        gain = np.zeros((len(hypotheses), space.size), dtype=np.float32)
+        gain = np.zeros((len(hypotheses), space.size))
         cost = np.zeros(len(hypotheses))
         for i, h in enumerate(hypotheses):
             variance = h.effect.variance(space.sightings, space.sigma, np.array(h.values))
@@ -126,7 +127,7 @@ class NoiseBank:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        return cls(list(hypotheses), names, family, gain, cost)
+        return cls(list(hypotheses), names, family, np.asarray(gain, dtype=np.float32), cost)
 
     def log_likelihood_ratio(self, residual: Floats) -> Floats:
         """(h,) or (h, trials) for whitened residuals (m,) or (m, trials)."""
@@ -168,9 +169,7 @@ class NoiseBank:
         name = chosen.effect.name if chosen.known else "unknown"
         others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
         values, drop = _most_likely(space, chosen, residual)
-        return replace(
-            chosen, values=values, drop=drop, probability=total[name], equivalents=tuple(others[:3])
-        )
+        return replace(chosen, values=values, drop=drop, probability=total[name], equivalents=tuple(others[:3]))
 
 
 def _most_likely(

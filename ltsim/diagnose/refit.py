@@ -40,7 +40,7 @@ class ShapeDirection(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Central difference (n, 3, 1) by the relative change of the constant."""
-        assert self.base is not None  # noqa: S101 - set by the only maker
+        assert self.base is not None
         now = getattr(self.base, self.constant)
         values = np.array(self.values)
         up, down = (
@@ -97,15 +97,11 @@ def refit(
     joint, best = found, (found, list(current))
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
         values = _split(current, found.state.extra)
-        directions = [
-            _directions(e, v, found.sightings) for e, v in zip(current, values, strict=True)
-        ]
+        directions = [_directions(e, v, found.sightings) for e, v in zip(current, values, strict=True)]
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjust(
-            recording, construction, effects=[*current, *flat], sigma=sigma, use=use, start=found.state
-        )
+        joint = adjust(recording, construction, effects=[*current, *flat], sigma=sigma, use=use, start=found.state)
         if not joint.solution.converged:
             break
         changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
@@ -125,9 +121,7 @@ def _split(effects: Sequence[Effect], extra: Floats) -> list[Floats]:
     return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
 
-def _reshaped(
-    effects: list[Effect], directions: list[list[ShapeDirection]], changes: Floats
-) -> list[Effect]:
+def _reshaped(effects: list[Effect], directions: list[list[ShapeDirection]], changes: Floats) -> list[Effect]:
     moved, at = [], 0
     for effect, group in zip(effects, directions, strict=True):
         constants = {}
@@ -151,16 +145,10 @@ def _estimates(
     sigma = np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0))
     at, shape_at = 0, sum(len(e.parameters) for e in effects)
     rows = []
-    for i, (effect, values) in enumerate(
-        zip(effects, _split(effects, found.state.extra), strict=True)
-    ):
+    for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
         row = []
         for parameter, value in zip(effect.parameters, values, strict=True):
-            row.append(
-                Estimate(
-                    parameter.name, value / parameter.factor, sigma[at] / parameter.factor, parameter.unit
-                )
-            )
+            row.append(Estimate(parameter.name, value / parameter.factor, sigma[at] / parameter.factor, parameter.unit))
             at += 1
         group = directions[i] if carrier is joint and i < len(directions) else []
         for direction in group:

@@ -1,6 +1,7 @@
 """The residual space of an adjustment: what an adjustment leaves of any signature.
 
-Residuals are correlated and smeared; a signature g of an effect shows as P g, with P the projector off everything that is
+Residuals are correlated and smeared; a signature g of an effect shows as P g, with P the projector off everything
+that is
 estimated. All tests of the diagnosis happen there, in whitened units.
 """
 

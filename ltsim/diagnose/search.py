@@ -1,6 +1,7 @@
 """Search for the effects that explain a mismatch: several at once, whole sets compared by their evidence.
 
-The score of a set is the log marginal likelihood of all its signatures together, less what each member's place and shape
+The score of a set is the log marginal likelihood of all its signatures together, less what each member's place and
+shape
 cost among the alternatives of its family, less what an implausible size costs. A beam of sets grows by one member at a
 time; then every member is examined again beside the others, and replaced or dropped where that scores better.
 """
@@ -13,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
 from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
@@ -93,12 +94,12 @@ class Searcher:
         """The set without members."""
         return EffectSet((), np.zeros((self.space.size, 0)), self.space.residual, 0.0)
 
-    def family_evidence(self, drop: Floats, rank: Floats) -> Floats:
+    def family_evidence(self, drop: Floats, rank: Ints) -> Floats:
         """Log evidence (families,) with places and shapes averaged, prior odds included."""
         evidence = log_evidence(drop, rank)
-        return np.array(
-            [log_mean(evidence[self.bank.family == f]) for f in range(len(self.bank.families))]
-        ) + self.prior
+        return (
+            np.array([log_mean(evidence[self.bank.family == f]) for f in range(len(self.bank.families))]) + self.prior
+        )
 
     def rank(self, base: EffectSet, count: int = REFINED) -> Ranking:
         """The best hypothesis of each family beside a set, shapes refined and sizes weighed for the first ones."""
@@ -121,17 +122,17 @@ class Searcher:
         columns = orthonormal(left, signature)
         return float(((columns.T @ base.residual) ** 2).sum()), columns.shape[1]
 
-    def _refined(
-        self, hypothesis: Hypothesis, base: EffectSet, evidence: float
-    ) -> tuple[Hypothesis, float]:
+    def _refined(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
         """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
         best, value = hypothesis, evidence
         for shape in type(hypothesis.effect).shape:
             now = getattr(best.effect, shape.name)
             if not isinstance(now, float) or shape.steps < 2:
                 continue
-            step = (shape.high / shape.low) ** (1 / (shape.steps - 1)) if shape.logarithmic else (
-                (shape.high - shape.low) / (shape.steps - 1)
+            step = (
+                (shape.high / shape.low) ** (1 / (shape.steps - 1))
+                if shape.logarithmic
+                else ((shape.high - shape.low) / (shape.steps - 1))
             )
             low, high = (now / step, now * step) if shape.logarithmic else (now - step, now + step)
             bounds = (max(low, shape.low), min(high, shape.high))
@@ -162,9 +163,7 @@ class Searcher:
         members = []
         for h in hypotheses:
             f = self.bank.families.index(h.family)
-            members.append(
-                Member(h, self.space.signature(h.effect), float(np.log(self._size[f]) - self.prior[f]))
-            )
+            members.append(Member(h, self.space.signature(h.effect), float(np.log(self._size[f]) - self.prior[f])))
         if not members:
             return self.empty
         whole = np.hstack([m.signature for m in members])
@@ -190,8 +189,10 @@ class Searcher:
         return total
 
     def search(self, threshold: float) -> EffectSet:
-        """The best set. The first member is the best there is (the caller has seen that something is missing); a further
-        one is added only where it raises the score by more than `threshold`.
+        """Find the best set.
+
+        The first member is the best there is (the caller has seen that something is missing); a further one is added
+        only where it raises the score by more than `threshold`.
         """
         beam = [self.empty]
         best = self.empty

@@ -60,9 +60,7 @@ def finding_sentence(
     return f"{name} {place(where)}" + (f": {told}" if told else "") + f" (probability {percent(probability)})."
 
 
-def summarise(
-    verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit
-) -> str:
+def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:
     """The first sentence of a report."""
     if verdict == "consistent":
         return (

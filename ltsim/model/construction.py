@@ -65,11 +65,7 @@ class Construction:
             moved = probe.copy()
             moved[0, column] = 1.0
             driven.append(
-                next(
-                    m
-                    for m in self.chain
-                    if m.nominal is not None and m.nominal(moved)[0] != m.nominal(probe)[0]
-                )
+                next(m for m in self.chain if m.nominal is not None and m.nominal(moved)[0] != m.nominal(probe)[0])
             )
         return driven[0], driven[1], driven[2]
 
@@ -77,8 +73,7 @@ class Construction:
     def _named_chain(self) -> Chain:
         """The chain with a private slot on motions driven by a reading that have none of their own."""
         renamed = {
-            id(m): type(m)(m.axis, m.slot or f"reading-{i}", m.nominal, m.sign)
-            for i, m in enumerate(self._moving)
+            id(m): type(m)(m.axis, m.slot or f"reading-{i}", m.nominal, m.sign) for i, m in enumerate(self._moving)
         }
         return tuple(renamed.get(id(m), m) for m in self.chain)
 
@@ -111,9 +106,7 @@ class Construction:
         size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
         """
         slots = {term.slot for term in self.terms} | set(self._reading_slots)
-        p, by_slot = point_and_derivatives(
-            self._named_chain, raw, self.errors(raw, values), slots
-        )
+        p, by_slot = point_and_derivatives(self._named_chain, raw, self.errors(raw, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in self._reading_slots], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(raw), 3, 0))

@@ -116,9 +116,7 @@ class MeasurementModel:
     def predict(self, state: State) -> Floats:
         """Predicted raw readings (n, 3)."""
         sightings = sightings_of(self.recording, state)
-        ideal = self.construction.readings(
-            sightings.local, sightings.face, self._instrument_values(state)
-        )
+        ideal = self.construction.readings(sightings.local, sightings.face, self._instrument_values(state))
         for effect, values in zip(self.effects, self._split(state.extra), strict=True):
             ideal = ideal + effect.shift(sightings, values)
         return ideal

@@ -1,6 +1,7 @@
 """One linear least-squares step with most unknowns eliminated block by block.
 
-Unknowns come in two kinds: *kept* ones (a dense block of K columns) and *eliminated* ones, in blocks of three that no row
+Unknowns come in two kinds: *kept* ones (a dense block of K columns) and *eliminated* ones, in blocks of three that
+no row
 shares with another such block. Normal equations then have a block-diagonal part that is inverted block by
 block, and what remains is the Schur complement of size K: cost is linear in the number of blocks.
 
@@ -17,6 +18,9 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats
+
+ROUNDING = 1e-13
+"""Squared share of a unit column that the other columns leave, below which it is rounding error."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,8 @@ class Factor:
             self._carry = sp.csr_array(normal[:k, k:] @ inverse)
             schur = kept - (self._carry @ normal[k:, :k]).toarray()
             self._schur = scipy.linalg.cho_factor(schur, lower=True, check_finite=False)
+            if float(np.min(np.diag(self._schur[0]) ** 2, initial=1.0)) < ROUNDING:
+                raise np.linalg.LinAlgError("a pivot is rounding error")
         except np.linalg.LinAlgError as error:
             raise SingularSystemError("the normal matrix is not positive definite") from error
 
@@ -107,9 +113,7 @@ class Factor:
         carry = self._carry.toarray()
         spread = self._kept_covariance @ carry
         k, count = self._system.kept, len(self._inverse)
-        inner = np.einsum(
-            "kei,kej->eij", carry.reshape(k, count, 3), spread.reshape(k, count, 3), optimize=True
-        )
+        inner = np.einsum("kei,kej->eij", carry.reshape(k, count, 3), spread.reshape(k, count, 3), optimize=True)
         scale = self._scale[k:].reshape(-1, 3)
         covariance: Floats = (self._inverse + inner) * scale[:, :, None] * scale[:, None, :]
         return covariance

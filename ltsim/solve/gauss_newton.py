@@ -107,9 +107,7 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
     return _finish(x, system, cap, Status.CAPPED)
 
 
-def _damped_step(
-    system: BlockSystem, damping: float
-) -> tuple[Floats | None, Factor | None, float]:
+def _damped_step(system: BlockSystem, damping: float) -> tuple[Floats | None, Factor | None, float]:
     """A step with at least `damping`, more where the normal matrix is singular."""
     while damping < 1e-2:
         try:

@@ -1,0 +1,112 @@
+"""A small network for tests: the reference workshop of physics.md section 1, built without the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Gauge, GaugeDistance, Setup, Target
+
+STATIONS = np.array(
+    [[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]]
+)
+YAWS = np.radians([0.0, 75.0, 160.0, 230.0, 310.0])
+GAUGE = np.array([[0.6, 0.6, 0.15], [0.9, 0.75, 0.25], [0.75, 0.95, 0.3], [1.1, 1.05, 0.35]])
+
+
+def mesh() -> Floats:
+    """24 targets on two walls and three levels, 4 gauge targets on the floor."""
+    along = np.array([0.6, 2.2, 3.8, 5.4])
+    points = []
+    for z in (5.9, 2.0, 0.15):
+        points += [[0.0, a, z] for a in along] + [[a, 0.0, z] for a in along]
+    return np.vstack([np.array(points), GAUGE])
+
+
+def normals() -> Floats:
+    """Open faces of the nests: off the walls; the gauge looks into the room."""
+    wall = [[1.0, 0.0, 0.0]] * 4 + [[0.0, 1.0, 0.0]] * 4
+    return np.array(wall * 3 + [[0.7, 0.7, 0.14]] * 4)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a test network was made with."""
+
+    state: State
+    construction: Construction
+
+
+def network(
+    *,
+    faces: int = 1,
+    repeats: int = 1,
+    values: Floats | None = None,
+    seed: int | None = None,
+    construction: Construction | None = None,
+    stations: int = 5,
+) -> tuple[Recording, Truth]:
+    """A recording of the reference workshop; noise is added where a seed is given."""
+    built = construction or misalignment()
+    points = mesh()
+    names = tuple(f"T{i + 1:02d}" for i in range(len(points)))
+    rows = [
+        (s, t, f, r)
+        for s in range(stations)
+        for t in stream(1, "order", s).permutation(len(points))
+        for f in range(1, faces + 1)
+        for r in range(1, repeats + 1)
+    ]
+    station, target, face, repeat = np.array(rows, dtype=np.int64).T
+    pairs = [(a, b) for a in range(24, 28) for b in range(a + 1, 28)]
+    gauge = Gauge(
+        distance=tuple(
+            GaugeDistance.model_validate(
+                {
+                    "from": names[a],
+                    "to": names[b],
+                    "length_mm": 1e3 * float(np.linalg.norm(points[a] - points[b])),
+                    "sigma_mm": 0.0018,
+                }
+            )
+            for a, b in pairs
+        )
+    )
+    setup = Setup(
+        title="test network",
+        gauge=gauge,
+        targets={n: Target(nest_normal=tuple(v)) for n, v in zip(names, normals().tolist(), strict=True)},
+    )
+    recording = Recording(
+        setup=setup,
+        stations=tuple(f"S{i + 1}" for i in range(stations)),
+        targets=names,
+        station=station,
+        target=target,
+        face=face,
+        repeat=repeat,
+        time=20.0 * np.arange(len(rows)) + 600.0 * station,
+        readings=np.full((len(rows), 3), np.nan),
+    )
+    instrument = np.zeros(built.size) if values is None else values
+    rotation = np.stack([about_z(float(yaw)) for yaw in YAWS[:stations]])
+    state = State(STATIONS[:stations], rotation, points, instrument[None])
+    readings = MeasurementModel(recording, built).predict(state)
+    recording = recording.with_readings(readings)
+    if seed is not None:
+        noise = stream(seed, "noise").standard_normal(readings.shape)
+        recording = recording.with_readings(readings + recording.sigma() * noise)
+    return recording, Truth(state, built)
+
+
+def drawn(construction: Construction, seed: int) -> Floats:
+    """Instrument parameters drawn from their priors."""
+    sigma = np.array([p.prior_sigma for p in construction.parameters])
+    return sigma * stream(seed, "instrument").standard_normal(construction.size)

@@ -1,0 +1,78 @@
+"""The block solver against dense linear algebra."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ltsim.randomness import stream
+from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+from ltsim.solve.gauss_newton import Status, solve
+
+
+def random_system(seed: int, kept: int = 7, blocks: int = 5) -> tuple[BlockSystem, np.ndarray]:
+    """Rows that see all kept unknowns and one block each, columns of very different size."""
+    rng = stream(seed, "system")
+    rows = np.zeros((12 * blocks, kept + 3 * blocks))
+    for i in range(len(rows)):
+        block = i % blocks
+        rows[i, :kept] = rng.standard_normal(kept)
+        rows[i, kept + 3 * block : kept + 3 * block + 3] = rng.standard_normal(3)
+    rows *= 10.0 ** rng.uniform(-6, 6, rows.shape[1])
+    return BlockSystem(sp.csr_array(rows), rng.standard_normal(len(rows)), kept), rows
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_step_covariance_and_leverage_equal_dense_ones(seed):
+    system, dense = random_system(seed)
+    factor = Factor(system)
+    scale = 1 / np.linalg.norm(dense, axis=0)
+    inverse = np.linalg.inv((dense * scale).T @ (dense * scale)) * np.outer(scale, scale)
+    np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.residual, rtol=1e-8)
+    np.testing.assert_allclose(factor.kept_covariance(), inverse[:7, :7], rtol=1e-8)
+    for e, block in enumerate(factor.block_covariance()):
+        at = slice(7 + 3 * e, 10 + 3 * e)
+        np.testing.assert_allclose(block, inverse[at, at], rtol=1e-8)
+    hat = np.einsum("mi,ij,mj->m", dense, inverse, dense)
+    np.testing.assert_allclose(factor.leverage(chunk=7), hat, rtol=1e-8)
+    directions = np.eye(len(inverse))[:, [0, 9]]
+    np.testing.assert_allclose(factor.covariance_columns(directions), inverse[:, [0, 9]], rtol=1e-8)
+
+
+def test_undetermined_unknowns_are_refused_whatever_their_unit():
+    system, dense = random_system(1)
+    for unit in (1e-9, 1.0, 1e9):
+        dense[:, 0] = unit * dense[:, 1]
+        with pytest.raises(SingularSystemError):
+            Factor(BlockSystem(sp.csr_array(dense), system.residual, 7))
+
+
+class Valley:
+    """Rosenbrock's valley as a least-squares problem without blocks."""
+
+    def __init__(self, stiffness: float) -> None:
+        self.stiffness = stiffness
+
+    def residual(self, x):
+        return np.array([1 - x[0], self.stiffness * (x[1] - x[0] ** 2)])
+
+    def linearise(self, x):
+        design = np.array([[1.0, 0.0], [2 * self.stiffness * x[0], -self.stiffness]])
+        return BlockSystem(sp.csr_array(design), self.residual(x), 2)
+
+    def cost(self, x):
+        return float(self.residual(x) @ self.residual(x))
+
+    def retract(self, x, step):
+        return x + step
+
+
+def test_the_loop_finds_the_bottom_of_a_bent_valley():
+    solution = solve(Valley(10.0), np.array([-1.2, 1.0]), cap=200)
+    assert solution.status is Status.CONVERGED
+    np.testing.assert_allclose(solution.x, [1.0, 1.0], atol=1e-6)
+
+
+def test_the_cap_is_a_status_and_not_an_endless_loop():
+    solution = solve(Valley(1e4), np.array([-1.2, 1.0]), cap=2)
+    assert solution.status is Status.CAPPED
+    assert solution.iterations == 2
