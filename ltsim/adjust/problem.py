@@ -11,9 +11,9 @@ from ltsim.adjust.layout import Layout
 from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
+from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Prior
 from ltsim.solve.blocks import BlockSystem
 
 DATUM_SIGMA = np.array([1e-6] * 3 + [1e-6] * 3)
@@ -62,16 +62,12 @@ class NetworkProblem:
     ) -> NetworkProblem:
         """The problem of a model; `points` (T, 3) are rough targets, `use` (n, 3) leaves readings out."""
         recording = model.recording
-        priors = [
-            [p.sigma_from(_instrument_prior(recording, name)) for p in model.construction.parameters]
-            for name in recording.instruments
-        ]
         control, levels = ControlRows.of(recording), LevelRows.of(recording)
         measured = recording.measured if use is None else recording.measured & use
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
-            prior_sigma=np.array(priors).reshape(len(recording.instruments), model.construction.size),
+            prior_sigma=prior_sigmas(recording, model.construction),
             extra_sigma=_weak_priors(model),
             free=free_motions(points, control, levels),
             use=measured,
@@ -190,9 +186,18 @@ class NetworkProblem:
         return int(self.use.sum()) + known - self.layout.size + self.free.shape[1]
 
 
-def _instrument_prior(recording: Recording, name: str) -> Prior:
+def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
+    """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
     setup = recording.setup
-    return setup.instruments[name].prior if name in setup.instruments else setup.instrument.prior
+    chosen = [setup.instruments.get(name, setup.instrument).prior for name in recording.instruments]
+    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
+    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
+
+
+def _weak_priors(model: MeasurementModel) -> Floats:
+    """Sigmas (q,) far beyond any plausible size: they only keep what the readings do not determine from diverging."""
+    sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
+    return WEAK * np.array(sizes, dtype=np.float64)
 
 
 def _weak_priors(model: MeasurementModel) -> Floats:

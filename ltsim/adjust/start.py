@@ -55,26 +55,25 @@ def start_network(recording: Recording) -> tuple[Floats, Floats, Floats]:
     cloud, seen = station_clouds(recording)
     count = len(recording.stations)
     position, rotation = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-    known: list[Floats] = [cloud[0]]
-    joined = [0]
-    while len(joined) < count:
-        stack = np.stack(known)
-        have = np.isfinite(stack[:, :, 0]).any(axis=0)
-        mean = np.full((len(recording.targets), 3), np.nan)
-        mean[have] = np.nanmedian(stack[:, have], axis=0)
-        shared = [(-1 if s in joined else int(np.sum(seen[s] & have))) for s in range(count)]
+    placed = np.full_like(cloud, np.nan)
+    placed[0] = cloud[0]
+    have, joined = seen[0].copy(), np.zeros(count, dtype=bool)
+    joined[0] = True
+    while not joined.all():
+        shared = np.where(joined, -1, np.sum(seen & have, axis=1))
         best = int(np.argmax(shared))
         if shared[best] < 3:
-            lost = ", ".join(recording.stations[s] for s in range(count) if s not in joined)
+            lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~joined))
             raise NetworkError(
                 f"station {lost}: shares only {max(shared)} targets with the rest of the network; "
                 "at least three are needed"
             )
         common = seen[best] & have
-        rotation[best], position[best] = robust_align(cloud[best][common], mean[common])
-        known.append(cloud[best] @ rotation[best].T + position[best])
-        joined.append(best)
-    placed = np.einsum("sij,stj->sti", rotation, cloud) + position[:, None]
+        known = np.nanmedian(placed[joined][:, common], axis=0)
+        rotation[best], position[best] = robust_align(cloud[best][common], known)
+        placed[best] = cloud[best] @ rotation[best].T + position[best]
+        joined[best] = True
+        have |= seen[best]
     unseen = ~seen.any(axis=0)
     if unseen.any():
         name = recording.targets[int(np.argmax(unseen))]

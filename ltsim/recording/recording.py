@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -73,16 +74,17 @@ class Recording:
         """(n, 3) bool: which readings exist."""
         return np.isfinite(self.readings)
 
-    @property
+    @cached_property
     def instruments(self) -> tuple[str, ...]:
         """Names of the instruments in use; a single unnamed one is called ''."""
         names = {self._instrument_name(s) for s in self.stations}
         return tuple(sorted(names))
 
-    @property
+    @cached_property
     def instrument(self) -> Ints:
         """(n,) int: index into `instruments` of each row."""
-        of_station = [self.instruments.index(self._instrument_name(s)) for s in self.stations]
+        index = {name: i for i, name in enumerate(self.instruments)}
+        of_station = [index[self._instrument_name(s)] for s in self.stations]
         return np.array(of_station, dtype=np.int64)[self.station]
 
     def _instrument_name(self, station: str) -> str:
@@ -120,9 +122,7 @@ class Recording:
         range_ = np.where(np.isfinite(self.readings[:, 0]), self.readings[:, 0], 0.0)
         across = np.maximum(np.abs(np.cos(level)), 1e-6)
         sigma = np.stack([constant + per_metre * range_, azimuth / across, elevation], axis=1)
-        for column, (name, unit) in enumerate(
-            zip(SIGMA_COLUMNS, (MILLIMETRE, ARCSECOND, ARCSECOND), strict=True)
-        ):
+        for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, (MILLIMETRE, ARCSECOND, ARCSECOND), strict=True)):
             if name in self.covariates:
                 stated = self.covariates[name] * unit
                 sigma[:, column] = np.where(np.isfinite(stated), stated, sigma[:, column])
@@ -135,8 +135,7 @@ class Recording:
         constant = np.array(instrument)[self.station], np.array(target)[self.target]
         stated = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
         first, second = (
-            np.where(np.isfinite(one), one, other) * MILLIMETRE
-            for one, other in zip(stated, constant, strict=True)
+            np.where(np.isfinite(one), one, other) * MILLIMETRE for one, other in zip(stated, constant, strict=True)
         )
         return first, second
 
