@@ -47,6 +47,11 @@ UNITS = "rad mrad urad gon grad mgon cc arcsec deg mm m cm um in inch ft s ms mi
 MAX_COLUMNS = 500
 
 
+def recognises(path: Path, head: str) -> bool:
+    """Whether this is a folder, or its table of observations."""
+    return path.is_dir() or path.name == OBSERVATIONS or "azimuth_deg" in head.partition("\n")[0]
+
+
 def read_recording(path: Path) -> Recording:
     """Read a recording folder (or the `observations.csv` in it).
 
@@ -191,9 +196,7 @@ def _check_measured(measured: Floats, file: Path) -> None:
         raise RecordError(message, file=file, row=int(nothing[0]) + 1)
 
 
-def _further(
-    columns: dict[str, list[str]], file: Path
-) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
+def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
     """Numeric columns as covariates, the others as labels."""
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}

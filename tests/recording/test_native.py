@@ -200,13 +200,9 @@ def test_radians(tmp_path: Path, faces: int) -> None:
 def test_small_angles_that_are_degrees(tmp_path: Path) -> None:
     """Far targets within a few degrees: lengths between them tell that these are no radians."""
     recording = workshop(faces=1)
-    points = np.array(
-        [[20, 0.1, 0], [25, 1.0, 0.2], [30, -1.5, -0.3], [24, -0.4, 0.4], [28, 1.2, 0.1], [21, 0, 0]]
-    )
+    points = np.array([[20, 0.1, 0], [25, 1.0, 0.2], [30, -1.5, -0.3], [24, -0.4, 0.4], [28, 1.2, 0.1], [21, 0, 0]])
     far = np.concatenate([points, points + np.array([5.0, 0.0, 0.0])])
-    polar = np.stack(
-        [np.linalg.norm(far, axis=1), np.arctan2(far[:, 1], far[:, 0]), np.arcsin(far[:, 2] / 25)], axis=1
-    )
+    polar = np.stack([np.linalg.norm(far, axis=1), np.arctan2(far[:, 1], far[:, 0]), np.arcsin(far[:, 2] / 25)], axis=1)
     polar[:, 2] = np.arcsin(far[:, 2] / polar[:, 0])
     write_recording(recording.with_readings(polar), tmp_path)
     np.testing.assert_allclose(read_recording(tmp_path).readings, polar)
@@ -366,9 +362,7 @@ def setups(draw: st.DrawFn) -> Setup:
     chosen = st.none() | st.sampled_from(sorted(instruments)) if instruments else st.none()
     stations = st.dictionaries(
         names,
-        st.builds(
-            Station, position_mm=maybe(vectors), levelled=st.booleans(), instrument=chosen, over=maybe(names)
-        ),
+        st.builds(Station, position_mm=maybe(vectors), levelled=st.booleans(), instrument=chosen, over=maybe(names)),
         max_size=3,
     )
     targets = st.dictionaries(
@@ -406,12 +400,8 @@ def recordings(draw: st.DrawFn) -> Recording:
         setup=draw(setups()),
         stations=tuple(stations),
         targets=tuple(targets),
-        station=np.array(
-            [i if i < len(stations) else draw(st.integers(0, len(stations) - 1)) for i in range(count)]
-        ),
-        target=np.array(
-            [i if i < len(targets) else draw(st.integers(0, len(targets) - 1)) for i in range(count)]
-        ),
+        station=np.array([i if i < len(stations) else draw(st.integers(0, len(stations) - 1)) for i in range(count)]),
+        target=np.array([i if i < len(targets) else draw(st.integers(0, len(targets) - 1)) for i in range(count)]),
         face=np.ones(count, dtype=np.int64),
         repeat=np.array(draw(st.lists(st.integers(1, 999), min_size=count, max_size=count))),
         time=np.cumsum(draw(st.lists(st.floats(0, 1e4), min_size=count, max_size=count)))
