@@ -1,0 +1,44 @@
+"""Correlation matrix of estimated parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltsim.arrays import Floats
+from ltsim.report.style import DIVERGING, INK, new_figure, shorten, styled
+
+
+@styled
+def correlation(names: Sequence[str], matrix: Floats) -> Figure:
+    """Correlation coefficients (p, p) as a coloured matrix; those above 0.3 in size are written.
+
+    Parameters
+    ----------
+    names : sequence of str
+    matrix : (p, p) float
+    """
+    count = len(names)
+    figure = new_figure(min(7.2, 1.9 + 0.27 * count), width=min(7.4, 2.9 + 0.30 * count))
+    ax = figure.subplots()
+    off_diagonal = np.where(np.eye(count, dtype=bool), np.nan, matrix)
+    ax.set_facecolor("#DDE1E4")
+    picture = ax.imshow(off_diagonal, cmap=DIVERGING, vmin=-1, vmax=1)
+    short = [shorten(name, 26) for name in names]
+    ax.set_xticks(range(count), short, rotation=60, ha="right", rotation_mode="anchor", fontsize=7.5)
+    ax.set_yticks(range(count), short, fontsize=7.5)
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    for side in ax.spines.values():
+        side.set_visible(False)
+    if count <= 24:
+        for i, j in zip(*np.nonzero(np.abs(matrix) > 0.3), strict=True):
+            if i != j:
+                colour = "white" if abs(matrix[i, j]) > 0.6 else INK
+                ax.text(j, i, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=6.5, color=colour)
+    bar = figure.colorbar(picture, ax=ax, shrink=0.7, pad=0.02)
+    bar.set_label("correlation (numbers: %)")
+    bar.outline.set_visible(False)
+    return figure

@@ -1,0 +1,184 @@
+"""The floor seen from above, as the paper's Figure 5: stations, shadow circles, targets, gauge."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+
+from ltsim.arrays import Floats, Ints
+from ltsim.report.style import BLUE, GREEN, INK, ORANGE, RED, SKY, new_figure, quiet_axis, shorten, styled
+from ltsim.report.workshop import Workshop
+from ltsim.units import DEGREE
+
+LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
+MOST_LABELS = 60
+
+
+@styled
+def floor_plan(workshop: Workshop) -> Figure:
+    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero."""
+    figure = new_figure(5.4, layout="compressed")
+    ax = figure.subplots()
+    ax.set_aspect("equal")
+    quiet_axis(ax, grid="both")
+    ax.add_patch(
+        Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
+    )
+    for i, wall in enumerate(workshop.walls):
+        ax.plot(wall[:2, 0], wall[:2, 1], color=INK, linewidth=3.0, zorder=1, label="wall" if i == 0 else None)
+    _shadows(ax, workshop)
+    _gauge(ax, workshop)
+    _targets(ax, workshop)
+    _stations(ax, workshop)
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    _limits(ax, workshop)
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper")
+    return figure
+
+
+def _limits(ax: Axes, workshop: Workshop) -> None:
+    """Show the floor and the inner circles whole; the outer circles may run out of the picture."""
+    radius = workshop.shadow_radius(workshop.openings[0])[:, None]
+    places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
+    low, high = places.min(axis=0), places.max(axis=0)
+    margin = 0.06 * float((high - low).max())
+    ax.set_xlim(low[0] - margin, high[0] + margin)
+    ax.set_ylim(low[1] - margin, high[1] + margin)
+
+
+def _shadows(ax: Axes, workshop: Workshop) -> None:
+    """Circles on the floor that no reflector may stand in."""
+    for k, opening in enumerate(workshop.openings):
+        style = (
+            {"facecolor": "#D55E0022", "edgecolor": RED, "linestyle": "-"}
+            if k == 0
+            else {"facecolor": "none", "edgecolor": RED, "linestyle": (0, (3, 2))}
+        )
+        for s, radius in enumerate(workshop.shadow_radius(opening)):
+            word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
+            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **style))
+
+
+def _gauge(ax: Axes, workshop: Workshop) -> None:
+    """Lines of known length."""
+    for k, (a, b) in enumerate(workshop.gauge):
+        ends = workshop.points[[a, b], :2]
+        ax.plot(ends[:, 0], ends[:, 1], color=GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None)
+
+
+def _targets(ax: Axes, workshop: Workshop) -> None:
+    """Targets by height; those above each other share one label."""
+    height = workshop.points[:, 2] - workshop.floor_height
+    low = -np.inf
+    for high, marker, colour, word in LEVELS:
+        here = (height > low) & (height <= high)
+        span = f"{word} target, up to {high:g} m" if np.isfinite(high) else f"{word} target, above {low:g} m"
+        if here.any():
+            ax.scatter(
+                workshop.points[here, 0],
+                workshop.points[here, 1],
+                marker=marker,
+                s=26,
+                color=colour,
+                zorder=4,
+                edgecolors="white",
+                linewidths=0.5,
+                label=span,
+            )
+        low = high
+    if len(workshop.targets) <= MOST_LABELS:
+        _label_targets(ax, workshop)
+
+
+def _label_targets(ax: Axes, workshop: Workshop) -> None:
+    """One label for targets that stand above each other, written away from the middle of the floor."""
+    middle = workshop.floor.mean(axis=0)
+    reach = 0.035 * float(np.ptp(workshop.floor, axis=0).max())
+    for members in _stacks(workshop.points[:, :2], reach):
+        place = workshop.points[members, :2].mean(axis=0)
+        text = _joined([workshop.targets[i] for i in members])
+        away = place - middle
+        sideways = abs(away[0]) > abs(away[1])
+        offset = (9.0 * np.sign(away[0]), 0.0) if sideways else (0.0, 9.0 * np.sign(away[1]))
+        ax.annotate(
+            text,
+            tuple(place),
+            xytext=offset,
+            textcoords="offset points",
+            fontsize=6.2,
+            color="#4A5056",
+            zorder=5,
+            ha=("left" if away[0] > 0 else "right") if sideways else "center",
+            va="center" if sideways else ("bottom" if away[1] > 0 else "top"),
+            rotation=0 if sideways else 90,
+            bbox={"boxstyle": "square,pad=0.1", "facecolor": "#FFFFFFCC", "edgecolor": "none"},
+        )
+
+
+def _stacks(places: Floats, reach: float) -> list[list[int]]:
+    """Groups of indices whose places (n, 2) lie within `reach` of the group's first."""
+    groups: list[list[int]] = []
+    for i, place in enumerate(places):
+        home = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < reach), None)
+        if home is None:
+            groups.append([i])
+        else:
+            home.append(i)
+    return groups
+
+
+def _joined(names: list[str]) -> str:
+    """Names in one label: `T01 09 17` where they share their letters."""
+    if len(names) == 1:
+        return shorten(names[0], 16)
+    by_stem: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        stem = name.rstrip("0123456789")
+        by_stem[stem].append(name[len(stem) :])
+    if len(by_stem) > 1 or len(names) > 4:
+        return f"{shorten(names[0], 12)} +{len(names) - 1}"
+    stem, numbers = next(iter(by_stem.items()))
+    return shorten(stem, 10) + " ".join(numbers)
+
+
+def _stations(ax: Axes, workshop: Workshop) -> None:
+    """Stations with a tick to azimuth zero."""
+    length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
+    tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
+    order: Ints = np.arange(len(workshop.stations))
+    for s in order:
+        x, y = workshop.position[s, :2]
+        ax.annotate(
+            "",
+            xy=(x + tick[s, 0], y + tick[s, 1]),
+            xytext=(x, y),
+            zorder=6,
+            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
+        )
+        ax.annotate(
+            shorten(workshop.stations[s], 16),
+            (x, y),
+            xytext=(-4 if tick[s, 0] > 0 else 4, -4 if tick[s, 1] > 0 else 4),
+            textcoords="offset points",
+            ha="right" if tick[s, 0] > 0 else "left",
+            va="top" if tick[s, 1] > 0 else "bottom",
+            fontweight="bold",
+            fontsize=9,
+            zorder=7,
+        )
+    ax.scatter(
+        workshop.position[:, 0],
+        workshop.position[:, 1],
+        s=46,
+        color=INK,
+        edgecolors="white",
+        linewidths=0.8,
+        zorder=6,
+        label="station, tick to azimuth 0",
+    )

@@ -1,0 +1,92 @@
+"""The signature of a finding: the residuals it concerns, before and after it is modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltsim.arrays import Bools
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.report.figures.residuals_by_covariate import axis_text, running_mean
+from ltsim.report.residuals import Residuals
+from ltsim.report.style import AFTER, INK, OBSERVABLE_UNIT, RED, new_figure, quiet_axis, styled, unit_text
+
+
+@styled
+def signature(
+    before: Residuals,
+    after: Residuals,
+    *,
+    covariate: str,
+    observables: Sequence[str] = (),
+    stations: Sequence[str] = (),
+    targets: Sequence[str] = (),
+) -> Figure:
+    """Left without the finding, right with it; the line is the running mean with its 95 % band.
+
+    Parameters
+    ----------
+    before, after : Residuals
+    covariate : str
+        The x axis, a name in the covariates.
+    observables, stations, targets : sequence of str
+        What the finding is confined to; empty for all. Dots elsewhere are drawn pale.
+    """
+    shown = [name for name in OBSERVABLES if (not observables or name in observables) and before.of(name).any()]
+    figure = new_figure(0.6 + 1.9 * max(len(shown), 1))
+    grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
+    for line, observable in zip(grid, shown, strict=True):
+        for ax, residuals, title in zip(line, (before, after), ("without the finding", "with it"), strict=True):
+            rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
+            here = _inside(residuals, stations, targets)
+            x, y = residuals.covariates[covariate], residuals.residual
+            elsewhere = rows & ~here
+            ax.scatter(
+                x[elsewhere],
+                y[elsewhere],
+                s=6,
+                color="#C3C8CC",
+                linewidths=0,
+                zorder=1,
+                label=_word("elsewhere", elsewhere),
+            )
+            ax.scatter(
+                x[rows & here],
+                y[rows & here],
+                s=12,
+                color=AFTER,
+                linewidths=0,
+                alpha=0.85,
+                zorder=2,
+                label=_word("where the finding acts", rows & here),
+            )
+            running_mean(ax, x[rows & here], y[rows & here], colour=RED)
+            ax.axhline(0.0, color=INK, linewidth=0.6)
+            quiet_axis(ax, grid="both")
+            size = float(np.sqrt(np.mean(residuals.w[rows & here] ** 2))) if (rows & here).any() else np.nan
+            ax.set_title(f"{observable} {title}", fontsize=8.5)
+            ax.annotate(
+                f"normalised rms {size:.2f}", (0.99, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7.5
+            )
+        line[0].set_ylabel(f"residual [{unit_text(OBSERVABLE_UNIT[observable])}]")
+    for ax in grid[-1]:
+        ax.set_xlabel(axis_text(covariate))
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return figure
+
+
+def _word(text: str, rows: Bools) -> str | None:
+    """A legend entry only where there is something to see."""
+    return text if rows.any() else None
+
+
+def _inside(residuals: Residuals, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+    """(n,) bool: rows at the named stations and targets."""
+    inside = np.ones(len(residuals), dtype=np.bool_)
+    if stations:
+        inside &= np.isin(residuals.station, list(stations))
+    if targets:
+        inside &= np.isin(residuals.target, list(targets))
+    return inside

@@ -1,0 +1,97 @@
+"""The few solids that a scene is made of, as pyvista meshes in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pyvista as pv
+import trimesh
+
+from ltsim.arrays import Floats
+from ltsim.errors import RecordError
+
+
+def polygon(corners: Floats) -> pv.PolyData:
+    """A flat convex face through corners (k, 3)."""
+    return pv.PolyData(corners, faces=[len(corners), *range(len(corners))])
+
+
+def lines(ends: Floats) -> pv.PolyData:
+    """Separate segments; `ends` (2 m, 3) holds beginnings and ends in turn."""
+    count = len(ends) // 2
+    cells = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)])
+    return pv.PolyData(np.ascontiguousarray(ends), lines=cells.ravel())
+
+
+def circle(centre: Floats, radius: float, height: float, steps: int = 72) -> Floats:
+    """Points (steps + 1, 3) of a closed level circle around `centre` (2,)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, steps + 1)
+    return np.column_stack(
+        [centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle), np.full(steps + 1, height)]
+    )
+
+
+def cone(apex: Floats, rim: Floats) -> pv.PolyData:
+    """The mantle between an apex (3,) and an open rim (k, 3)."""
+    count = len(rim)
+    first = np.arange(1, count + 1)
+    faces = np.column_stack([np.full(count, 3), np.zeros(count, dtype=int), first, np.roll(first, -1)])
+    return pv.PolyData(np.vstack([apex, rim]), faces=faces.ravel())
+
+
+def rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
+    """A round bar between two points (3,)."""
+    along = end - begin
+    return pv.Cylinder(
+        center=0.5 * (begin + end), direction=along, radius=radius, height=float(np.linalg.norm(along)), resolution=12
+    )
+
+
+def ball(centre: Floats, axes: Floats) -> pv.PolyData:
+    """An ellipsoid whose semi-axes are the columns of `axes` (3, 3)."""
+    mesh = _unit_sphere().copy()
+    mesh.points = _unit_sphere().points @ axes.T + centre
+    return mesh
+
+
+def merged(parts: Sequence[pv.PolyData]) -> pv.PolyData:
+    """Many meshes as one, which draws and ships faster."""
+    return parts[0].append_polydata(*parts[1:]) if len(parts) > 1 else parts[0]
+
+
+def metre_grid(outline: Floats, height: float) -> pv.PolyData | None:
+    """Lines at whole metres over the rectangle around an outline (k, 2); None where there are none or too many."""
+    (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
+    xs, ys = np.arange(np.ceil(x0), x1 + 1e-9), np.arange(np.ceil(y0), y1 + 1e-9)
+    if not 0 < len(xs) + len(ys) <= 200:
+        return None
+    ends = [[[x, y0, height], [x, y1, height]] for x in xs] + [[[x0, y, height], [x1, y, height]] for y in ys]
+    return lines(np.array(ends).reshape(-1, 3))
+
+
+def from_cad(file: Path) -> list[pv.PolyData]:
+    """Meshes of a CAD file in metres.
+
+    Raises
+    ------
+    RecordError
+        When the file is missing, unreadable or without faces.
+    """
+    if not file.is_file():
+        raise RecordError("there is no such CAD file; give an STL, OBJ, PLY or GLB file", file=file)
+    try:
+        loaded = trimesh.load_scene(file).to_mesh()
+    except Exception as error:  # the readers of trimesh raise whatever they meet
+        raise RecordError(f"cannot be read as CAD ({error}); give an STL, OBJ, PLY or GLB file", file=file) from error
+    if not len(loaded.faces):
+        raise RecordError("holds no surface; give an STL, OBJ, PLY or GLB file with faces", file=file)
+    faces = np.column_stack([np.full(len(loaded.faces), 3), loaded.faces])
+    return [pv.PolyData(np.asarray(loaded.vertices), faces=faces.ravel())]
+
+
+@cache
+def _unit_sphere() -> pv.PolyData:
+    return pv.Sphere(radius=1.0, theta_resolution=18, phi_resolution=12)

@@ -1,0 +1,156 @@
+"""One look for every figure: colours, sizes, axes, and how a figure becomes bytes.
+
+The colours are those of Okabe and Ito (2008), told apart by colour-blind eyes; what matters also differs in marker or
+line, so that a grey print still reads.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, Literal, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ltsim.arrays import Floats
+
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+SKY, PURPLE, GREY, PALE, INK = "#56B4E9", "#CC79A7", "#8A8F94", "#E8ECEF", "#22272B"
+CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", "#B8A200")
+BEFORE, AFTER = GREY, BLUE
+SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
+
+WIDTH = 7.4
+"""Inches: the text width of the page and of a printed A4."""
+
+OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
+READABLE = {"um": "µm", "urad": "µrad", "arcsec": '"', "deg": "°", "": ""}
+
+_SETTINGS: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 8.5,
+    "axes.edgecolor": "#6B7278",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": PALE,
+    "grid.linewidth": 0.7,
+    "xtick.color": "#4A5056",
+    "ytick.color": "#4A5056",
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "text.color": INK,
+    "text.parse_math": False,
+    "lines.linewidth": 1.4,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "ltsim",
+    "figure.dpi": 100,
+}
+
+P = ParamSpec("P")
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Draw a figure under the common settings; nothing global changes."""
+
+    @wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_SETTINGS):
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def new_figure(
+    height: float, *, width: float = WIDTH, layout: Literal["constrained", "compressed"] = "constrained"
+) -> Figure:
+    """An empty figure [inch] that arranges itself and belongs to no window."""
+    return Figure(figsize=(width, height), layout=layout)
+
+
+def svg(figure: Figure) -> str:
+    """The figure as SVG text, the same bytes for the same data."""
+    stream = io.StringIO()
+    with mpl.rc_context(_SETTINGS):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
+
+
+def svg_uri(figure: Figure) -> str:
+    """The figure as a `data:` address for an `img`; names in it can run nothing."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg(figure).encode()).decode()
+
+
+def png_uri(png: bytes) -> str:
+    """A PNG as a `data:` address."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def unit_text(unit: str) -> str:
+    """How a unit is printed."""
+    return READABLE.get(unit, unit)
+
+
+def quiet_axis(ax: Axes, *, grid: str = "y") -> None:
+    """Keep grid lines of one direction only ('x', 'y', 'both' or 'none')."""
+    ax.grid(visible=False)
+    if grid != "none":
+        ax.grid(visible=True, axis=grid)  # type: ignore[arg-type]
+
+
+def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Floats:
+    """Put names on the y axis, the first on top; gives their places."""
+    places = np.arange(len(names), dtype=np.float64)
+    ax.set_yticks(places, [shorten(name) for name in names], fontsize=size)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    quiet_axis(ax, grid="x")
+    return places
+
+
+def shorten(name: str, most: int = 34) -> str:
+    """A name that fits on an axis."""
+    flat = " ".join(name.split())
+    return flat if len(flat) <= most else flat[: most - 1] + "…"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number as a person writes it: `digits` significant, no exponent where it can be avoided."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    size = abs(value)
+    if size >= 1e6 or size < 1e-4:
+        return _minus(f"{value:.{max(digits - 2, 0)}e}")
+    decimals = max(digits - 1 - int(np.floor(np.log10(size))), 0)
+    return _minus(f"{value:.{decimals}f}")
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """`value ± sigma`, both to the second digit of sigma."""
+    if not (np.isfinite(sigma) and sigma > 0):
+        return number(value)
+    decimals = max(1 - int(np.floor(np.log10(sigma))), 0)
+    return _minus(f"{value:.{decimals}f}") + f" ± {sigma:.{decimals}f}"
+
+
+def _minus(text: str) -> str:
+    """A hyphen at the head of a number becomes a minus sign; a negative zero loses it."""
+    bare = text.lstrip("-")
+    return bare if bare == text or not bare.strip("0.") else "−" + bare

@@ -1,0 +1,188 @@
+"""Every figure shows its data, reads in print and gives the same bytes twice."""
+
+from __future__ import annotations
+
+import io
+import pkgutil
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from matplotlib import image
+from matplotlib.figure import Figure
+
+from ltsim.randomness import stream
+from ltsim.report import figures, style
+from ltsim.report.residuals import Residuals
+from ltsim.report.workshop import from_adjustment
+from tests.report import samples
+
+MARKUP = "<b>$x_1$&</b>"
+
+
+def residuals() -> tuple[Residuals, Residuals]:
+    return Residuals.from_adjustment(samples.before()), Residuals.from_adjustment(samples.after())
+
+
+def correlation() -> Figure:
+    covariance = samples.after().instrument_covariance
+    sigma = np.sqrt(np.diag(covariance))
+    return figures.correlation(samples.after().construction.names, covariance / np.outer(sigma, sigma))
+
+
+def criteria() -> Figure:
+    rows = [figures.Criterion("distance", 29, 17, 60, 39, 40.1), figures.Criterion("worse", 17, 29, 39, 60, -70.6)]
+    return figures.criteria(rows)
+
+
+def distributions() -> Figure:
+    draws = stream(1, "figure").normal(29, 4, (4, 500))
+    rows = [figures.Distribution(f"criterion {i} {MARKUP}", v, "um", 30.0) for i, v in enumerate(draws)]
+    return figures.distributions(rows)
+
+
+def evidence() -> Figure:
+    rows = [
+        figures.Candidate("station-settling", 0.97, 251.0, 3, "finding"),
+        figures.Candidate("index-drift", 0.02),
+        figures.Candidate(MARKUP, 0.01),
+    ]
+    return figures.evidence(rows)
+
+
+def floor_plan() -> Figure:
+    return figures.floor_plan(from_adjustment(samples.after()))
+
+
+def parameters() -> Figure:
+    adjusted = samples.after()
+    sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
+    rows = [
+        figures.ParameterRow(p.name, v / p.factor, s / p.factor, p.unit, p.prior_sigma / p.factor, truth=0.0)
+        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
+    ]
+    return figures.parameters(rows)
+
+
+def power() -> Figure:
+    strength = np.array([45.0, 90.0, 200.0, 600.0])
+    curve = figures.PowerCurve("found", strength, np.array([60, 95, 100, 100]), np.full(4, 100.0))
+    return figures.power([curve], goals=[(90.0, 0.9)])
+
+
+def residuals_by_covariate() -> Figure:
+    first, second = residuals()
+    return figures.residuals_by_covariate(second, first)
+
+
+def residuals_by_station() -> Figure:
+    first, second = residuals()
+    return figures.residuals_by_station(second, first)
+
+
+def signature() -> Figure:
+    first, second = residuals()
+    return figures.signature(first, second, covariate="elevation", observables=["elevation"], stations=["S2"])
+
+
+def sky() -> Figure:
+    made, adjusted = samples.recording(), samples.after().sightings
+    return figures.sky(
+        made.stations, made.station, adjusted.azimuth, adjusted.elevation, made.face, limits=(-0.96, 1.34)
+    )
+
+
+def trade_off() -> Figure:
+    layouts = [figures.Layout(str(i), 20.0 + i, 9.0 - 0.2 * i) for i in range(12)]
+    layouts += [figures.Layout("5 stations", 40.0, 3.0, "chosen"), figures.Layout(MARKUP, 25.0, 5.0, "best")]
+    return figures.trade_off(layouts)
+
+
+def visibility() -> Figure:
+    return figures.visibility(["S1", MARKUP], ["T1", "T2", "T3"], [["", "shadow cone", ""], ["incidence", "", ""]])
+
+
+def z_scores() -> Figure:
+    draws = stream(2, "figure").standard_normal((5, 400))
+    return figures.z_scores([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
+
+
+def coverage() -> Figure:
+    draws = stream(2, "figure").standard_normal((5, 400))
+    return figures.coverage([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
+
+
+DRAWINGS = {
+    f.__name__: f
+    for f in (
+        correlation, coverage, criteria, distributions, evidence, floor_plan, parameters, power, residuals_by_covariate,
+        residuals_by_station, signature, sky, trade_off, visibility, z_scores,
+    )
+}  # fmt: skip
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    stream_ = io.BytesIO()
+    figure.savefig(stream_, format="png", dpi=80)
+    stream_.seek(0)
+    return np.asarray(image.imread(stream_, format="png"))[:, :, :3]
+
+
+def test_every_figure_file_is_drawn_here() -> None:
+    files = {module.name for module in pkgutil.iter_modules(figures.__path__)}
+    assert files <= set(DRAWINGS)
+
+
+@pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+def test_figure_shows_something_in_every_panel(draw: Callable[[], Figure]) -> None:
+    figure = draw()
+    picture = pixels(figure)
+    inked = (picture < 0.97).any(axis=2)
+    height, width = inked.shape
+    assert inked.mean() > 0.01
+    for ax in (a for a in figure.axes if a.axison):
+        box = ax.get_window_extent()
+        scale = 80 / figure.dpi
+        x0, x1 = int(box.x0 * scale), int(box.x1 * scale)
+        y0, y1 = int(height - box.y1 * scale), int(height - box.y0 * scale)
+        inside = inked[y0 + 3 : y1 - 3, x0 + 3 : x1 - 3]
+        assert inside.size > 100, f"{ax.get_title()} has no room"
+        assert inside.mean() > 0.002, f"{ax.get_title()} is empty"
+    border = np.concatenate([inked[0], inked[-1], inked[:, 0], inked[:, width - 1]])
+    assert not border.any(), "something is cut off at the edge"
+
+
+@pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]) -> None:
+    first, second = style.svg(draw()), style.svg(draw())
+    assert first == second
+    assert "<b>" not in first
+    assert "<script" not in first
+
+
+def test_axes_carry_units() -> None:
+    grid = residuals_by_covariate().axes
+    assert any("[µm]" in ax.get_ylabel() for ax in grid)
+    assert any("[°]" in ax.get_xlabel() for ax in grid)
+    assert all("[m]" in text for text in (floor_plan().axes[0].get_xlabel(), floor_plan().axes[0].get_ylabel()))
+
+
+def test_drawing_changes_no_global_setting() -> None:
+    import matplotlib as mpl
+
+    kept = dict(mpl.rcParams)
+    criteria()
+    assert dict(mpl.rcParams) == kept
+
+
+def test_numbers_read_like_numbers() -> None:
+    assert style.with_sigma(-13.66, 3.7) == "−13.7 ± 3.7"
+    assert style.with_sigma(0.0004, 0.0) == "0.000400"
+    assert style.with_sigma(-0.001, 0.9) == "0.00 ± 0.90"
+    assert [style.number(v) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
+
+
+def test_coverage_interval_is_wilsons() -> None:
+    share, low, high = figures.ZScores("a", np.r_[np.zeros(95), np.full(5, 9.0)]).covered()
+    assert share == pytest.approx(0.95)
+    assert (low, high) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
