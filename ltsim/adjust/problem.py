@@ -200,12 +200,6 @@ def _weak_priors(model: MeasurementModel) -> Floats:
     return WEAK * np.array(sizes, dtype=np.float64)
 
 
-def _weak_priors(model: MeasurementModel) -> Floats:
-    """Sigmas (q,) far beyond any plausible size: they only keep what the readings do not determine from diverging."""
-    sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
-    return WEAK * np.array(sizes, dtype=np.float64)
-
-
 def _diagonal_rows(sigma: Floats, columns: Ints, size: int) -> sp.csr_array:
     finite = np.isfinite(sigma)
     count = int(finite.sum())

@@ -1,0 +1,159 @@
+"""A calibration: what was found out about the instrument, how well, and what was not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.errors import RecordError
+from ltsim.evaluate.criteria import Criteria
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How the readings agree with the model; `p_value` and `sigma0` are None without redundancy."""
+
+    chi2: float
+    dof: int
+    sigma0: float | None
+    p_value: float | None
+    iterations: int
+    status: str
+    sentence: str = ""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination of parameters that the recording tells little about.
+
+    Attributes
+    ----------
+    coefficients : mapping of str to float
+        Of the parameters in units of their prior sigma, normalised; those above 0.1 only.
+    gain : float
+        Share of the prior's uncertainty that the recording removed in the variance: 0 for nothing, 1 for all.
+    cure : str
+        Which further measurement would determine it.
+    """
+
+    coefficients: Mapping[str, float]
+    gain: float
+    cure: str
+
+
+@dataclass(frozen=True)
+class StationPose:
+    """Where a station stood, network frame: SI, rotation from instrument to network."""
+
+    name: str
+    position: Floats
+    quaternion: Floats
+    sigma_position: Floats
+    sigma_rotation: Floats
+
+
+@dataclass(frozen=True)
+class OutlierRow:
+    """A reading that does not belong; `row` counts from 1 as in the table, `size` and `unit` as shown."""
+
+    row: int
+    station: str
+    target: str
+    observable: str
+    size: float
+    unit: str
+    w: float
+    gross: bool = False
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Instrument parameters with their covariance, and the network they were found in.
+
+    Attributes
+    ----------
+    method : str
+        `network`, `distance`, `distance-l1`; `adjustment` for a network without instrument parameters.
+    construction : Construction
+    instruments : tuple of str
+        Their names; one unnamed instrument is called ''.
+    values, prior_sigma : (I, p) float [SI]
+    covariance : (I p, I p) float [SI]
+    fit : Fit
+    undetermined : tuple of Combination
+    frame : str
+        A sentence: the frame of stations and targets.
+    stations : tuple of StationPose
+    targets : tuple of str
+    points : (T, 3) float, [m]
+    target_covariance : (T, 3, 3) float, [m^2]
+    criteria : Criteria or None
+        None where a single station leaves nothing to compare.
+    outliers : tuple of OutlierRow
+    adjustment : Adjustment or None
+        The adjusted network; None for a calibration that was read from a file.
+    """
+
+    method: str
+    construction: Construction
+    instruments: tuple[str, ...]
+    values: Floats
+    prior_sigma: Floats
+    covariance: Floats
+    fit: Fit
+    undetermined: tuple[Combination, ...]
+    frame: str
+    stations: tuple[StationPose, ...]
+    targets: tuple[str, ...] = ()
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    criteria: Criteria | None = None
+    outliers: tuple[OutlierRow, ...] = ()
+    adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviations (I, p) of the parameters [SI]."""
+        deviation: Floats = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
+        return deviation
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
+        return flat_names(self.construction.names, self.instruments)
+
+    def values_for(self, recording: Recording) -> Floats:
+        """Parameters (p,) or, where instruments differ, (n, p) of each pointing of a recording.
+
+        A calibration of one instrument is applied to any recording; one of several needs the same names.
+
+        Raises
+        ------
+        RecordError
+            When the recording names an instrument that the calibration does not know.
+        """
+        if len(self.instruments) == 1:
+            return self.values[0]
+        unknown = [name for name in recording.instruments if name not in self.instruments]
+        if unknown:
+            raise RecordError(
+                f"the recording's instrument '{unknown[0]}' is not among those of the calibration: "
+                + ", ".join(self.instruments)
+            )
+        at = np.array([self.instruments.index(name) for name in recording.instruments])
+        values: Floats = self.values[at[recording.instrument]]
+        return values
+
+
+def flat_names(names: tuple[str, ...], instruments: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the parameters of all instruments, in the order of the covariance."""
+    if len(instruments) == 1:
+        return names
+    return tuple(f"{name}@{instrument}" for instrument in instruments for name in names)
