@@ -29,6 +29,7 @@ FACTOR = MappingProxyType(
         "gon": GON,
         "rad": 1.0,
         "ppm": PPM,
+        "ms": 1e-3,
         "s": 1.0,
         "min": 60.0,
         "h": 3600.0,
@@ -41,5 +42,7 @@ FACTOR = MappingProxyType(
         "ppm/h": PPM / 3600,
         "ppm/K": PPM,
         "um/K": MICROMETRE,
+        "um2/m": MICROMETRE**2,
+        "um2/m3": MICROMETRE**2,
     }
 )

@@ -2,18 +2,55 @@
 
 from __future__ import annotations
 
+from ltsim.effects.azimuth_drift import AzimuthDrift
 from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.effects.azimuth_harmonic import AzimuthHarmonic
 from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
+from ltsim.effects.backlash import Backlash
 from ltsim.effects.beam_offset import BeamOffset
 from ltsim.effects.beam_tilt import BeamTilt
-from ltsim.effects.effect import Effect, Parameter, ShapeParameter, SlotEffect, Stage
+from ltsim.effects.bearing_wobble import BearingWobble
+from ltsim.effects.dead_path import DeadPath
+from ltsim.effects.detector_offset import DetectorOffset
+from ltsim.effects.effect import Effect, NoiseEffect, Parameter, ShapeParameter, SlotEffect, Stage
 from ltsim.effects.elevation_eccentricity import ElevationEccentricity
+from ltsim.effects.elevation_harmonic import ElevationHarmonic
 from ltsim.effects.elevation_second_order import ElevationSecondOrder
+from ltsim.effects.encoder_interpolation import EncoderInterpolation
+from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.gauge_scale import GaugeScale
+from ltsim.effects.gauge_shape import GaugeShape
+from ltsim.effects.head_sag import HeadSag
+from ltsim.effects.index_drift import IndexDrift
+from ltsim.effects.mesh_expansion import MeshExpansion
+from ltsim.effects.nest_lift import NestLift
+from ltsim.effects.noise_level import NoiseLevel
+from ltsim.effects.outlier import Outlier
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.range_offset import RangeOffset
 from ltsim.effects.range_scale import RangeScale
+from ltsim.effects.range_step import RangeStep
+from ltsim.effects.refractivity_drift import RefractivityDrift
+from ltsim.effects.smr_centring import SmrCentring
+from ltsim.effects.smr_dihedral import SmrDihedral
+from ltsim.effects.smr_incidence import SmrIncidence
+from ltsim.effects.smr_offset import SmrOffset
+from ltsim.effects.station_bump import StationBump
+from ltsim.effects.station_levelling import StationLevelling
+from ltsim.effects.station_noise import StationNoise
+from ltsim.effects.station_settling import StationSettling
+from ltsim.effects.station_weather import StationWeather
+from ltsim.effects.target_moved import TargetMoved
+from ltsim.effects.target_swap import TargetSwap
+from ltsim.effects.timing_lag import TimingLag
 from ltsim.effects.transit_offset import TransitOffset
 from ltsim.effects.transit_tilt import TransitTilt
+from ltsim.effects.turbulence import Turbulence
 from ltsim.effects.vertical_index import VerticalIndex
+from ltsim.effects.window import Window
+from ltsim.effects.wrong_unit import WrongUnit
+from ltsim.errors import unknown_name
 
 BASELINE: tuple[SlotEffect, ...] = (
     RangeOffset(),
@@ -30,4 +67,87 @@ BASELINE: tuple[SlotEffect, ...] = (
 )
 """The ordinary calibration: 16 parameters (physics.md 2.2)."""
 
-__all__ = ["BASELINE", "Effect", "Parameter", "ShapeParameter", "SlotEffect", "Stage"]
+CATALOGUE: tuple[type[Effect], ...] = (
+    # instrument geometry
+    BeamOffset,
+    TransitOffset,
+    BeamTilt,
+    TransitTilt,
+    VerticalIndex,
+    AzimuthEccentricity,
+    ElevationEccentricity,
+    AzimuthSecondOrder,
+    ElevationSecondOrder,
+    AzimuthHarmonic,
+    ElevationHarmonic,
+    EncoderInterpolation,
+    BearingWobble,
+    HeadSag,
+    Backlash,
+    DetectorOffset,
+    # range
+    RangeOffset,
+    RangeStep,
+    RangeScale,
+    StationWeather,
+    DeadPath,
+    RangeCyclic,
+    RefractivityDrift,
+    RangeDrift,
+    # air
+    Turbulence,
+    # reflector
+    SmrCentring,
+    SmrIncidence,
+    SmrDihedral,
+    Window,
+    SmrOffset,
+    NestLift,
+    TargetMoved,
+    # time and heat
+    IndexDrift,
+    AzimuthDrift,
+    StationSettling,
+    MeshExpansion,
+    GaugeScale,
+    GaugeShape,
+    # system and gross
+    StationLevelling,
+    TimingLag,
+    StationBump,
+    TargetSwap,
+    Outlier,
+    WrongUnit,
+    FaceConfusion,
+    # noise
+    NoiseLevel,
+    StationNoise,
+)
+"""Every effect, in the order of interface.md."""
+
+
+def find_effect(name: str) -> type[Effect]:
+    """The effect called `name`.
+
+    Raises
+    ------
+    ModelError
+        When there is none; the message names the closest ones.
+    """
+    by_name = {effect.name: effect for effect in CATALOGUE}
+    if name not in by_name:
+        raise unknown_name("effect", name, by_name)
+    return by_name[name]
+
+
+__all__ = [
+    "BASELINE",
+    "CATALOGUE",
+    "Effect",
+    "NoiseEffect",
+    "Parameter",
+    "ShapeParameter",
+    "SlotEffect",
+    "Stage",
+    "find_effect",
+]

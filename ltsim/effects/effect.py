@@ -99,12 +99,29 @@ class ShapeParameter:
     high: float
     logarithmic: bool = False
     steps: int = 9
+    reciprocal: bool = False
 
     def grid(self) -> Floats:
-        """Values (steps,) [SI] between the bounds, at which a search tries the effect."""
+        """Values (steps,) [SI] between the bounds, at which a search tries the effect.
+
+        Evenly spaced in the value, its logarithm, or (`reciprocal`, a wavelength) its inverse.
+        """
+        if self.reciprocal:
+            return 1.0 / np.linspace(1.0 / self.high, 1.0 / self.low, self.steps)
         if self.logarithmic:
             return np.geomspace(self.low, self.high, self.steps)
         return np.linspace(self.low, self.high, self.steps)
+
+    def bracket(self, value: float) -> tuple[float, float]:
+        """The stretch [SI] from one step of the grid below a value to one above, within the bounds."""
+        grid = np.sort(self.grid())
+        if len(grid) < 2:
+            return value, value
+        i = int(np.clip(np.searchsorted(grid, value), 1, len(grid) - 1))
+        below, above = float(grid[i - 1]), float(grid[i])
+        low = value * below / above if self.logarithmic else value - (above - below)
+        high = value * above / below if self.logarithmic else value + (above - below)
+        return max(low, self.low), min(high, self.high)
 
 
 @dataclass(frozen=True)

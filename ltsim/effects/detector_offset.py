@@ -1,0 +1,37 @@
+"""Null offset of the tracking detector (14): the return spot is held at a wrong place, so the beam misses the vertex.
+
+D_t = f eps_y / 2, D_v = f eps_z / 2, fixed to the scope: exactly a beam offset of half the size.
+Like: beam offset, exactly.
+Separate by: another reflector (coating, size, dirt) or a log of the returned power: the beam offset stays.
+Valid: one kind of reflector, a constant offset.
+Source: physics.md entry 14 [K], equality [D*].
+Status: validated against the beam offset.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.units import MICROMETRE
+
+
+def half(raw: Floats) -> Floats:
+    """The beam misses by half of what the returning spot is off."""
+    return np.full(len(raw), 0.5)
+
+
+class DetectorOffset(SlotEffect):
+    """Lateral and vertical null offset of the position detector."""
+
+    name = "detector-offset"
+    number = 14
+    stage = Stage.OPTICS
+    observables = ("azimuth", "elevation")
+    covariates = ("distance",)
+    parameters = (
+        Parameter("detector-offset-lateral", "um", "null offset along the transit axis", 20 * MICROMETRE),
+        Parameter("detector-offset-vertical", "um", "null offset across the transit axis", 20 * MICROMETRE),
+    )
+    terms = (Term("beam-lateral", half), Term("beam-vertical", half))

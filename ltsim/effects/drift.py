@@ -1,0 +1,64 @@
+"""Laws of the clock that drifts share: linear in a visit, linear over the campaign, or dying away as a warm-up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, ShapeParameter
+from ltsim.effects.places import start_time
+from ltsim.scene.sightings import Sightings
+
+Law = Literal["visit", "linear", "exponential"]
+
+WARM_UP = ShapeParameter(
+    "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, logarithmic=True, steps=6
+)
+
+
+@dataclass(frozen=True)
+class Drift(Effect):
+    """A correction of one slot that follows the clock.
+
+    Attributes
+    ----------
+    law : str
+        ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time since the
+        recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
+    time_constant : float
+        [s], of the exponential law.
+    """
+
+    law: Law = "linear"
+    time_constant: float = 3600.0
+
+    covariates = ("time",)
+    shape = (WARM_UP,)
+    slot: ClassVar[str]
+    rate: ClassVar[Parameter]
+    amplitude: ClassVar[Parameter]
+
+    def __post_init__(self) -> None:
+        chosen = self.amplitude if self.law == "exponential" else self.rate
+        object.__setattr__(self, "parameters", (chosen,))
+
+    def progress(self, sightings: Sightings) -> Floats:
+        """(n,): the law at each pointing, [s] or dimensionless."""
+        if self.law == "visit":
+            return sightings.station_time
+        since = sightings.time - start_time(sightings)
+        return since if self.law == "linear" else np.asarray(np.exp(-since / self.time_constant))
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of the rate or amplitude."""
+        amount = self.mask(sightings) * self.progress(sightings)
+        column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
+        return column[:, :, None]
+
+    @classmethod
+    def shapes(cls) -> list[float]:
+        """Time constants [s] that a diagnosis tries."""
+        return [float(t) for t in WARM_UP.grid()]

@@ -1,0 +1,58 @@
+"""Interpolation (sub-divisional) error of an encoder (9): the sine between two lines of the scale is not a sine.
+
+Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods per turn, 1e3 to 1e5.
+Like: white noise of that angle. Unlike noise it repeats at the same angle.
+Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
+Valid: where N is known, from the data sheet: a network of some hundred pointings cannot search N over all integers,
+so the usual counts are tried. The phase N x is taken at the ideal reading; a pointing error e blurs it by N e, 15 urad
+by 0.5 rad at N = 36 000, so the first-order design fades above that. The exact chain uses the reading itself.
+Source: physics.md entry 9 [S16, K].
+Status: validated against the exact chain for N up to 36 000.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from ltsim.effects.azimuth_harmonic import waves
+from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICRORADIAN
+
+COUNTS = (256, 360, 512, 720, 1024, 2048, 3600, 4096, 8192, 9000, 10_000, 16_384, 18_000, 20_000, 32_768, 36_000)
+"""Periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
+COLUMN = {"azimuth": 1, "elevation": 2}
+
+
+@dataclass(frozen=True)
+class EncoderInterpolation(SlotEffect):
+    """Interpolation error of one circle (`azimuth` or `elevation`) with `periods` per turn."""
+
+    circle: Literal["azimuth", "elevation"] = "azimuth"
+    periods: int = 36_000
+
+    name = "encoder-interpolation"
+    number = 9
+    stage = Stage.ENCODERS
+    observables = ("azimuth", "elevation")
+    covariates = ("azimuth", "elevation")
+    parameters = (
+        Parameter("interpolation-cos", "urad", "cosine of `periods` times the raw angle", 1 * MICRORADIAN),
+        Parameter("interpolation-sin", "urad", "sine of `periods` times the raw angle", 1 * MICRORADIAN),
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "observables", (self.circle,))
+        object.__setattr__(self, "covariates", (self.circle,))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
+        """The slot and the two waves."""
+        return waves(self.circle, COLUMN[self.circle], self.periods)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Both circles with the usual counts."""
+        circles: tuple[Literal["azimuth", "elevation"], ...] = ("azimuth", "elevation")
+        return [cls(circle=circle, periods=n) for circle in circles for n in COUNTS]

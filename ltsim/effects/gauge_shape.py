@@ -1,0 +1,60 @@
+"""Shape of the gauge (36): a nest moved, or the gauge bent, after its lengths were measured.
+
+One nest has moved by D since: true length = stated length + D . unit vector towards the nest. The parameters are the
+nest's motion in the network frame (no correction of a reading); no reading changes, the target is where it is now.
+Like: smr-centring or dirt in the gauge's nest.
+Separate by: the gauge measured again; reflectors swapped. Of the lengths' freedoms one is scale, the rest is shape.
+Valid: motions small against the lengths; a bend out of the plane of a flat gauge leaves its lengths as they are.
+Source: physics.md entry 36 [S0], detectability [D*].
+Status: validated against moved points on the known lengths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICROMETRE
+
+MOVED = 30 * MICROMETRE
+
+
+@dataclass(frozen=True)
+class GaugeShape(Effect):
+    """Motion of one nest of the gauge, the target of number `index`, since its lengths were measured."""
+
+    index: int = 0
+
+    name = "gauge-shape"
+    number = 36
+    stage = Stage.TARGET
+    observables = ()
+    covariates = ("place",)
+    scope = "target"
+    parameters = (
+        Parameter("nest-x", "um", "motion of the nest along the network's x axis", MOVED),
+        Parameter("nest-y", "um", "motion of the nest along the network's y axis", MOVED),
+        Parameter("nest-z", "um", "motion of the nest along the network's z axis", MOVED),
+    )
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every target; those that end no known length change nothing and are dropped as invisible."""
+        return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """No reading changes: zeros (n, 3, 3)."""
+        return np.zeros((len(sightings), 3, 3))
+
+    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+        """Change (g, 3) of the stated lengths per unit of the nest's motion."""
+        gap = points[first] - points[second]
+        unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
+        ends = (second == self.index).astype(float) - (first == self.index)
+        design: Floats = unit * ends[:, None]
+        return design

@@ -1,0 +1,43 @@
+"""Drift of the vertical index (32): the head warms up and the zero of the elevation circle moves.
+
+Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with the
+face in front-face terms, as the index does.
+Like: the index itself (0.63 / 0.86) and the two-lobe cosine (0.84) where points are taken level by level; settling.
+Separate by: a random order of the targets, the first three again before leaving, two faces.
+Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+Source: physics.md entry 32 [S7, S22], correlations [D*].
+Status: validated against the vertical index at a given time, face parity and sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+from ltsim.effects.drift import Drift
+from ltsim.effects.effect import Parameter, Stage
+from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR, MICRORADIAN
+
+
+@dataclass(frozen=True)
+class IndexDrift(Drift):
+    """Vertical index that follows the clock."""
+
+    name = "index-drift"
+    number = 32
+    stage = Stage.ENCODERS
+    observables = ("elevation",)
+    slot = "elevation"
+    rate = Parameter("index-drift", "urad/h", "growth of the index", 20 * FACTOR["urad/h"])
+    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, dying away", 20 * MICRORADIAN)
+    parameters = (rate,)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Over the recording, anew in every visit, in one visit alone, and warm-ups."""
+        names = sightings.station_names if len(sightings.station_names) > 1 else ()
+        visits = [cls(law="visit")] if names else []
+        alone = [cls((name,), law="visit") for name in names]
+        warm_ups = [cls(law="exponential", time_constant=t) for t in cls.shapes()]
+        return [cls(law="linear"), *visits, *alone, *warm_ups]

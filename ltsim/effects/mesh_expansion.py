@@ -1,0 +1,59 @@
+"""Thermal expansion of the mesh (34): walls and floor carry the targets along as the hall warms.
+
+P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
+parameter is the growth of the structure itself (no correction of a reading); steel and concrete grow 11 to 12 ppm/K.
+Like: refractivity-drift and station-weather (uniform mode, exact up to sign), range-drift (0.955).
+Separate by: thermometers on the structure; a gauge of another material read at each station; the first station again.
+Valid: linear over the recording; the fixed point does not matter, poses take a common motion.
+Source: physics.md entry 34, correlations [D*].
+Status: first order validated against the exact motion, and against the range scale drift in the network.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
+from ltsim.effects.motions import exact_target_change
+from ltsim.effects.places import start_time
+from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
+
+MODES = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
+
+
+@dataclass(frozen=True)
+class MeshExpansion(Effect):
+    """Growth of all targets about their centroid, in all directions or upwards."""
+
+    mode: Literal["uniform", "vertical"] = "uniform"
+
+    name = "mesh-expansion"
+    number = 34
+    stage = Stage.TARGET
+    covariates = ("time", "place")
+    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * FACTOR["ppm/h"]),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Both modes."""
+        return [cls(mode="uniform"), cls(mode="vertical")]
+
+    def _displacement(self, sightings: Sightings) -> Floats:
+        """(n, 3): motion of each pointing's target per unit of the rate."""
+        since = self.mask(sightings) * (sightings.time - start_time(sightings))
+        arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
+        moved: Floats = since[:, None] * arm * MODES[self.mode]
+        return moved
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of the rate, first order."""
+        return by_displacement(sightings, self._displacement(sightings)[:, :, None])
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        return exact_target_change(sightings, values[0] * self._displacement(sightings))

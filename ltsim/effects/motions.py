@@ -1,0 +1,40 @@
+"""What readings do when targets or stations move: exact, and first order. Shared by the effects that move things."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
+from ltsim.scene.sightings import Sightings
+
+
+def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
+    """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
+    local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], displacement)
+    return _change(sightings, sightings.local + local)
+
+
+def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
+    """Change (n, 3) of the raw readings when the station of each pointing moves by (n, 6).
+
+    `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
+    """
+    turn = from_rotation_vector(motion[:, 3:]) @ sightings.rotation[sightings.station]
+    at = sightings.position[sightings.station] + motion[:, :3]
+    local = np.einsum("nji,nj->ni", turn, sightings.points[sightings.target] - at)
+    return _change(sightings, local)
+
+
+def station_design(sightings: Sightings) -> Floats:
+    """Change (n, 3, 6) of the raw readings per unit of the same motion, first order."""
+    arm = sightings.points[sightings.target] - sightings.position[sightings.station]
+    design: Floats = np.concatenate([-sightings.by_target, sightings.by_target @ cross_matrix(arm)], axis=2)
+    return design
+
+
+def _change(sightings: Sightings, local: Floats) -> Floats:
+    change: Floats = to_face(to_polar(local), sightings.face) - sightings.raw
+    change[:, 1] = wrap(change[:, 1])
+    return change

@@ -1,0 +1,78 @@
+"""Badly seated reflector (30): dirt or a burr lifts it in its nest during one visit of one station.
+
+D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push sideways).
+The parameters are the motion of the reflector (no correction of a reading).
+Like: outlier in one reading (0.85).
+Separate by: reseating and repeating; a lift hits all three readings in a fixed direction.
+Valid: 5 to 200 um; one seating a visit, so both faces and all repeats share it.
+Source: physics.md entry 30 [S4, S21], detectability [D*].
+Status: first order validated against the exact motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
+from ltsim.effects.motions import exact_target_change
+from ltsim.effects.places import visited_pairs
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICROMETRE
+
+SIZE = 50 * MICROMETRE
+MOST_PAIRS = 600
+"""Pairs of station and target beyond which no network is searched for single seatings: the w-test finds them."""
+
+
+@dataclass(frozen=True)
+class NestLift(Effect):
+    """A reflector that sits elsewhere during one visit."""
+
+    kind: Literal["normal", "free"] = "normal"
+
+    name = "nest-lift"
+    number = 30
+    stage = Stage.TARGET
+    covariates = ("place",)
+    scope = "pointing"
+    parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", SIZE),)
+
+    def __post_init__(self) -> None:
+        if self.kind == "free":
+            moved = (
+                Parameter("lift-x", "um", "motion of the reflector along the network's x axis", SIZE),
+                Parameter("lift-y", "um", "motion of the reflector along the network's y axis", SIZE),
+                Parameter("lift-z", "um", "motion of the reflector along the network's z axis", SIZE),
+            )
+            object.__setattr__(self, "parameters", moved)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every pair of station and target, free and, where the nest is known, along its normal."""
+        pairs = visited_pairs(sightings)
+        if len(pairs) > MOST_PAIRS:
+            return []
+        known = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
+        nests = {sightings.target_names[t] for t in known}
+        along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
+        return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
+
+    def _directions(self, sightings: Sightings) -> Floats:
+        """(n, 3, p): displacement of each pointing's target per unit."""
+        acts = self.mask(sightings)[:, None, None]
+        if self.kind == "free":
+            return acts * np.eye(3)
+        normal: Floats = np.nan_to_num(sightings.nest_normal[sightings.target])[:, :, None]
+        return acts * normal
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings per unit of motion, first order."""
+        return by_displacement(sightings, self._directions(sightings))
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        return exact_target_change(sightings, self._directions(sightings) @ values)

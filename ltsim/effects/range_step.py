@@ -1,0 +1,50 @@
+"""Step of the range zero (15): the beam is lost and found again, and the zero is another one afterwards.
+
+Delta_d = rho from a time on, until the station is left.
+Like: station-weather (0.965, where the step is at the station's start), a station bump along the beams.
+Separate by: near and far targets at that station; a target measured before and after.
+Valid: one step a station; the next station starts with a new zero of its own.
+Source: physics.md entry 15 [S6, S26], correlations [D*].
+Status: validated on rows before and after the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.effects.places import station_change_times
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICROMETRE
+
+
+@dataclass(frozen=True)
+class RangeStep(Effect):
+    """Another range zero at a station from `time` [s] on."""
+
+    time: float = 0.0
+
+    name = "range-step"
+    number = 15
+    stage = Stage.RANGE
+    observables = ("distance",)
+    covariates = ("time",)
+    scope = "station"
+    parameters = (Parameter("range-step", "um", "missing from every range after the step", 30 * MICROMETRE),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """The start of every visit, and the gaps between its pointings."""
+        starts = [
+            (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
+            for s, name in enumerate(sightings.station_names)
+        ]
+        changes = station_change_times(sightings, least=2)
+        return [cls((name,), time=time) for name, time in [*starts, *changes]]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of step."""
+        after = self.mask(sightings) * (sightings.time >= self.time)
+        return on_readings(sightings, distance=after)[:, :, None]

@@ -1,0 +1,38 @@
+"""Drift of the air's index (17 in time): the hall warms up, the weather entered in the morning is kept.
+
+Delta_d = d s t, t since the first pointing: 0.955 ppm a kelvin.
+Like: mesh-expansion, the uniform mode (exact up to sign), station-weather in single stations.
+Separate by: a thermometer on the structure; the first station again at the end.
+Valid: linear over the recording.
+Source: physics.md entries 17 and 32.
+Status: validated against the range scale at one hour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.effects.places import start_time
+from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
+
+
+@dataclass(frozen=True)
+class RefractivityDrift(Effect):
+    """Scale of the ranges that grows with the clock."""
+
+    name = "refractivity-drift"
+    number = 17
+    stage = Stage.AIR
+    observables = ("distance",)
+    covariates = ("time", "distance")
+    parameters = (
+        Parameter("refractivity-drift", "ppm/h", "growth of the share missing from every range", 3 * FACTOR["ppm/h"]),
+    )
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of the rate."""
+        since = sightings.time - start_time(sightings)
+        return on_readings(sightings, distance=self.mask(sightings) * sightings.range_ * since)[:, :, None]

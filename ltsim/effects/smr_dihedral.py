@@ -1,0 +1,44 @@
+"""Dihedral error of a reflector (27): two mirrors do not meet at a right angle, and the return spot splits.
+
+The six sub-beams part by up to 1.63 delta; their mean stays unless the spot is clipped or a coating is uneven. Then the
+tracker holds the spot's brighter part, off by a share of 1.63 delta d: a constant angle for that reflector and roll,
+Delta_azimuth = left / cos(el), Delta_elevation = up, the same on both faces. The range does not change.
+Like: detector-offset at one target, turbulence (if the roll is free).
+Separate by: the reflector turned about the beam.
+Valid: the reflector keeps its mark up; the clipped share is empirical, a few percent of 10 to 50 urad.
+Source: physics.md entry 27 [S10], ray trace [D*].
+Status: form validated by its parity; the size is empirical.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICRORADIAN
+
+
+@dataclass(frozen=True)
+class SmrDihedral(Effect):
+    """Constant pointing error of one reflector."""
+
+    name = "smr-dihedral"
+    number = 27
+    stage = Stage.TARGET
+    observables = ("azimuth", "elevation")
+    covariates = ("distance", "place")
+    scope = "target"
+    parameters = (
+        Parameter("spot-left", "urad", "correction of the direction to the left", 3 * MICRORADIAN),
+        Parameter("spot-up", "urad", "correction of the direction upwards", 3 * MICRORADIAN),
+    )
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 2) of the raw readings per unit of direction."""
+        acts = self.mask(sightings)
+        left = on_readings(sightings, azimuth=acts / np.cos(sightings.elevation))
+        return np.stack([left, on_readings(sightings, elevation=acts)], axis=2)

@@ -1,0 +1,57 @@
+"""Another reflector or adaptor (29): at one station a ball of another radius was used, and the old constant kept.
+
+D = (R_true - R_used) n along the nest's normal: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in. The parameter
+is the motion of the sphere's centre away from the nest (no correction of a reading).
+Like: nest-lift of many targets at once, a bump of the station along a wall's normal.
+Separate by: nothing is needed, the size is one of the catalogue.
+Valid: nests with a known normal. At all stations alike it moves the targets, and only the gauge would show it.
+Source: physics.md entry 29 [K].
+Status: first order validated against the exact motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
+from ltsim.effects.motions import exact_target_change
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MILLIMETRE
+
+
+@dataclass(frozen=True)
+class SmrOffset(Effect):
+    """Another radius of the reflector at a station."""
+
+    name = "smr-offset"
+    number = 29
+    stage = Stage.TARGET
+    covariates = ("incidence", "place")
+    scope = "station"
+    parameters = (
+        Parameter("radius-difference", "mm", "radius of the ball used, less that assumed", 5 * MILLIMETRE),
+    )
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every station, where nests are known."""
+        known = np.isfinite(sightings.nest_normal).all(axis=1).any()
+        return [cls((name,)) for name in sightings.station_names] if known else []
+
+    def _lift(self, sightings: Sightings) -> Floats:
+        """(n, 3): motion of each pointing's sphere per unit."""
+        normal = np.nan_to_num(sightings.nest_normal[sightings.target])
+        lift: Floats = normal * self.mask(sightings)[:, None]
+        return lift
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of radius, first order."""
+        return by_displacement(sightings, self._lift(sightings)[:, :, None])
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        return exact_target_change(sightings, values[0] * self._lift(sightings))

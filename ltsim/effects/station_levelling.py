@@ -1,0 +1,58 @@
+"""Levelling error (37): the level is wrong, and the station's axis leans although it was levelled.
+
+w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y axes
+(no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the head).
+Like: nothing, where the poses are free: then it is the pose, and leaves no residual.
+Separate by: freeing the tilts and comparing; plumb lines converge by 0.157 urad a metre.
+Valid: only levelled stations feel it.
+Source: physics.md entry 37 [S23, S24].
+Status: first order validated against the exact motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.effects.motions import exact_station_change, station_design
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICRORADIAN
+
+
+@dataclass(frozen=True)
+class StationLevelling(Effect):
+    """Lean of the instrument against the vertical that its level claims."""
+
+    name = "station-levelling"
+    number = 37
+    stage = Stage.STATION
+    covariates = ("place",)
+    scope = "station"
+    parameters = (
+        Parameter("lean-x", "urad", "turn about the instrument's x axis", 20 * MICRORADIAN),
+        Parameter("lean-y", "urad", "turn about the instrument's y axis", 20 * MICRORADIAN),
+    )
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every station alone, and the same bias at all."""
+        return [cls(), *(cls((name,)) for name in sightings.station_names)]
+
+    def _axes(self, sightings: Sightings) -> Floats:
+        """(n, 3, 2): the instrument's x and y axes in the network frame where the effect acts."""
+        axes: Floats = sightings.rotation[sightings.station][:, :, :2]
+        return axes * self.mask(sightings)[:, None, None]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 2) of the raw readings per unit of lean, first order."""
+        design: Floats = station_design(sightings)[:, :, 3:] @ self._axes(sightings)
+        return design
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        turn = self._axes(sightings) @ values
+        return exact_station_change(sightings, np.concatenate([np.zeros_like(turn), turn], axis=1))

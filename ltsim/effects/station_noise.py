@@ -1,0 +1,24 @@
+"""Noise of one station: an unsteady stand, a fan, the sun on the tripod; its readings scatter more than stated.
+
+variance = sigma^2 (1 + v) at that station.
+Like: noise-level (all stations), a target or station that moves often.
+Separate by: repeats at that station.
+Valid: white from pointing to pointing.
+Source: physics.md entries 23 and 24.
+Status: validated: zero gives the stated variance, other stations keep theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ltsim.effects.noise_level import NoiseLevel
+
+
+@dataclass(frozen=True)
+class StationNoise(NoiseLevel):
+    """Variance added at one station."""
+
+    name = "station-noise"
+    covariates = ("place",)
+    scope = "station"

@@ -1,0 +1,65 @@
+"""Settling of a station (33): tripod, stand or floor give way after the set-up, or the stand warms.
+
+pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are the
+final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x and y
+through its origin, and up.
+Like: index-drift (one face), a layered room.
+Separate by: two faces; the first targets again before leaving; a level on the head.
+Valid: time constants of 2 to 40 min.
+Source: physics.md entry 33 [S23], detectability [D*].
+Status: first order validated against the exact motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
+from ltsim.effects.motions import exact_station_change, station_design
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICROMETRE, MICRORADIAN
+
+MOVES = [3, 4, 2]
+"""Components of a station's motion: rotation about x, about y, translation along z."""
+
+
+@dataclass(frozen=True)
+class StationSettling(Effect):
+    """Motion of a station that comes to rest with `time_constant` [s]."""
+
+    time_constant: float = 600.0
+
+    name = "station-settling"
+    number = 33
+    stage = Stage.STATION
+    covariates = ("time",)
+    scope = "station"
+    parameters = (
+        Parameter("tilt-x", "urad", "final turn of the station about the network's x axis", 15 * MICRORADIAN),
+        Parameter("tilt-y", "urad", "final turn of the station about the network's y axis", 15 * MICRORADIAN),
+        Parameter("rise", "um", "final rise of the station", 20 * MICROMETRE),
+    )
+    shape = (
+        ShapeParameter(
+            "time_constant", "min", "time constant after the set-up", 120.0, 2400.0, logarithmic=True, steps=5
+        ),
+    )
+
+    def _settled(self, sightings: Sightings) -> Floats:
+        """(n,): share of the motion already made."""
+        return self.mask(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 3) of the raw readings per unit of the final motion, first order."""
+        settled = self._settled(sightings)
+        design: Floats = station_design(sightings)[:, :, MOVES] * settled[:, None, None]
+        return design
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        motion = np.zeros((len(sightings), 6))
+        motion[:, MOVES] = self._settled(sightings)[:, None] * values
+        return exact_station_change(sightings, motion)

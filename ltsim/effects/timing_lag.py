@@ -1,0 +1,54 @@
+"""Timing lag (38): a reading is taken before the axis has come to rest, or a channel is late.
+
+Delta = rate of the reading times the lag, each channel with its own. The rate is that of the approach: the change since
+the last pointing of the station over the time between them; none for a station's first pointing.
+Like: backlash, where all moves take equally long.
+Separate by: dwell times of 0.1, 1 and 5 s.
+Valid: static targets in a steady rhythm; a head that hurries has a higher rate than the mean used here, so the lag
+comes out too long by that ratio.
+Source: physics.md entry 38 [K].
+Status: validated on a sequence of known rates; the size is general knowledge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.geometry.polar import wrap
+from ltsim.scene.sightings import Sightings
+
+
+def approach_rate(sightings: Sightings) -> Floats:
+    """(n, 3): mean rate of the raw readings [m/s, rad/s] since the last pointing of the same station."""
+    rate = np.zeros((len(sightings), 3))
+    order = sightings.order[np.argsort(sightings.station[sightings.order], kind="stable")]
+    move = np.diff(sightings.raw[order], axis=0)
+    move[:, 1] = wrap(move[:, 1])
+    lapse = np.diff(sightings.time[order])
+    going = (np.diff(sightings.station[order]) == 0) & (lapse > 0)
+    rate[order[1:][going]] = move[going] / lapse[going, None]
+    return rate
+
+
+@dataclass(frozen=True)
+class TimingLag(Effect):
+    """Lag of each channel."""
+
+    name = "timing-lag"
+    number = 38
+    stage = Stage.ELECTRONICS
+    covariates = ("time", "approach")
+    parameters = (
+        Parameter("lag-distance", "ms", "how late the range is", 0.3e-3),
+        Parameter("lag-azimuth", "ms", "how late the azimuth is", 0.3e-3),
+        Parameter("lag-elevation", "ms", "how late the elevation is", 0.3e-3),
+    )
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 3) of the raw readings per unit of lag."""
+        late = approach_rate(sightings) * self.mask(sightings)[:, None]
+        return -late[:, :, None] * np.eye(3)
