@@ -29,17 +29,27 @@ def read_setup(path: Path) -> Setup:
     RecordError
         One sentence: which key, what was found, what would be right.
     """
+    return setup_from(read_toml(path, "set-up"), path)
+
+
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """The tables of a TOML file; `kind` is what the file should be.
+
+    Raises
+    ------
+    RecordError
+        One sentence, also for a file that was cut.
+    """
     text = read_text(path)
     if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be cut there; end the line if it is whole"
         raise RecordError(message, file=path)
     try:
-        data = tomllib.loads(text.replace("\r\n", "\n"))
+        return tomllib.loads(text.replace("\r\n", "\n"))
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         raise RecordError(f"is not TOML: {_one_line(problem)}", file=path) from None
     except RecursionError:
-        raise RecordError("is nested too deeply to be a set-up", file=path) from None
-    return setup_from(data, path)
+        raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
 
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
@@ -49,7 +59,7 @@ def setup_from(data: Mapping[str, Any], file: object) -> Setup:
     try:
         setup = Setup.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as problem:
-        raise RecordError(_sentence(problem.errors()[0]), file=file) from None
+        raise RecordError(sentence(problem.errors()[0], Setup), file=file) from None
     except (ValueError, RecursionError):
         raise RecordError("holds a value that no set-up can hold", file=file) from None
     _check_names(setup, file)
@@ -86,13 +96,13 @@ def _close(name: str, known: Any) -> list[str]:
     return difflib.get_close_matches(name, choices, n=3, cutoff=0.5) or choices[:12]
 
 
-def _sentence(error: ErrorDetails) -> str:
-    """One validation error as a sentence: key, found, expected."""
+def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
+    """One validation error of a file with the tables of `root` as a sentence: key, found, expected."""
     place = [part for part in error["loc"] if part != "[key]"]
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
     found = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        known = _keys_at(tuple(place[:-1]))
+        known = _keys_at(tuple(place[:-1]), root)
         near = ", ".join(_close(str(place[-1]), known))
         return f"unknown key {shown(key, 100)}; did you mean {near}?"
     if error["type"] == "missing":
@@ -105,9 +115,9 @@ def _expected(message: str) -> str:
     return message.replace("input should", "it should").removeprefix("value error, ")
 
 
-def _keys_at(place: tuple[Any, ...]) -> list[str]:
+def _keys_at(place: tuple[Any, ...], root: type[BaseModel]) -> list[str]:
     """Keys that the table at `place` may hold."""
-    model: type[BaseModel] = Setup
+    model = root
     for part in place:
         for name, field in model.model_fields.items():
             if part in (name, field.alias):
@@ -141,6 +151,11 @@ def setup_to_toml(setup: Setup) -> str:
     for kind in ("stations", "targets"):
         entries: dict[str, BaseModel] = getattr(setup, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
+    return to_toml(table)
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """Nested tables as the text of a TOML file, arrays in one line."""
     return "\n".join(_table_lines(table, ())).strip() + "\n"
 
 
