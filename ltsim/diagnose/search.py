@@ -129,13 +129,7 @@ class Searcher:
             now = getattr(best.effect, shape.name)
             if not isinstance(now, float) or shape.steps < 2:
                 continue
-            step = (
-                (shape.high / shape.low) ** (1 / (shape.steps - 1))
-                if shape.logarithmic
-                else ((shape.high - shape.low) / (shape.steps - 1))
-            )
-            low, high = (now / step, now * step) if shape.logarithmic else (now - step, now + step)
-            bounds = (max(low, shape.low), min(high, shape.high))
+            bounds = shape.bracket(now)
 
             def lost(x: float, name: str = shape.name, start: Hypothesis = best) -> float:
                 moved = replace(start, effect=start.effect.reshaped(**{name: float(x)}))
