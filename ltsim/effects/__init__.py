@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.azimuth_drift import AzimuthDrift
 from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.effects.azimuth_harmonic import AzimuthHarmonic
@@ -21,6 +23,7 @@ from ltsim.effects.face_confusion import FaceConfusion
 from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.effects.gauge_shape import GaugeShape
 from ltsim.effects.head_sag import HeadSag
+from ltsim.effects.heat_plume import HeatPlume
 from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.mesh_expansion import MeshExpansion
 from ltsim.effects.nest_lift import NestLift
@@ -95,6 +98,9 @@ CATALOGUE: tuple[type[Effect], ...] = (
     RefractivityDrift,
     RangeDrift,
     # air
+    AirGradient,
+    AirLayer,
+    HeatPlume,
     Turbulence,
     # reflector
     SmrCentring,

@@ -13,7 +13,7 @@ from ltsim.scene.sightings import Sightings
 def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
     local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], displacement)
-    return _change(sightings, sightings.local + local)
+    return reading_change(sightings, sightings.local + local)
 
 
 def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
@@ -24,7 +24,7 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
     turn = from_rotation_vector(motion[:, 3:]) @ sightings.rotation[sightings.station]
     at = sightings.position[sightings.station] + motion[:, :3]
     local = np.einsum("nji,nj->ni", turn, sightings.points[sightings.target] - at)
-    return _change(sightings, local)
+    return reading_change(sightings, local)
 
 
 def station_design(sightings: Sightings) -> Floats:
@@ -34,7 +34,8 @@ def station_design(sightings: Sightings) -> Floats:
     return design
 
 
-def _change(sightings: Sightings, local: Floats) -> Floats:
+def reading_change(sightings: Sightings, local: Floats) -> Floats:
+    """Change (n, 3) of the raw readings when the targets appear at (n, 3) [m] in the instruments' frames."""
     change: Floats = to_face(to_polar(local), sightings.face) - sightings.raw
     change[:, 1] = wrap(change[:, 1])
     return change

@@ -1,0 +1,74 @@
+"""Uniform vertical gradient of the air's temperature (21): the large one that leaves no residual.
+
+Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image),
+Delta_d = +beta G d ((z_station + z_target) / 2 - z_sensor). Bending and range effect together are a conformal map, so
+poses and targets absorb them; either alone would invent a signature. A weather sensor that rides on the head (`head`)
+reads another height at each station and leaves a scale a station; one in the middle of the room leaves nothing.
+Like: nothing is left to be like anything; `head`: station-weather. Bending alone: head-sag (0.92), vertical-index.
+Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1 K/m).
+Valid: up to some kelvin a metre; the vertical is the z axis of the network frame.
+Source: physics.md entry 21 [S13], result [D*]; Ciddor 1996 for beta.
+Status: first order validated against the integrated ray; absorption by the network reproduced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.ciddor import temperature_sensitivity
+from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.effects.rays import REFERENCE, bent
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class AirGradient(Effect):
+    """Temperature that rises with the height."""
+
+    sensor: Literal["room", "head"] = "room"
+
+    name = "air-gradient"
+    number = 21
+    stage = Stage.AIR
+    covariates = ("height", "distance")
+    parameters = (Parameter("air-gradient", "K/m", "rise of the temperature with the height", 1.0),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """A weather sensor in the room, and one on the head."""
+        return [cls(sensor="room"), cls(sensor="head")]
+
+    def _sensor_height(self, sightings: Sightings) -> Floats:
+        """(n,) [m]: height at which the used temperature is right."""
+        if self.sensor == "head":
+            height: Floats = sightings.position[sightings.station, 2]
+            return height
+        return np.full(len(sightings), float(sightings.points[:, 2].mean()))
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of gradient, first order."""
+        steep = temperature_sensitivity(REFERENCE) * self.mask(sightings) * sightings.range_
+        heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
+        _, left, up = sightings.unit_vectors
+        column = on_readings(
+            sightings,
+            distance=steep * (0.5 * heights - self._sensor_height(sightings)),
+            azimuth=-0.5 * steep * left[:, 2] / np.cos(sightings.elevation),
+            elevation=-0.5 * steep * up[:, 2],
+        )
+        return column[:, :, None]
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by the integrated ray."""
+        bottom = self._sensor_height(sightings)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            warmer = values[0] * (points[:, 2] - np.repeat(bottom, len(points) // len(bottom)))
+            return warmer, np.broadcast_to([0.0, 0.0, values[0]], points.shape)
+
+        change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]
+        return change

@@ -1,0 +1,73 @@
+"""Layered room (22): a warm layer lies under the roof.
+
+T(z) = D / (1 + exp(-(z - height) / width)), and the integrals of entry 21 along the path: only the curvature of the
+profile is seen. Targets in the layer are read too near and too high.
+Like: elevation-second-order, sine part (0.59); drift, where the ceiling row is measured first.
+Separate by: a temperature profile; another time of day; stations at different heights.
+Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z axis.
+Source: physics.md entry 22, integrals and detectability [D*]; Ciddor 1996.
+Status: first order validated against the integrated ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.special import expit
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
+from ltsim.effects.rays import bent, first_order
+from ltsim.scene.sightings import Sightings
+
+HEIGHTS = 7
+WIDTHS = (0.15, 0.5)
+
+
+@dataclass(frozen=True)
+class AirLayer(Effect):
+    """A step of the temperature at `height` [m] over some `width` [m]."""
+
+    height: float = 4.0
+    width: float = 0.3
+
+    name = "air-layer"
+    number = 22
+    stage = Stage.AIR
+    covariates = ("height",)
+    parameters = (Parameter("layer-step", "K", "how much warmer the layer is than the air below", 4.0),)
+    shape = (
+        ShapeParameter("height", "m", "middle of the step in the network frame", -20.0, 40.0, steps=61),
+        ShapeParameter("width", "m", "width of the step", 0.05, 1.5, logarithmic=True, steps=3),
+    )
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Heights between the lowest and the highest of all paths' ends."""
+        ends = np.concatenate([sightings.points[:, 2], sightings.position[:, 2]])
+        heights = np.linspace(ends.min(), ends.max(), HEIGHTS + 2)[1:-1]
+        return [cls(height=float(z), width=w) for z in heights for w in WIDTHS]
+
+    def temperature(self, points: Floats) -> tuple[Floats, Floats]:
+        """Temperature (m,) and gradient (m, 3) at points (m, 3) for a step of one kelvin."""
+        risen: Floats = expit((points[:, 2] - self.height) / self.width)
+        gradient = np.zeros_like(points)
+        gradient[:, 2] = risen * (1.0 - risen) / self.width
+        return risen, gradient
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of step, first order."""
+        column: Floats = first_order(sightings, self.temperature) * self.mask(sightings)[:, None]
+        return column[:, :, None]
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by the integrated ray."""
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            warmer, gradient = self.temperature(points)
+            return values[0] * warmer, values[0] * gradient
+
+        change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]
+        return change

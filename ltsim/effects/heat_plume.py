@@ -1,0 +1,94 @@
+"""Heat plume (23): a motor, a radiator or the tracker's own exhaust warms a part of the air.
+
+T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target, and the integrals of entry
+21 along the path. The weight (d - s) makes heat near the station bend the aim (shift ~ d), heat near a target hardly
+at all; the range falls short by beta times the integral of T wherever it is.
+Like: the station's tilt, index-drift there (near a station); a range constant of that target (near a target).
+Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
+Valid: on while its station, or target, is measured; the centre is searched on a coarse ring, the radius refined.
+Source: physics.md entry 23, integrals [D*]; Ciddor 1996.
+Status: first order validated against the integrated ray; the Gaussian form is a choice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
+from ltsim.effects.rays import bent, first_order
+from ltsim.scene.sightings import Sightings
+
+RING = 8
+REACH = 0.5
+"""[m] from a station to the centres that are tried."""
+NEAR_STATION, NEAR_TARGET = 0.25, 0.5
+MOST_PLACES = 40
+"""Stations, or targets, beyond which single plumes are not tried."""
+
+
+@dataclass(frozen=True)
+class HeatPlume(Effect):
+    """A warm ball of air of some `radius` [m], at `offset` [m] from its station or target."""
+
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radius: float = 0.3
+
+    name = "heat-plume"
+    number = 23
+    stage = Stage.AIR
+    covariates = ("azimuth", "elevation", "place")
+    scope = "station"
+    parameters = (Parameter("plume-temperature", "K", "how much warmer its centre is", 5.0),)
+    shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """A ring of directions, above and below at every station; around every target."""
+        angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
+        ring = [(round(REACH * float(np.cos(a)), 6), round(REACH * float(np.sin(a)), 6), 0.0) for a in angles]
+        offsets = [*ring, (0.0, 0.0, REACH), (0.0, 0.0, -REACH)]
+        stations = sightings.station_names if len(sightings.station_names) <= MOST_PLACES else ()
+        targets = sightings.target_names if len(sightings.target_names) <= MOST_PLACES else ()
+        return [
+            *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
+            *(cls((), (name,), radius=NEAR_TARGET) for name in targets),
+        ]
+
+    def _centre(self, sightings: Sightings) -> Floats:
+        """(3,) [m] in the network frame: from the station where one is named, else from the target."""
+        if self.stations:
+            anchor = sightings.position[sightings.station_names.index(self.stations[0])]
+        elif self.targets:
+            anchor = sightings.points[sightings.target_names.index(self.targets[0])]
+        else:
+            anchor = np.zeros(3)
+        centre: Floats = anchor + np.asarray(self.offset)
+        return centre
+
+    def temperature(self, points: Floats, centre: Floats) -> tuple[Floats, Floats]:
+        """Temperature (m,) and gradient (m, 3) at points (m, 3) for a centre warmer by one kelvin."""
+        arm = points - centre
+        warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
+        return warm, -arm * (warm / self.radius**2)[:, None]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of temperature, first order."""
+        centre = self._centre(sightings)
+        column = first_order(sightings, lambda points: self.temperature(points, centre))
+        acts: Floats = column * self.mask(sightings)[:, None]
+        return acts[:, :, None]
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by the integrated ray."""
+        centre = self._centre(sightings)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            warm, gradient = self.temperature(points, centre)
+            return values[0] * warm, values[0] * gradient
+
+        change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]
+        return change
