@@ -1,0 +1,309 @@
+"""Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
+
+Two steps, so that a search pays for geometry once: `StationBlocks` holds what one set-up contributes, for any
+number of candidate set-ups; `Reducer.reduce` joins set-ups into layouts and eliminates targets (3 x 3 blocks) and
+poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
+
+The Jacobian is that of the construction, the other rows are those of the adjustment; `information.py` is the slow
+twin, and a test holds both together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjust.datum import rigid_motion
+from ltsim.adjust.problem import DATUM_SIGMA
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.effect import Effect
+from ltsim.effects.noise import white_noise_sigma
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.construction import Construction, misalignment
+from ltsim.plan.information import nominal_adjustment
+from ltsim.plan.survey import Survey
+from ltsim.scene.sightings import Sightings
+
+POSE_SCALE = 1e-5
+"""[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
+
+
+@dataclass(frozen=True)
+class StationBlocks:
+    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters.
+
+    Attributes
+    ----------
+    position : (N, 3) float, [m]
+    tt : (N, T, 3, 3) float
+        Target with target.
+    tx : (N, T, 3, 6 + P) float
+        Target with pose and parameters.
+    xx : (N, 6 + P, 6 + P) float
+        Pose and parameters, summed over targets.
+    """
+
+    position: Floats
+    tt: Floats
+    tx: Floats
+    xx: Floats
+
+    def take(self, which: Ints) -> StationBlocks:
+        """Some of the set-ups."""
+        return StationBlocks(self.position[which], self.tt[which], self.tx[which], self.xx[which])
+
+    @classmethod
+    def joined(cls, parts: Sequence[StationBlocks]) -> StationBlocks:
+        """Several sets of set-ups as one."""
+        return cls(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("position", "tt", "tx", "xx")
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Reduced layouts: B layouts, P parameters.
+
+    Attributes
+    ----------
+    information : (B, P, P) float
+        Of instrument and effect parameters in units of their prior sigma; NaN where a layout determines no poses.
+    target_rms : (B,) float, [m]
+        Root mean square point error, datum the mean of all targets; NaN where not asked for.
+    """
+
+    information: Floats
+    target_rms: Floats
+
+
+class Reducer:
+    """Layouts of one workshop: fixed targets, gauge, noise and priors; set-ups that change.
+
+    Parameters
+    ----------
+    survey : Survey
+        Everything but the places of the stations; its number of stations is that of every layout.
+    construction : Construction, optional
+        Default: the 16 misalignment parameters.
+    effects : sequence of Effect
+        Further effects whose information is wanted too; unit their prior sigma, no prior.
+    """
+
+    def __init__(
+        self, survey: Survey, construction: Construction | None = None, effects: Sequence[Effect] = ()
+    ) -> None:
+        self.survey, self.effects = survey, tuple(effects)
+        self.construction = construction or misalignment()
+        whole = survey.replace(seen=np.ones_like(survey.seen))
+        adjustment = nominal_adjustment(
+            whole.recording(self.construction), whole.state(self.construction), self.construction
+        )
+        problem = adjustment.problem
+        self._rank_free, self._free = problem.free.shape[1], problem.free
+        self.prior_sigma = problem.prior_sigma[0]
+        sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
+        self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
+        self._gauge = np.flatnonzero(problem.layout.target[:, 0] < problem.layout.kept)
+        self._mesh = np.flatnonzero(problem.layout.target[:, 0] >= problem.layout.kept)
+        rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
+        other = rows[: rows.shape[0] - self._rank_free].toarray()
+        self._other_blocks(other, problem.layout.target, problem.layout.pose, problem.layout.instrument[0])
+        self._motion = rigid_motion(survey.points) @ self._free
+
+    def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, instrument: Ints) -> None:
+        """Normal equations of gauge, control, levels and priors, in this class's order and units."""
+        extra = np.zeros((len(rows), len(self.scale) - len(instrument)))
+        front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
+        kept = np.hstack([*front, rows[:, instrument] * self.prior_sigma, extra])
+        mesh = rows[:, target[self._mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
+        self._other_kept = kept.T @ kept
+        self._other_tt = np.einsum("mti,mtj->tij", mesh, mesh)
+        self._other_tk = np.einsum("mti,mk->tik", mesh, kept)
+
+    @property
+    def stations(self) -> int:
+        """Stations of a layout."""
+        return len(self.survey.position)
+
+    def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
+        """One pointing of every target on each face from each of N set-ups; `slot` is the station they stand for."""
+        survey = self.survey
+        count, targets, faces = len(position), len(survey.points), np.array(survey.faces)
+        station, target, face = (
+            axis.ravel()
+            for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
+        )
+        at = np.searchsorted(np.sort(faces), face) * targets + target
+        visit = survey.seconds_per_move + targets * len(faces) * survey.seconds_per_pointing
+        normals = [survey.setup.targets.get(t) for t in survey.target_names]
+        missing = (np.nan, np.nan, np.nan)
+        normal = np.array(
+            [(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64
+        )
+        cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros(count)
+        rotation = np.stack(
+            [
+                np.stack([cosine, -sine, zero], axis=1),
+                np.stack([sine, cosine, zero], axis=1),
+                np.stack([zero, zero, zero + 1.0], axis=1),
+            ],
+            axis=1,
+        )
+        return Sightings(
+            station=station,
+            target=target,
+            instrument=np.zeros(len(station), dtype=np.int64),
+            face=face,
+            repeat=np.ones(len(station), dtype=np.int64),
+            time=slot[station] * visit + at * survey.seconds_per_pointing,
+            position=position,
+            rotation=rotation,
+            points=survey.points,
+            nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            reaimed=np.array([n.reaimed if n else True for n in normals], dtype=bool),
+            station_names=tuple(survey.station_names[s] for s in slot),
+            target_names=survey.target_names,
+        )
+
+    def _rows(self, sightings: Sightings) -> tuple[Floats, Floats]:
+        """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
+        values = np.zeros(self.construction.size)
+        by_point, by_value = self.construction.reading_design(sightings.raw, values)
+        rotation = sightings.rotation[sightings.station]
+        by_target = by_point @ np.swapaxes(rotation, 1, 2)
+        designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
+        noise = [self.survey.setup.instrument.noise]
+        sigma = white_noise_sigma(sightings, noise)
+        white = 1.0 / sigma[:, :, None]
+        return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
+
+    def blocks(
+        self, position: Floats, yaw: Floats, slot: Ints | None = None, seen: Bools | None = None
+    ) -> StationBlocks:
+        """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
+
+        Parameters
+        ----------
+        slot : (N,) int, optional
+            Which station of the layout each stands for (its time and name, for effects that know them).
+        seen : (N, T) bool, optional
+            Targets that each measures; default all.
+        """
+        count, targets = len(position), len(self.survey.points)
+        sightings = self.sightings(position, yaw, np.zeros(count, dtype=np.int64) if slot is None else slot)
+        by_target, by_value = self._rows(sightings)
+        weight = np.sqrt(self.survey.repeats) * np.ones((count, targets)) if seen is None else (
+            np.sqrt(self.survey.repeats) * seen
+        )
+        shape = (count, targets, 3 * len(self.survey.faces))
+        t = by_target.reshape(*shape, 3) * weight[:, :, None, None]
+        v = by_value.reshape(*shape, -1) * weight[:, :, None, None]
+        arm = self.survey.points[None] - position[:, None]
+        turned = t @ cross_matrix(arm)
+        x = np.concatenate([-t, turned, v], axis=3)
+        flat = x.reshape(count, -1, x.shape[3])
+        across = np.swapaxes(t, 2, 3)
+        return StationBlocks(position, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+
+    def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
+        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout.
+
+        Parameters
+        ----------
+        targets : bool
+            Also the targets' point error.
+        """
+        kept, tt, tk = self._normal(blocks, chosen)
+        inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
+        weights = inverse @ tk
+        size = kept.shape[1]
+        flat, flat_weights = tk.reshape(len(kept), -1, size), weights.reshape(len(kept), -1, size)
+        schur = kept - np.swapaxes(flat, 1, 2) @ flat_weights
+        count = len(self.scale)
+        root = _cholesky(0.5 * (schur + np.swapaxes(schur, 1, 2)))
+        corner = root[:, size - count :, size - count :]
+        information = corner @ np.swapaxes(corner, 1, 2)
+        rms = np.full(len(kept), np.nan)
+        if targets:
+            rms = self._target_rms(schur, inverse, weights)
+        return Reduced(information, rms)
+
+    def _normal(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+        """Kept block (B, K, K), mesh targets (B, E, 3, 3) and what joins them (B, E, 3, K)."""
+        layouts, stations = chosen.shape
+        params, gauge = len(self.scale), len(self._gauge)
+        size = 6 * stations + 3 * gauge + params
+        kept = np.broadcast_to(self._other_kept, (layouts, size, size)).copy()
+        tk = np.zeros((layouts, len(self.survey.points), 3, size))
+        tt = np.zeros((layouts, len(self.survey.points), 3, 3))
+        last = slice(size - params, size)
+        for s in range(stations):
+            which = chosen[:, s]
+            at = slice(6 * s, 6 * s + 6)
+            xx, tx = blocks.xx[which], blocks.tx[which]
+            kept[:, at, at] += xx[:, :6, :6]
+            kept[:, at, last] += xx[:, :6, 6:]
+            kept[:, last, at] += xx[:, 6:, :6]
+            kept[:, last, last] += xx[:, 6:, 6:]
+            tk[:, :, :, at] = tx[:, :, :, :6]
+            tk[:, :, :, last] += tx[:, :, :, 6:]
+            tt += blocks.tt[which]
+        for g, t in enumerate(self._gauge):
+            at = slice(6 * stations + 3 * g, 6 * stations + 3 * g + 3)
+            kept[:, at, :] += tk[:, t]
+            kept[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
+            kept[:, at, at] += tt[:, t]
+        if self._rank_free:
+            datum = self._datum(blocks.position[chosen[:, 0]])
+            kept[:, :6, :6] += np.swapaxes(datum, 1, 2) @ datum
+        mesh = tt[:, self._mesh] + self._other_tt
+        unseen = np.einsum("beii->be", mesh) == 0.0
+        return kept, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self._mesh] + self._other_tk
+
+    def _datum(self, first: Floats) -> Floats:
+        """Rows (B, f, 6) that hold the first station against the free rigid motions."""
+        motion = self._free / np.linalg.norm(self._free, axis=0)
+        rows = np.broadcast_to(motion.T, (len(first), *motion.T.shape)).copy()
+        rows[:, :, :3] += np.cross(rows[:, :, 3:], first[:, None, :])
+        return rows / DATUM_SIGMA[: rows.shape[1], None] * POSE_SCALE
+
+    def _target_rms(self, schur: Floats, inverse: Floats, weights: Floats) -> Floats:
+        """Point error (B,) [m] with inner constraints: trace of the targets' covariance less its rigid part."""
+        layouts, size = schur.shape[:2]
+        covariance = np.linalg.inv(schur)
+        mesh, gauge = self._mesh, self._gauge
+        carry = np.zeros((layouts, len(self.survey.points), 3, size))
+        carry[:, mesh] = -weights
+        first = size - len(self.scale) - 3 * len(gauge)
+        for g, t in enumerate(gauge):
+            carry[:, t, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
+        flat = carry.reshape(layouts, -1, size)
+        total = np.einsum("beii->b", inverse) + np.einsum("bik,bki->b", flat @ covariance, np.swapaxes(flat, 1, 2))
+        if self._rank_free:
+            motion = self._motion.reshape(-1, 3, self._rank_free)
+            held = np.linalg.inv(self._motion.T @ self._motion)
+            moved = np.swapaxes(flat, 1, 2) @ self._motion
+            shared = np.swapaxes(moved, 1, 2) @ covariance @ moved
+            shared += np.einsum("tif,btij,tjg->bfg", motion[mesh], inverse, motion[mesh], optimize=True)
+            total = total - np.einsum("fg,bgf->b", held, shared)
+        rms: Floats = POSE_SCALE * np.sqrt(total / len(self.survey.points))
+        return rms
+
+
+def _cholesky(matrices: Floats) -> Floats:
+    """Lower factors; NaN where a matrix is not positive definite."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        roots = np.full(matrices.shape, np.nan)
+        for i, matrix in enumerate(matrices):
+            try:
+                roots[i] = np.linalg.cholesky(matrix)
+            except np.linalg.LinAlgError:
+                continue
+    return roots

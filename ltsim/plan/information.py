@@ -1,0 +1,193 @@
+"""What a layout would tell, without any data: standard deviations, undetermined combinations, redundancy.
+
+The calibrator's own problem is linearised at the nominal state, a perfect instrument at the planned places; a
+covariance does not depend on readings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.datum import rigid_motion
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.arrays import Floats, Ints
+from ltsim.calibrate.cures import cures
+from ltsim.calibrate.undetermined import Direction, gains, undetermined
+from ltsim.errors import NetworkError
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.plan.survey import Survey
+from ltsim.recording.recording import Recording
+from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.gauss_newton import Solution, Status
+
+
+def nominal_adjustment(recording: Recording, state: State, construction: Construction) -> Adjustment:
+    """The adjustment that a recording of `state` would have, as if it had been solved.
+
+    Raises
+    ------
+    NetworkError
+        When the pointings do not determine poses and targets.
+    """
+    problem = NetworkProblem.of(MeasurementModel(recording, construction), state.points)
+    system = problem.linearise(state)
+    try:
+        factor = Factor(system)
+    except SingularSystemError:
+        raise NetworkError(_lost(recording)) from None
+    solution = Solution(state, system.cost, 0, Status.CONVERGED, factor, system)
+    return Adjustment(problem, solution, np.zeros(len(recording), dtype=bool))
+
+
+def _lost(recording: Recording) -> str:
+    """A sentence: what the network lacks, as far as counting tells."""
+    count = [len(np.unique(recording.target[recording.station == s])) for s in range(len(recording.stations))]
+    few = [name for name, n in zip(recording.stations, count, strict=True) if n < 3]
+    unseen = sorted(set(range(len(recording.targets))) - set(recording.target.tolist()))
+    if few:
+        return f"station {few[0]} sees fewer than three targets; a pose needs at least three"
+    if unseen:
+        return f"target {recording.targets[unseen[0]]} is seen from no station"
+    return "the pointings do not determine all poses and targets; let stations share more targets"
+
+
+@dataclass(frozen=True)
+class LayoutInformation:
+    """Information of a survey that has not been made.
+
+    Attributes
+    ----------
+    survey : Survey
+    adjustment : Adjustment
+        At the nominal state; everything that an adjustment knows of precision holds here too.
+    """
+
+    survey: Survey
+    adjustment: Adjustment
+
+    @classmethod
+    def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
+        """The information of a survey; by default for the 16 misalignment parameters.
+
+        Raises
+        ------
+        NetworkError
+            When the survey does not determine its poses and targets.
+        """
+        built = construction or misalignment()
+        return cls(survey, nominal_adjustment(survey.recording(built), survey.state(built), built))
+
+    @property
+    def construction(self) -> Construction:
+        """The construction whose parameters are meant."""
+        return self.adjustment.construction
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """(p,) of the first instrument [SI]."""
+        return self.adjustment.problem.prior_sigma[0]
+
+    @property
+    def instrument_covariance(self) -> Floats:
+        """(p, p) [SI], priors included."""
+        return self.adjustment.instrument_covariance
+
+    @property
+    def scaled_covariance(self) -> Floats:
+        """(p, p) in units of the prior sigmas: the identity before any reading."""
+        return self.instrument_covariance / np.outer(self.prior_sigma, self.prior_sigma)
+
+    @cached_property
+    def instrument_sigma(self) -> Floats:
+        """(p,) standard deviation of each instrument parameter [SI]."""
+        sigma: Floats = np.sqrt(np.diag(self.instrument_covariance))
+        return sigma
+
+    @cached_property
+    def gains(self) -> Floats:
+        """(p,) ascending: share of the prior variance removed along each principal combination."""
+        return gains(self.instrument_covariance, self.prior_sigma)[0]
+
+    @cached_property
+    def undetermined(self) -> list[Direction]:
+        """Combinations with a gain under one half, the least known first."""
+        return undetermined(self.instrument_covariance, self.prior_sigma)
+
+    def cures(self) -> list[str]:
+        """A sentence for each undetermined combination: what would determine it."""
+        sentences = cures(self.adjustment, self.construction, [self.undetermined])
+        return list(sentences[0])
+
+    @cached_property
+    def pose_covariance(self) -> Floats:
+        """(S, 6, 6): translation [m] and rotation [rad] of each station, datum the mean of all targets."""
+        arm = cross_matrix(self.adjustment.state.position)
+        count = len(arm)
+        upper = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), -arm], axis=2)
+        lower = np.broadcast_to(np.hstack([np.zeros((3, 3)), np.eye(3)]), (count, 3, 6))
+        motion = np.concatenate([upper, lower], axis=1)
+        return self._in_targets_datum(
+            self.adjustment.pose_covariance, motion, self.adjustment.problem.layout.pose
+        )
+
+    @cached_property
+    def target_covariance(self) -> Floats:
+        """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints)."""
+        motion = rigid_motion(self.adjustment.state.points).reshape(-1, 3, 6)
+        return self._in_targets_datum(
+            self.adjustment.target_covariance, motion, self.adjustment.problem.layout.target
+        )
+
+    def _in_targets_datum(self, blocks: Floats, motion: Floats, columns: Ints) -> Floats:
+        """Diagonal blocks (b, k, k) after the S-transformation to inner constraints on all targets.
+
+        With G the rigid motions and H their dual on the targets: C - G (H C) - (C H^T) G^T + G (H C H^T) G^T.
+        """
+        problem, points = self.adjustment.problem, self.adjustment.state.points
+        free = problem.free
+        if not free.shape[1]:
+            return blocks
+        on_targets = rigid_motion(points) @ free
+        dual = np.zeros((problem.layout.size, free.shape[1]))
+        dual[problem.layout.target.ravel()] = np.linalg.pinv(on_targets).T
+        spread = self.adjustment.factor.covariance_columns(dual)
+        shared = dual.T @ spread
+        own = motion @ free
+        cross = np.einsum("bif,bjf->bij", own, spread[columns])
+        both = np.einsum("bif,fg,bjg->bij", own, shared, own)
+        changed: Floats = blocks - cross - np.swapaxes(cross, 1, 2) + both
+        return changed
+
+    @cached_property
+    def target_sigma(self) -> Floats:
+        """(T,) [m]: root of the trace of each target's covariance, its point error."""
+        sigma: Floats = np.sqrt(np.einsum("tii->t", self.target_covariance))
+        return sigma
+
+    @property
+    def target_rms(self) -> float:
+        """[m] root mean square point error over all targets."""
+        return float(np.sqrt(np.mean(self.target_sigma**2)))
+
+    def parameters(self) -> list[dict[str, object]]:
+        """One row a parameter, in the unit a person reads it in."""
+        rows: list[dict[str, object]] = []
+        for p, sigma, prior in zip(
+            self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True
+        ):
+            rows.append(
+                {
+                    "name": p.name,
+                    "unit": p.unit,
+                    "sigma": float(sigma / p.factor),
+                    "prior_sigma": float(prior / p.factor),
+                    "gain": float(1.0 - (sigma / prior) ** 2),
+                }
+            )
+        return rows

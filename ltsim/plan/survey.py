@@ -1,0 +1,121 @@
+"""A survey that nobody has made yet: where the stations stand, what they point at, how often, and what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, as_floats
+from ltsim.errors import SetupError
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Setup
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Upright stations, targets, and the pointings between them.
+
+    Attributes
+    ----------
+    setup : Setup
+        Noise, priors, gauge, nests: what a recording of this survey would state.
+    station_names, target_names : tuple of str
+    position : (S, 3) float, [m]
+        Centre of each instrument.
+    yaw : (S,) float, [rad]
+        Turn of each instrument about the vertical.
+    points : (T, 3) float, [m]
+    seen : (S, T) bool
+        Which targets are measured from which station.
+    faces : tuple of int
+        1 and/or 2.
+    repeats : int
+        Pointings of each target on each face.
+    seconds_per_pointing, seconds_per_move : float, [s]
+    """
+
+    setup: Setup
+    station_names: tuple[str, ...]
+    target_names: tuple[str, ...]
+    position: Floats
+    yaw: Floats
+    points: Floats
+    seen: Bools
+    faces: tuple[int, ...] = (1, 2)
+    repeats: int = 1
+    seconds_per_pointing: float = 10.0
+    seconds_per_move: float = 1200.0
+
+    def __post_init__(self) -> None:
+        stations, targets = len(self.station_names), len(self.target_names)
+        as_floats(self.position, (stations, 3), "position")
+        as_floats(self.yaw, (stations,), "yaw")
+        as_floats(self.points, (targets, 3), "points")
+        if self.seen.shape != (stations, targets):
+            raise SetupError(f"seen has shape {self.seen.shape}, expected {(stations, targets)}")
+        if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
+            raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
+
+    @property
+    def pointings(self) -> int:
+        """Number of pointings n."""
+        return int(self.seen.sum()) * len(self.faces) * self.repeats
+
+    @property
+    def seconds(self) -> float:
+        """[s] the whole work takes: every station is carried there, then points."""
+        return self.pointings * self.seconds_per_pointing + len(self.position) * self.seconds_per_move
+
+    @property
+    def rotation(self) -> Floats:
+        """(S, 3, 3): instrument frame to network frame."""
+        return np.stack([about_z(float(yaw)) for yaw in self.yaw])
+
+    def state(self, construction: Construction) -> State:
+        """The nominal state: a perfect instrument at the planned places."""
+        count = len(self._empty().instruments)
+        return State(self.position, self.rotation, self.points, np.zeros((count, construction.size)))
+
+    def recording(self, construction: Construction) -> Recording:
+        """The recording of a perfect instrument without noise.
+
+        Station by station; there all targets on one face, then on the other, and the whole again for repeats.
+        """
+        empty = self._empty()
+        readings = MeasurementModel(empty, construction).predict(self.state(construction))
+        return empty.with_readings(readings)
+
+    def _empty(self) -> Recording:
+        station, repeat, face, target = (
+            axis.ravel()
+            for axis in np.meshgrid(
+                np.arange(len(self.position)),
+                np.arange(1, self.repeats + 1),
+                np.array(self.faces),
+                np.arange(len(self.points)),
+                indexing="ij",
+            )
+        )
+        keep = self.seen[station, target]
+        station, repeat, face, target = station[keep], repeat[keep], face[keep], target[keep]
+        time = np.arange(len(station)) * self.seconds_per_pointing + station * self.seconds_per_move
+        return Recording(
+            setup=self.setup,
+            stations=self.station_names,
+            targets=self.target_names,
+            station=station.astype(np.int64),
+            target=target.astype(np.int64),
+            face=face.astype(np.int64),
+            repeat=repeat.astype(np.int64),
+            time=time.astype(np.float64),
+            readings=np.full((len(station), 3), np.nan),
+        )
+
+    def replace(self, **changes: Any) -> Survey:
+        """A copy with some fields changed."""
+        return replace(self, **changes)

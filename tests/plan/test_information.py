@@ -1,0 +1,140 @@
+"""Information of a layout: against dense algebra, against a solved recording, and the batch against the slow twin."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.adjust.datum import inner_covariance
+from ltsim.effects.range_offset import RangeOffset
+from ltsim.errors import NetworkError, SetupError
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.model.construction import ideal, misalignment
+from ltsim.plan.fast import Reducer
+from ltsim.plan.information import LayoutInformation
+from ltsim.randomness import stream
+from ltsim.recording.setup import Station
+from tests.plan.fixtures import POSITION, YAW, survey
+
+
+def scattered(layouts: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return POSITION + rng.normal(0, 0.25, (layouts, 5, 3)), rng.uniform(0, 6, (layouts, 5))
+
+
+def test_information_is_that_of_the_solved_recording() -> None:
+    """Noise moves the state by micrometres: the covariance at the optimum is the one predicted before."""
+    made = survey()
+    information = LayoutInformation.of(made)
+    recording = made.recording(misalignment())
+    noise = stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
+    solved = adjust(recording.with_readings(recording.readings + noise), misalignment())
+    sigma = np.sqrt(np.diag(solved.instrument_covariance))
+    assert information.instrument_sigma == pytest.approx(sigma, rel=1e-3)
+    inner = inner_covariance(solved).reshape(28, 3, 28, 3)
+    trace = np.einsum("titi->t", inner)
+    assert information.target_sigma == pytest.approx(np.sqrt(trace), rel=1e-3)
+
+
+def test_undetermined_combinations_have_the_gain_they_state() -> None:
+    information = LayoutInformation.of(survey((1,)))
+    assert information.undetermined, "one face leaves the vertical group undetermined (physics.md, section 6)"
+    for direction in information.undetermined:
+        left = direction.vector @ information.scaled_covariance @ direction.vector
+        assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
+        assert direction.gain < 0.5
+    first = information.undetermined[0].coefficients(information.construction.names)
+    assert {"vertical-index", "elevation-eccentricity-cos"} <= set(first)
+    assert "both faces" in information.cures()[0]
+
+
+def test_pose_covariance_does_not_depend_on_the_frame() -> None:
+    """The same layout with its stations in another order: another datum inside, the same poses outside."""
+    order = np.array([3, 1, 4, 0, 2])
+    made = survey()
+    turned = made.replace(
+        position=made.position[order], yaw=made.yaw[order], station_names=tuple(f"P{i}" for i in order)
+    )
+    first, second = LayoutInformation.of(made), LayoutInformation.of(turned)
+    a, b = first.pose_covariance[order], second.pose_covariance
+    scale = np.sqrt(np.einsum("sii->si", a))
+    assert np.abs((a - b) / (scale[:, :, None] * scale[:, None, :])).max() < 1e-7
+    assert first.target_sigma == pytest.approx(second.target_sigma, rel=1e-9)
+
+
+@pytest.mark.parametrize("faces", [(1,), (1, 2)])
+def test_batch_agrees_with_the_slow_twin(faces: tuple[int, ...]) -> None:
+    made = survey(faces, repeats=2)
+    reducer = Reducer(made)
+    position, yaw = scattered(6, 2)
+    seen = np.random.default_rng(5).uniform(size=(6, 5, 28)) < 0.8
+    blocks = reducer.blocks(position.reshape(-1, 3), yaw.ravel(), seen=seen.reshape(-1, 28))
+    out = reducer.reduce(blocks, np.arange(30).reshape(6, 5), targets=True)
+    for i in range(6):
+        slow = LayoutInformation.of(made.replace(position=position[i], yaw=yaw[i], seen=seen[i]))
+        fast = np.linalg.inv(out.information[i])
+        assert np.sqrt(np.diag(fast)) == pytest.approx(np.sqrt(np.diag(slow.scaled_covariance)), rel=1e-9)
+        scale = np.sqrt(np.diag(fast))
+        assert np.abs((fast - slow.scaled_covariance) / np.outer(scale, scale)).max() < 1e-9
+        assert out.target_rms[i] == pytest.approx(slow.target_rms, rel=1e-9)
+
+
+def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() -> None:
+    made = survey()
+    stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in made.station_names[:3]}
+    made = made.replace(setup=made.setup.model_copy(update={"stations": stations}))
+    reducer = Reducer(made, ideal())
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw), np.arange(5)[None], targets=True)
+    assert out.target_rms[0] == pytest.approx(LayoutInformation.of(made, ideal()).target_rms, rel=1e-9)
+
+
+def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
+    """A range offset taken as an effect beside the others has the information it has as a parameter without prior."""
+    made = survey()
+    from ltsim.effects import BASELINE
+
+    others = misalignment(e for e in BASELINE if e.name != "range-offset")
+    reducer = Reducer(made, others, [RangeOffset()])
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw, np.arange(5)), np.arange(5)[None])
+    own = np.linalg.inv(out.information[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
+    whole = LayoutInformation.of(made)
+    at = whole.construction.index("range-offset")
+    without_prior = 1 / whole.instrument_covariance[at, at] - 1 / whole.prior_sigma[at] ** 2
+    assert own == pytest.approx(1 / without_prior, rel=1e-8)
+
+
+def test_a_thousand_layouts_a_second_on_two_cores() -> None:
+    """Half of it on one: set-ups linearised from scratch, two faces, 5 stations, 28 targets, 16 parameters."""
+    reducer = Reducer(survey())
+    position, yaw = scattered(256, 3)
+
+    def once() -> float:
+        start = time.perf_counter()
+        for at in range(0, 256, 16):
+            part = slice(at, at + 16)
+            blocks = reducer.blocks(position[part].reshape(-1, 3), yaw[part].ravel())
+            reducer.reduce(blocks, np.arange(80).reshape(16, 5))
+        return time.perf_counter() - start
+
+    assert 256 / min(once() for _ in range(3)) > 500
+
+
+def test_a_layout_that_determines_no_pose_has_no_information() -> None:
+    made = survey()
+    seen = np.ones((5, 28), dtype=bool)
+    seen[2, 2:] = False
+    with pytest.raises(NetworkError, match="S3 sees fewer than three targets"):
+        LayoutInformation.of(made.replace(seen=seen))
+    reducer = Reducer(made)
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw, seen=seen), np.arange(5)[None])
+    assert not np.isfinite(out.information).any() or np.linalg.cond(out.information[0]) > 1e12
+
+
+def test_rotation_of_a_survey_is_about_the_vertical() -> None:
+    made = survey()
+    assert made.rotation == pytest.approx(from_rotation_vector(np.outer(YAW, [0, 0, 1])), abs=1e-15)
+    with pytest.raises(SetupError, match="faces are"):
+        survey((1, 3))
