@@ -133,8 +133,11 @@ class Bank:
     def simulated_evidence(self, noise: Floats) -> Floats:
         """Log evidence (families, trials) of each family for white noise (m, trials)."""
         trials = noise.shape[1]
-        best = np.full((len(self.families), trials), -np.inf)
         count = np.bincount(self.family, minlength=len(self.families))
+        # What the adjustment absorbs whole has evidence one, whatever the residuals.
+        blind = np.bincount(self.family[self.rank == 0], minlength=len(self.families))
+        with np.errstate(divide="ignore"):
+            best = np.tile(np.log(blind.astype(np.float64))[:, None], (1, trials))
         white = noise.astype(np.float32)
         for group in self.groups:
             k, r = len(group.members), group.rank
