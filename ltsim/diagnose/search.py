@@ -125,6 +125,12 @@ class Searcher:
     def _refined(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
         """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
         best, value = hypothesis, evidence
+        for effect in hypothesis.effect.finer(self.space.sightings):
+            near = replace(hypothesis, effect=effect)
+            drop, rank = self._drop(near, base)
+            found = float(log_evidence(np.array([drop]), np.array([rank]))[0])
+            if found > value:
+                best, value = near, found
         for shape in type(hypothesis.effect).shape:
             now = getattr(best.effect, shape.name)
             if not isinstance(now, float) or shape.steps < 2:

@@ -155,6 +155,10 @@ class Effect:
         shapes: list[dict[str, Any]] = [dict(shape) for shape in product(*grids)]
         return [cls(**place, **shape) for place in places for shape in shapes]
 
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """Instances near this one that `candidates` leaves out; tried once this one stands out."""
+        return []
+
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, p) of the raw readings per unit of each parameter."""
         raise NotImplementedError

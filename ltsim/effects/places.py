@@ -48,6 +48,14 @@ def visit_change_times(sightings: Sightings, target: int, *, most: int) -> list[
     return [float(t) for t in np.unique(middles)]
 
 
+def gaps_near(times: Floats, time: float, *, reach: int = 6) -> list[float]:
+    """Middles [s] of the `reach` gaps between pointings at `times` on either side of `time`."""
+    ordered = np.unique(times)
+    middle = 0.5 * (ordered[1:] + ordered[:-1])
+    at = int(np.searchsorted(middle, time))
+    return [float(t) for t in middle[max(at - reach, 0) : at + reach + 1]]
+
+
 def visited_pairs(sightings: Sightings) -> list[tuple[str, str]]:
     """(station, target) of every pair with a pointing."""
     pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)

@@ -15,7 +15,7 @@ from typing import Self
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.effects.places import station_change_times
+from ltsim.effects.places import gaps_near, station_change_times
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
@@ -43,6 +43,11 @@ class RangeStep(Effect):
         ]
         changes = station_change_times(sightings, least=2)
         return [cls((name,), time=time) for name, time in [*starts, *changes]]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """The gaps between pointings around this one."""
+        times = sightings.time[self.mask(sightings) > 0]
+        return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of step."""

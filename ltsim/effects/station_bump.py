@@ -17,7 +17,7 @@ from typing import Self
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage
 from ltsim.effects.motions import exact_station_change, station_design
-from ltsim.effects.places import station_change_times
+from ltsim.effects.places import gaps_near, station_change_times
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
@@ -48,6 +48,11 @@ class StationBump(Effect):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Every gap of a visit with three pointings on either side."""
         return [cls((name,), time=time) for name, time in station_change_times(sightings, least=3)]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """The gaps between pointings around this one."""
+        times = sightings.time[self.mask(sightings) > 0]
+        return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
 
     def _after(self, sightings: Sightings) -> Floats:
         return self.mask(sightings) * (sightings.time >= self.time)

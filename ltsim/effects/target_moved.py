@@ -19,7 +19,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
 from ltsim.effects.motions import exact_target_change
-from ltsim.effects.places import start_time, visit_change_times
+from ltsim.effects.places import gaps_near, start_time, visit_change_times
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE
 
@@ -67,6 +67,11 @@ class TargetMoved(Effect):
         if self.kind == "creep":
             return self.mask(sightings) * (sightings.time - start_time(sightings))
         return self.mask(sightings) * (sightings.time >= self.time)
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """For a step the gaps between pointings around this one, inside the stations' visits too."""
+        times = sightings.time[self.mask(sightings) > 0]
+        return [self.reshaped(time=t) for t in gaps_near(times, self.time)] if self.kind == "step" else []
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 3) of the raw readings per unit of motion, first order."""
