@@ -1,0 +1,25 @@
+"""The one way in which this room compiles a function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numba
+
+R = TypeVar("R")
+
+
+def compiled(function: Callable[..., R]) -> Callable[..., R]:
+    """Compile at the first call and keep the machine code beside the source.
+
+    Sums keep their order; only a product and a sum may be fused. Runs outside the interpreter lock.
+    """
+    compiler = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+    return cast(Callable[..., R], compiler(function))
+
+
+def inlined(function: Callable[..., R]) -> Callable[..., R]:
+    """Compile into whoever calls it, so that a loop around the call still becomes vector instructions."""
+    compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
+    return cast(Callable[..., R], compiler(function))

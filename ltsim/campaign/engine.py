@@ -1,0 +1,215 @@
+"""Batched trials: draw, calibrate, judge. What a block of trials gives is a table of columns.
+
+Where the time of a trial goes (paper's workshop: 420 readings, 130 unknowns, one core): see benchmarks/README.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.campaign.judge import Columns, Judge
+from ltsim.campaign.network import BatchNetwork
+from ltsim.campaign.truth import BLOCK, Block, Truth
+from ltsim.effects.effect import Effect
+from ltsim.errors import LtsimError
+from ltsim.evaluate.clouds import on_points
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Setup
+from ltsim.units import MILLIMETRE
+
+SUSPECT = 0.6e-3
+SUSPECT_FACTOR = 10.0
+"""A pointing this far off [m], and this many times further than the usual one, the full solver may screen out."""
+
+CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
+"""Status of a trial: in the batch; by the full solver, since the batch was not enough; not at all."""
+STATUSES = (CONVERGED, FULL, FAILED)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Calibrated trials of a block.
+
+    Attributes
+    ----------
+    values : (I, p, B) float [SI]
+    sigma : (I, p) float [SI]
+        Predicted standard deviations.
+    points : (T, 3, B) float, [m]
+        Adjusted targets less true ones, in any frame; NaN where the method gives none.
+    chi2 : (B,) float
+    status : (B,) int
+        Index into `STATUSES`.
+    """
+
+    values: Floats
+    sigma: Floats
+    points: Floats
+    chi2: Floats
+    status: Ints
+
+
+def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
+    """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
+    recording = truth.recording.with_readings(truth.readings(block, trial))
+    return recording.replace(setup=_with_lengths(recording.setup, block.gauge_error[:, trial]))
+
+
+def _with_lengths(setup: Setup, error: Floats) -> Setup:
+    """The set-up with other known lengths; `error` [m] at the temperature of the workshop."""
+    gauge = setup.gauge
+    if gauge is None or not len(error):
+        return setup
+    grown = 1.0 + gauge.expansion_per_k * (gauge.measured_at_c - gauge.calibrated_at_c)
+    stated = tuple(
+        d.model_copy(update={"length_mm": d.length_mm + e / grown / MILLIMETRE})
+        for d, e in zip(gauge.distance, error, strict=True)
+    )
+    return setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": stated})})
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Network calibrations of trials that share a geometry.
+
+    Attributes
+    ----------
+    truth : Truth
+    construction : Construction
+        Whose parameters are estimated.
+    effects : tuple of Effect
+        Further effects that are estimated.
+    """
+
+    truth: Truth
+    construction: Construction
+    effects: tuple[Effect, ...] = ()
+
+    @cached_property
+    def network(self) -> BatchNetwork:
+        """The factorised network."""
+        return BatchNetwork(self.truth.recording, self.truth.state, self.construction, self.effects)
+
+    @cached_property
+    def _reach(self) -> Floats:
+        """(n, 3) metres at the target per unit of a reading."""
+        sightings = self.truth.sightings
+        across = sightings.range_ * np.cos(sightings.elevation)
+        return np.stack([np.ones_like(across), across, sightings.range_], axis=1)
+
+    def _suspect(self, deviation: Floats) -> Bools:
+        """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
+        far: Bools = np.max(np.abs(deviation) * self._reach[:, :, None], axis=(0, 1)) > SUSPECT
+        for trial in np.flatnonzero(far):
+            miss = np.linalg.norm(deviation[:, :, trial] * self._reach, axis=1)
+            far[trial] = miss.max() > SUSPECT_FACTOR * np.median(miss)
+        return far
+
+    def calibrate(self, block: Block) -> Calibrated:
+        """Calibrate a block; trials for which the batch is not enough go to the full solver."""
+        fit = self.network.fit(block.deviation, block.gauge_error)
+        status = np.zeros(len(fit.chi2), dtype=np.int64)
+        found = Calibrated(fit.values, self.network.sigma_values, fit.points, fit.chi2, status)
+        for trial in np.flatnonzero(~fit.converged | self._suspect(block.deviation)):
+            self._by_full_solver(block, int(trial), found)
+        return found
+
+    def _by_full_solver(self, block: Block, trial: int, found: Calibrated) -> None:
+        adjustment = self.full(block, trial)
+        if adjustment is None or not adjustment.solution.converged:
+            found.status[trial] = STATUSES.index(FAILED)
+            for array in (found.values, found.points, found.chi2):
+                array[..., trial] = np.nan
+            return
+        found.status[trial] = STATUSES.index(FULL)
+        found.values[:, :, trial] = adjustment.state.instrument
+        truth = self.truth.state.points
+        found.points[:, :, trial] = on_points(adjustment.state.points, truth) - truth
+        found.chi2[trial] = adjustment.chi2
+
+    def full(self, block: Block, trial: int) -> Adjustment | None:
+        """One trial by the full solver, from its readings alone; None where it gives up."""
+        try:
+            return adjust(recording_of(self.truth, block, trial), self.construction, effects=self.effects)
+        except LtsimError:
+            return None
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a calibrated trial from the full solver's, over parameters and targets.
+
+        Targets are compared after a rigid fit, by their standard deviations in that frame. NaN for a failed one.
+        """
+        adjustment = self.full(block, trial)
+        if adjustment is None or not adjustment.solution.converged:
+            return float("nan")
+        values = np.abs(adjustment.state.instrument - found.values[:, :, trial]) / found.sigma
+        batch = self.truth.state.points + found.points[:, :, trial]
+        gap = np.abs(on_points(adjustment.state.points, batch) - batch) / self.sigma_targets
+        return float(max(values.max(initial=0.0), gap.max()))
+
+    @cached_property
+    def sigma_targets(self) -> Floats:
+        """Standard deviation (T, 3) [m] of the adjusted targets after a rigid fit to any others."""
+        points = self.truth.state.points
+        arms = points - points.mean(axis=0)
+        shift = np.tile(np.eye(3), (len(points), 1))
+        motion = np.linalg.qr(np.hstack([shift, -cross_matrix(arms).reshape(-1, 3)]))[0]
+        start, end = self.network.sizes[:2]
+        covariance = self.network.covariance[start:end, start:end]
+        project = np.eye(len(motion)) - motion @ motion.T
+        variance = np.einsum("ij,jk,ik->i", project, covariance, project, optimize=True)
+        sigma: Floats = np.sqrt(variance).reshape(-1, 3)
+        return sigma
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
+
+    truth: Truth
+
+    @cached_property
+    def judge(self) -> Judge:
+        """The judge of this truth's network."""
+        return Judge(self.truth.recording, self.truth.state)
+
+    def before(self, block: Block) -> Columns:
+        """Columns that all methods share: criteria and error before, error with the true parameters."""
+        raw = self.judge.clouds(block.deviation)
+        perfect = self.judge.clouds(block.deviation, self.truth.construction, block.values)
+        columns: Columns = self.judge.criteria(raw, "before") if self.judge.comparable else {}
+        columns["error_raw_um"] = self.judge.cloud_error(raw)
+        columns["error_true_parameters_um"] = self.judge.cloud_error(perfect)
+        return columns
+
+    def after(self, block: Block, found: Calibrated, construction: Construction, shared: Columns) -> Columns:
+        """Columns of a method: criteria and errors after, share of the correctable error removed."""
+        calibrated = self.judge.clouds(block.deviation, construction, found.values)
+        columns: Columns = self.judge.criteria(calibrated, "after") if self.judge.comparable else {}
+        error = self.judge.cloud_error(calibrated)
+        columns["error_calibrated_um"] = error
+        correctable = shared["error_raw_um"] - shared["error_true_parameters_um"]
+        columns["share_removed"] = (shared["error_raw_um"] - error) / np.where(correctable > 0, correctable, np.nan)
+        columns["target_error_um"] = self.judge.target_error(found.points)
+        return columns
+
+
+def parameter_columns(construction: Construction, instruments: tuple[str, ...], values: Floats, prefix: str) -> Columns:
+    """Parameters (I, p, B) [SI] as columns in display units: ``estimate:beam-tilt``, with ``@name`` of several."""
+    return {
+        f"{prefix}:{parameter.name}" + (f"@{name}" if len(instruments) > 1 else ""): values[i, k] / parameter.factor
+        for i, name in enumerate(instruments)
+        for k, parameter in enumerate(construction.parameters)
+    }
+
+
+def trials_of(number: int) -> Ints:
+    """Numbers (B,) of a block's trials."""
+    return BLOCK * number + np.arange(BLOCK)

@@ -1,0 +1,152 @@
+"""How good a calibration was, for a block of trials: the paper's criteria and the error against the truth.
+
+The same quantities as in `ltsim.evaluate`, which judges one recording at a time and is what this is tested against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats
+from ltsim.campaign.cloud_kernels import (
+    MICRO,
+    add_square_error,
+    coordinate_criterion,
+    distance_criterion,
+    rigid_fit,
+    station_means,
+    to_network,
+)
+from ltsim.campaign.kernels import points_of
+from ltsim.campaign.program import ChainProgram
+from ltsim.model.construction import Construction, ideal
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+
+Columns = dict[str, Floats]
+"""Named results (B,), one value a trial; lengths in um, as the names say."""
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """What each station measured, (S, T, 3, B) [m] in the nominal network frame, from some parameters."""
+
+    points: Floats
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judges trials of one network.
+
+    Attributes
+    ----------
+    recording : Recording
+        With nominal readings.
+    state : State
+        The truth: poses and targets.
+    """
+
+    recording: Recording
+    state: State
+
+    @cached_property
+    def seen(self) -> Bools:
+        """(S, T) which station measured which target whole."""
+        seen = np.zeros((len(self.state.position), len(self.state.points)), dtype=np.bool_)
+        whole = self.recording.measured.all(axis=1)
+        seen[self.recording.station[whole], self.recording.target[whole]] = True
+        return seen
+
+    @cached_property
+    def comparable(self) -> bool:
+        """True when the criteria exist: two stations and more, each sharing three targets with the first."""
+        return len(self.seen) > 1 and bool(np.all((self.seen & self.seen[0]).sum(axis=1) >= 3))
+
+    @cached_property
+    def _share(self) -> Floats:
+        """One over the number of pointings that a pointing's mean is taken over; 0 for one not whole."""
+        whole = self.recording.measured.all(axis=1)
+        key = self.recording.station * len(self.state.points) + self.recording.target
+        count = np.bincount(key[whole], minlength=self.seen.size)[key]
+        return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
+
+    @cached_property
+    def _programs(self) -> dict[int, tuple[Construction, ChainProgram]]:
+        return {}
+
+    def _program(self, construction: Construction) -> ChainProgram:
+        """The chain of a construction around the nominal readings, laid out once."""
+        if id(construction) not in self._programs:
+            laid_out = ChainProgram.of(construction, self.recording.readings)
+            self._programs[id(construction)] = construction, laid_out
+        return self._programs[id(construction)][1]
+
+    @cached_property
+    def _plain(self) -> ChainProgram:
+        return ChainProgram.of(ideal(), self.recording.readings)
+
+    def clouds(
+        self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
+    ) -> Clouds:
+        """Means over faces and repeats of the points that readings describe; raw without a construction.
+
+        Parameters
+        ----------
+        deviation : (n, 3, B) float
+            Readings less nominal readings.
+        construction, values : (I, p, B)
+            What corrects them.
+        """
+        trials = deviation.shape[2]
+        if construction is None or values is None:
+            program, values = self._plain, np.zeros((len(self.recording.instruments), 0, trials))
+        else:
+            program = self._program(construction)
+        points = np.empty(deviation.shape)
+        points_of(*program.arrays, self.recording.instrument, deviation, values, points)
+        clouds = np.zeros((*self.seen.shape, 3, trials))
+        station_means(points, self.recording.station, self.recording.target, self._share, clouds)
+        to_network(clouds, np.ascontiguousarray(self.state.rotation), self.state.position)
+        return Clouds(clouds)
+
+    def criteria(self, clouds: Clouds, suffix: str) -> Columns:
+        """Distance and coordinate criterion, mean and maximum [um]."""
+        trials = clouds.points.shape[3]
+        found = {
+            f"{kind}_{suffix}_{which}_um": np.empty(trials)
+            for kind in ("distance", "coordinate")
+            for which in ("mean", "max")
+        }
+        mean, largest, coordinate_mean, coordinate_largest = found.values()
+        distance_criterion(clouds.points, self.seen, mean, largest)
+        placed = np.empty_like(clouds.points)
+        placed[0] = clouds.points[0]
+        for s in range(1, len(placed)):
+            rigid_fit(clouds.points[s], clouds.points[0], self.seen[s] & self.seen[0], placed[s])
+        coordinate_criterion(placed, self.seen, coordinate_mean, coordinate_largest)
+        return found
+
+    def _truth(self, trials: int) -> Floats:
+        return np.ascontiguousarray(np.broadcast_to(self.state.points[:, :, None], (*self.state.points.shape, trials)))
+
+    def cloud_error(self, clouds: Clouds) -> Floats:
+        """Rms (B,) [um] over stations and targets of the distance to the truth, each station fitted rigidly."""
+        trials = clouds.points.shape[3]
+        truth, total, count = self._truth(trials), np.zeros(trials), 0
+        moved = np.empty_like(truth)
+        for cloud, seen in zip(clouds.points, self.seen, strict=True):
+            rigid_fit(cloud, truth, seen, moved)
+            count += add_square_error(moved, truth, seen, total)
+        return MICRO * np.sqrt(total / count)
+
+    def target_error(self, points: Floats) -> Floats:
+        """Rms (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth."""
+        truth = self._truth(points.shape[2])
+        moved, total = np.empty_like(truth), np.zeros(points.shape[2])
+        every = np.ones(len(truth), dtype=np.bool_)
+        rigid_fit(truth + points, truth, every, moved)
+        count = add_square_error(moved, truth, every, total)
+        return MICRO * np.sqrt(total / count)

@@ -1,0 +1,377 @@
+"""Compiled kernels: the exact kinematic chain and the network's residuals for a block of trials.
+
+All arrays end in the trials (B), so that every inner loop runs over trials that share their geometry and the
+compiler makes vector instructions of it. Small angles enter by power series (exact to rounding below 0.01 rad).
+Kernels live in one file because the compiler's cache watches only the file of the function it compiles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.campaign.compiled import compiled, inlined
+
+REACHED = 1e-9
+"""[m, rad] Newton's method ends with a step below this: what remains is a factor of 1e-4 smaller."""
+STEPS = 8
+
+
+@inlined
+def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
+    """Cosine and sine of an angle plus a small one."""
+    square = small * small
+    s = small * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
+    c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))
+    return cosine * c - sine * s, sine * c + cosine * s
+
+
+@inlined
+def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector turned by a small rotation vector (u, v, w), Rodrigues' formula."""
+    size = u * u + v * v + w * w
+    a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
+    b = 0.5 - size * (1.0 / 24.0) * (1.0 - size * (1.0 / 30.0))
+    cx, cy, cz = v * z - w * y, w * x - u * z, u * y - v * x
+    return (
+        x + a * cx + b * (v * cz - w * cy),
+        y + a * cy + b * (w * cx - u * cz),
+        z + a * cz + b * (u * cy - v * cx),
+    )
+
+
+@compiled
+def _amounts(
+    i: int,
+    driven: Ints,
+    sign: Floats,
+    first: Ints,
+    fed: Ints,
+    varies: Ints,
+    basis: Floats,
+    slope: Floats,
+    deviation: Floats,
+    values: Floats,
+    out: Floats,
+) -> None:
+    """Deviation (M, B) of each motion's amount at pointing i for reading deviations (3, B) and values (p, B)."""
+    trials = out.shape[1]
+    for m in range(len(driven)):
+        row = out[m]
+        if driven[m] >= 0:
+            moved = deviation[driven[m]]
+            for t in range(trials):
+                row[t] = moved[t]
+        else:
+            for t in range(trials):
+                row[t] = 0.0
+        for j in range(first[m], first[m + 1]):
+            k = fed[j]
+            value = values[k]
+            b = basis[k, i]
+            if varies[k] == 0:
+                for t in range(trials):
+                    row[t] += value[t] * b
+            else:
+                b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
+                d0, d1, d2 = deviation[0], deviation[1], deviation[2]
+                for t in range(trials):
+                    row[t] += value[t] * (b + b0 * d0[t] + b1 * d1[t] + b2 * d2[t])
+        if sign[m] != 1.0:
+            for t in range(trials):
+                row[t] *= sign[m]
+
+
+@compiled
+def _walk(i: int, turns: Ints, axis: Ints, amount: Floats, moved: Floats, path: Floats) -> None:
+    """Carry the point from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
+    trials = moved.shape[1]
+    last = len(turns)
+    for c in range(3):
+        for t in range(trials):
+            path[last, c, t] = 0.0
+    for m in range(last - 1, -1, -1):
+        a = axis[m]
+        b, c = (a + 1) % 3, (a + 2) % 3
+        delta = moved[m]
+        along, across, above = path[m + 1, a], path[m + 1, b], path[m + 1, c]
+        along2, across2, above2 = path[m, a], path[m, b], path[m, c]
+        if turns[m] == 0:
+            fixed = amount[m, i, 0]
+            for t in range(trials):
+                along2[t] = along[t] + (fixed + delta[t])
+                across2[t] = across[t]
+                above2[t] = above[t]
+        else:
+            c0, s0 = amount[m, i, 0], amount[m, i, 1]
+            for t in range(trials):
+                cosine, sine = _turned(c0, s0, delta[t])
+                along2[t] = along[t]
+                across2[t] = cosine * across[t] - sine * above[t]
+                above2[t] = sine * across[t] + cosine * above[t]
+
+
+@compiled
+def _pull_back(
+    i: int,
+    turns: Ints,
+    axis: Ints,
+    sign: Floats,
+    amount: Floats,
+    first: Ints,
+    fed: Ints,
+    varies: Ints,
+    basis: Floats,
+    slope: Floats,
+    deviation: Floats,
+    moved: Floats,
+    path: Floats,
+    force: Floats,
+    pull: Floats,
+    gradient: Floats,
+) -> None:
+    """Subtract from gradient (p, B) what a force (3, B) on the point pulls each parameter by (virtual work)."""
+    trials = moved.shape[1]
+    for m in range(len(turns)):
+        a = axis[m]
+        b, c = (a + 1) % 3, (a + 2) % 3
+        along, across, above = force[a], force[b], force[c]
+        if first[m + 1] > first[m]:
+            if turns[m] == 0:
+                for t in range(trials):
+                    pull[t] = sign[m] * along[t]
+            else:
+                p1, p2 = path[m, b], path[m, c]
+                for t in range(trials):
+                    pull[t] = sign[m] * (p1[t] * above[t] - p2[t] * across[t])
+            for j in range(first[m], first[m + 1]):
+                k = fed[j]
+                row = gradient[k]
+                b_ = basis[k, i]
+                if varies[k] == 0:
+                    for t in range(trials):
+                        row[t] -= pull[t] * b_
+                else:
+                    b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
+                    d0, d1, d2 = deviation[0], deviation[1], deviation[2]
+                    for t in range(trials):
+                        row[t] -= pull[t] * (b_ + b0 * d0[t] + b1 * d1[t] + b2 * d2[t])
+        if turns[m] != 0:
+            c0, s0 = amount[m, i, 0], amount[m, i, 1]
+            delta = moved[m]
+            for t in range(trials):
+                cosine, sine = _turned(c0, s0, delta[t])
+                f1, f2 = across[t], above[t]
+                across[t] = cosine * f1 + sine * f2
+                above[t] = cosine * f2 - sine * f1
+
+
+@compiled
+def points_of(
+    turns: Ints,
+    axis: Ints,
+    sign: Floats,
+    driven: Ints,
+    amount: Floats,
+    first: Ints,
+    fed: Ints,
+    varies: Ints,
+    basis: Floats,
+    slope: Floats,
+    instrument: Ints,
+    deviation: Floats,
+    values: Floats,
+    out: Floats,
+) -> None:
+    """Points (n, 3, B) [m] in the instruments' frames of reading deviations (n, 3, B) with values (I, p, B)."""
+    motions, trials = len(turns), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    for i in range(len(deviation)):
+        own = values[instrument[i]]
+        _amounts(i, driven, sign, first, fed, varies, basis, slope, deviation[i], own, moved)
+        _walk(i, turns, axis, amount, moved, path)
+        for c in range(3):
+            for t in range(trials):
+                out[i, c, t] = path[0, c, t]
+
+
+@compiled
+def readings_of(
+    turns: Ints,
+    axis: Ints,
+    sign: Floats,
+    driven: Ints,
+    amount: Floats,
+    first: Ints,
+    fed: Ints,
+    varies: Ints,
+    basis: Floats,
+    slope: Floats,
+    instrument: Ints,
+    local: Floats,
+    by_point: Floats,
+    values: Floats,
+    deviation: Floats,
+) -> None:
+    """Solve for reading deviations (n, 3, B) at which the chain meets points `local` (n, 3), Newton's method.
+
+    `deviation` holds the start and receives the result; `by_point` (n, 3, 3) is the ideal derivative, so that
+    each step closes the gap by a factor of the size of the instrument's errors.
+    """
+    motions, trials = len(turns), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    for i in range(len(deviation)):
+        own = values[instrument[i]]
+        x, y, z = path[0, 0], path[0, 1], path[0, 2]
+        for _ in range(STEPS):
+            _amounts(i, driven, sign, first, fed, varies, basis, slope, deviation[i], own, moved)
+            _walk(i, turns, axis, amount, moved, path)
+            largest = 0.0
+            for c in range(3):
+                j0, j1, j2 = by_point[i, c, 0], by_point[i, c, 1], by_point[i, c, 2]
+                row = deviation[i, c]
+                for t in range(trials):
+                    step = j0 * (local[i, 0] - x[t]) + j1 * (local[i, 1] - y[t]) + j2 * (local[i, 2] - z[t])
+                    row[t] += step
+                    largest = max(largest, abs(step))
+            if not largest > REACHED:
+                break
+
+
+@compiled
+def network_gradient(
+    turns: Ints,
+    axis: Ints,
+    sign: Floats,
+    driven: Ints,
+    amount: Floats,
+    first: Ints,
+    fed: Ints,
+    varies: Ints,
+    basis: Floats,
+    slope: Floats,
+    instrument: Ints,
+    station: Ints,
+    target: Ints,
+    arm: Floats,
+    rotation: Floats,
+    by_point: Floats,
+    weight: Floats,
+    deviation: Floats,
+    pose: Floats,
+    points: Floats,
+    values: Floats,
+    predicted: Floats,
+    residual: Floats,
+    by_pose: Floats,
+    by_points: Floats,
+    by_values: Floats,
+    cost: Floats,
+) -> None:
+    """Whitened residuals (n, 3, B) at a state and their gradients; a step solves N step = gradient.
+
+    The chain is followed at the *predicted* readings, never at the measured ones: a derivative taken at a reading
+    with noise is correlated with that noise, which would bias the range scale by chi2 times its sigma (5e-4 sigma).
+
+    Parameters
+    ----------
+    arm : (n, 3)
+        Target less station at the nominal state, network frame.
+    rotation : (S, 3, 3)
+    by_point : (n, 3, 3)
+        Ideal derivative of the readings by the local point.
+    weight : (n, 3)
+        One over sigma; zero for a reading not measured.
+    deviation : (n, 3, B)
+        Measured readings less nominal ones, and less the shifts of further effects.
+    pose : (S, 6, B), points (T, 3, B), values (I, p, B)
+        Increments of the state: translation and rotation vector, targets; parameters.
+    predicted : (n, 3, B)
+        Predicted readings less nominal ones: holds those of the last state, receives one Newton step to this one.
+    by_pose, by_points, by_values, cost
+        Outputs, added to.
+    """
+    motions, trials = len(turns), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    force, pull = np.empty((3, trials)), np.empty(trials)
+    for i in range(len(deviation)):
+        own, s = values[instrument[i]], station[i]
+        _amounts(i, driven, sign, first, fed, varies, basis, slope, predicted[i], own, moved)
+        _walk(i, turns, axis, amount, moved, path)
+        _meet(
+            arm[i], rotation[s], by_point[i], weight[i], pose[s], points[target[i]], path[0], deviation[i],
+            predicted[i], residual[i], force, by_pose[s], by_points[target[i]], cost,
+        )  # fmt: skip
+        _pull_back(
+            i, turns, axis, sign, amount, first, fed, varies, basis, slope, predicted[i], moved, path, force, pull,
+            by_values[instrument[i]],
+        )  # fmt: skip
+
+
+@compiled
+def _meet(
+    arm: Floats,
+    rotation: Floats,
+    by_point: Floats,
+    weight: Floats,
+    pose: Floats,
+    point: Floats,
+    reached: Floats,
+    measured: Floats,
+    predicted: Floats,
+    residual: Floats,
+    force: Floats,
+    by_pose: Floats,
+    by_target: Floats,
+    cost: Floats,
+) -> None:
+    """One pointing: bring the predicted reading to the target, compare, and pull target and station together."""
+    r00, r01, r02 = rotation[0]
+    r10, r11, r12 = rotation[1]
+    r20, r21, r22 = rotation[2]
+    j00, j01, j02 = by_point[0]
+    j10, j11, j12 = by_point[1]
+    j20, j21, j22 = by_point[2]
+    w0, w1, w2 = weight
+    a0, a1, a2 = arm
+    tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
+    px, py, pz = point[0], point[1], point[2]
+    qx, qy, qz = reached[0], reached[1], reached[2]
+    y0, y1, y2 = measured[0], measured[1], measured[2]
+    f0, f1, f2 = predicted[0], predicted[1], predicted[2]
+    e0, e1, e2 = residual[0], residual[1], residual[2]
+    fx, fy, fz = force[0], force[1], force[2]
+    gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
+    kx, ky, kz = by_target[0], by_target[1], by_target[2]
+    for t in range(len(cost)):
+        x, y, z = a0 + px[t] - tx[t], a1 + py[t] - ty[t], a2 + pz[t] - tz[t]
+        u, v, w = wx[t], wy[t], wz[t]
+        bx, by, bz = _rotated(-u, -v, -w, x, y, z)
+        mx = (r00 * bx + r10 * by + r20 * bz) - qx[t]
+        my = (r01 * bx + r11 * by + r21 * bz) - qy[t]
+        mz = (r02 * bx + r12 * by + r22 * bz) - qz[t]
+        n0 = f0[t] + (j00 * mx + j01 * my + j02 * mz)
+        n1 = f1[t] + (j10 * mx + j11 * my + j12 * mz)
+        n2 = f2[t] + (j20 * mx + j21 * my + j22 * mz)
+        f0[t], f1[t], f2[t] = n0, n1, n2
+        d0, d1, d2 = w0 * (y0[t] - n0), w1 * (y1[t] - n1), w2 * (y2[t] - n2)
+        e0[t], e1[t], e2[t] = d0, d1, d2
+        cost[t] += d0 * d0 + d1 * d1 + d2 * d2
+        d0, d1, d2 = w0 * d0, w1 * d1, w2 * d2
+        lx = j00 * d0 + j10 * d1 + j20 * d2
+        ly = j01 * d0 + j11 * d1 + j21 * d2
+        lz = j02 * d0 + j12 * d1 + j22 * d2
+        fx[t], fy[t], fz[t] = lx, ly, lz
+        nx = r00 * lx + r01 * ly + r02 * lz
+        ny = r10 * lx + r11 * ly + r12 * lz
+        nz = r20 * lx + r21 * ly + r22 * lz
+        vx, vy, vz = _rotated(u, v, w, nx, ny, nz)
+        kx[t] += vx
+        ky[t] += vy
+        kz[t] += vz
+        gx[t] -= vx
+        gy[t] -= vy
+        gz[t] -= vz
+        hx[t] += vy * z - vz * y
+        hy[t] += vz * x - vx * z
+        hz[t] += vx * y - vy * x

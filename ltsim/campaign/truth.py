@@ -1,0 +1,186 @@
+"""The truth of a cell of a campaign, and its trials drawn block by block.
+
+A block is `BLOCK` consecutive trials. Every draw of block b comes from ``stream(seed, "campaign", what, b)``, so a
+trial depends on its number alone: not on the workers, not on how many trials are wanted, not on the methods that
+are compared. Cells of a grid use the same streams: they differ by their settings, not by luck.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.campaign.kernels import readings_of
+from ltsim.campaign.program import ChainProgram
+from ltsim.effects.effect import Effect
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import State, sightings_of
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.scene.sightings import Sightings
+
+BLOCK = 256
+"""Trials that are drawn together; part of what a campaign's numbers are, so it never changes."""
+
+LINEAR = 1e-3
+"""Share of a reading's sigma by which an effect may miss its linear form and still be treated as linear."""
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """Physics beyond the instrument's errors: values are drawn from N(mean, sigma^2), fixed where sigma is 0.
+
+    `mean` and `sigma` (q,) in SI.
+    """
+
+    effect: Effect
+    mean: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Block:
+    """Trials as drawn; the last index is the trial.
+
+    Attributes
+    ----------
+    number : int
+    values : (I, p, B) float [SI]
+        True instrument parameters.
+    amounts : tuple of (q, B) float [SI]
+        True parameters of each further effect.
+    deviation : (n, 3, B) float, [m, rad, rad]
+        Readings less nominal readings.
+    gauge_error : (g, B) float, [m]
+        Stated less true lengths.
+    """
+
+    number: int
+    values: Floats
+    amounts: tuple[Floats, ...]
+    deviation: Floats
+    gauge_error: Floats
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true in a cell.
+
+    Attributes
+    ----------
+    recording : Recording
+        Its readings are the nominal ones: those of an ideal tracker at `state`.
+    state : State
+        True poses and targets.
+    construction : Construction
+        Of the true instrument.
+    mean, sigma : (I, p) float [SI]
+        Its errors are drawn from N(mean, sigma^2).
+    noise : (n, 3) float
+        True standard deviations of the readings.
+    gauge_sigma : (g,) float, [m]
+        Of the stated lengths.
+    effects : tuple of TrueEffect
+    step : (3,) float, [m, rad, rad]
+        Resolution of the readings; 0 for none.
+    """
+
+    recording: Recording
+    state: State
+    construction: Construction
+    mean: Floats
+    sigma: Floats
+    noise: Floats
+    gauge_sigma: Floats
+    effects: tuple[TrueEffect, ...] = ()
+    step: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @cached_property
+    def sightings(self) -> Sightings:
+        """Geometry of the pointings."""
+        return sightings_of(self.recording, self.state)
+
+    @cached_property
+    def program(self) -> ChainProgram:
+        """The true instrument's chain around the nominal readings."""
+        return ChainProgram.of(self.construction, self.recording.readings)
+
+    @cached_property
+    def _by_value(self) -> Floats:
+        """Derivative (n, 3, p) of the readings by the instrument's parameters, at none."""
+        zero = np.zeros(self.construction.size)
+        return self.construction.reading_design(self.recording.readings, zero)[1]
+
+    @cached_property
+    def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
+        """Constant part (n, 3) and design (n, 3, q) of each effect; None where it is not linear."""
+        return [self._linear(entry) for entry in self.effects]
+
+    def _linear(self, entry: TrueEffect) -> tuple[Floats, Floats] | None:
+        constant = entry.effect.shift(self.sightings, entry.mean)
+        design = entry.effect.design(self.sightings)
+        probe = entry.mean + 3 * entry.sigma
+        miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
+        return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.noise) else None
+
+    def draw(self, seed: int, number: int) -> Block:
+        """Draw a block.
+
+        Parameters
+        ----------
+        seed : int
+            Root seed of the campaign.
+        number : int
+            Of the block; its trials are ``BLOCK * number`` and following.
+        """
+
+        def normal(what: str, *shape: int) -> Floats:
+            return stream(seed, "campaign", what, number).standard_normal((*shape, BLOCK))
+
+        values = self.mean[:, :, None] + self.sigma[:, :, None] * normal("instrument", *self.mean.shape)
+        deviation = self._exact(values)
+        amounts = []
+        for place, entry in enumerate(self.effects):
+            drawn = normal(f"effect {place} {entry.effect.name}", len(entry.mean))
+            amounts.append(entry.mean[:, None] + entry.sigma[:, None] * drawn)
+            deviation += self._shift(place, amounts[-1])
+        deviation += self.noise[:, :, None] * normal("noise", *self.noise.shape)
+        gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
+        return Block(number, values, tuple(amounts), self._quantised(deviation), gauge_error)
+
+    def _exact(self, values: Floats) -> Floats:
+        """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""
+        which = self.recording.instrument
+        linear = [self._by_value[which == i] @ own for i, own in enumerate(values)]
+        deviation = np.empty((len(which), 3, values.shape[2]))
+        for i, part in enumerate(linear):
+            deviation[which == i] = part
+        sightings = self.sightings
+        readings_of(*self.program.arrays, which, sightings.local, sightings.jacobian, values, deviation)
+        return deviation
+
+    def _shift(self, place: int, amounts: Floats) -> Floats:
+        """Shift (n, 3, B) of the readings by one effect."""
+        entry, linear = self.effects[place], self._linear_effects[place]
+        if linear is None:
+            return np.stack([entry.effect.shift(self.sightings, v) for v in amounts.T], axis=2)
+        constant, design = linear
+        shift: Floats = constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
+        return shift
+
+    def _quantised(self, deviation: Floats) -> Floats:
+        nominal = self.recording.readings
+        for column in np.flatnonzero(self.step):
+            step, start = self.step[column], nominal[:, column, None]
+            deviation[:, column] = step * np.round((start + deviation[:, column]) / step) - start
+        return deviation
+
+    def readings(self, block: Block, trial: int) -> Floats:
+        """Readings (n, 3) of one trial of a block as an instrument gives them, azimuths within +-180 deg."""
+        readings: Floats = self.recording.readings + block.deviation[:, :, trial]
+        readings[:, 1] = wrap(readings[:, 1])
+        return readings
