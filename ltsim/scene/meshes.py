@@ -1,0 +1,178 @@
+"""Obstacles from CAD: what stands between a station and a target, and where no station can stand.
+
+The only file of the scene that knows meshes. Embree casts the rays in single precision; rays that pass close
+to an edge, where it may err either way, are cast again here in double precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from ltsim.arrays import Bools, Floats
+from ltsim.errors import SetupError
+from ltsim.geometry.rotations import about_z
+from ltsim.units import FACTOR
+
+SUFFIXES = (".stl", ".obj", ".glb", ".ply")
+MAX_BYTES = 512 * 1024 * 1024
+GRAZE = 1e-4
+"""Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
+END = 1e-6
+CHUNK = 2_000_000
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Triangles in the network frame.
+
+    Attributes
+    ----------
+    triangles : (m, 3, 3) float, [m]
+        Corners.
+    floor : float, [m]
+        Height on which tripods stand.
+    """
+
+    triangles: Floats
+    floor: float = 0.0
+
+    @cached_property
+    def _mesh(self) -> Any:
+        count = len(self.triangles)
+        faces = np.arange(3 * count).reshape(-1, 3)
+        return trimesh.Trimesh(vertices=self.triangles.reshape(-1, 3), faces=faces, process=False)
+
+    @cached_property
+    def _rays(self) -> Any:
+        return RayMeshIntersector(self._mesh)
+
+    def blocked(self, origins: Floats, ends: Floats) -> Bools:
+        """(n,): a triangle lies between origins and ends (n, 3) [m]; touching an edge counts."""
+        if not len(self.triangles) or not len(origins):
+            return np.zeros(len(origins), dtype=bool)
+        way = ends - origins
+        length = np.linalg.norm(way, axis=1)
+        beam = way / length[:, None]
+        votes = np.stack(
+            [self._cast(origins + shift, beam, length) for shift in (0.0 * beam, *_bundle(beam))], axis=1
+        )
+        hit: Bools = votes[:, 0].copy()
+        doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
+        hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
+        return hit
+
+    def _cast(self, origins: Floats, beam: Floats, length: Floats) -> Bools:
+        """First hit of single-precision rays, before the end."""
+        point, ray, _ = self._rays.intersects_location(origins, beam, multiple_hits=False)
+        hit = np.zeros(len(origins), dtype=bool)
+        way = np.linalg.norm(point - origins[ray], axis=1)
+        hit[ray] = way < length[ray] - GRAZE
+        return hit
+
+    def encloses(self, points: Floats) -> Bools:
+        """(n,): head inside a closed body, or the tripod under it through something (points (n, 3), [m]).
+
+        The head lies inside when a ray to the sky leaves through an odd number of surfaces.
+        """
+        if not len(self.triangles) or not len(points):
+            return np.zeros(len(points), dtype=bool)
+        # Slightly off the vertical, so that edges of upright boxes are not met all along.
+        sky = np.array([0.01234567, 0.02345678, 1.0])
+        sky = np.broadcast_to(sky / np.linalg.norm(sky), points.shape)
+        inside = native_hits(self.triangles, points, sky, np.full(len(points), np.inf)) % 2 == 1
+        feet = points.copy()
+        feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
+        enclosed: Bools = inside | self.blocked(points, feet)
+        return enclosed
+
+
+def _bundle(beam: Floats) -> list[Floats]:
+    """Offsets (n, 3) [m] to four parallel rays around each beam (n, 3)."""
+    helper = np.where(np.abs(beam[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(beam, helper)
+    side *= GRAZE / np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(beam, side)
+    return [side, -side, other, -other]
+
+
+def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
+    """Number (n,) of triangles that rays meet before `length`, in double precision.
+
+    Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28. Edges belong to the triangle; a ray in its
+    plane does not meet it.
+    """
+    first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    size = np.linalg.norm(along, axis=1) * np.linalg.norm(across, axis=1)
+    count = np.zeros(len(origins), dtype=np.int64)
+    step = max(1, CHUNK // max(len(triangles), 1))
+    for start in range(0, len(origins), step):
+        rows = slice(start, start + step)
+        cross = np.cross(beam[rows, None, :], across)
+        determinant = np.einsum("nmk,mk->nm", cross, along)
+        flat = np.abs(determinant) < 1e-12 * np.maximum(size, 1e-300)
+        inverse = 1.0 / np.where(flat, 1.0, determinant)
+        gap = origins[rows, None, :] - first
+        u = np.einsum("nmk,nmk->nm", gap, cross) * inverse
+        turned = np.cross(gap, along)
+        v = np.einsum("nk,nmk->nm", beam[rows], turned) * inverse
+        way = np.einsum("nmk,mk->nm", turned, across) * inverse
+        inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
+        met = ~flat & inside & (way > END) & (way < length[rows, None] - END)
+        count[rows] = met.sum(axis=1)
+    return count
+
+
+def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
+    """Triangles (m, 3, 3) turned by `yaw` [rad] about z and moved to `position` (3,) [m]."""
+    moved: Floats = triangles @ about_z(yaw).T + position
+    return moved
+
+
+def box(size: Floats) -> Floats:
+    """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
+    mesh = trimesh.creation.box(extents=size)
+    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
+    triangles[:, :, 2] += 0.5 * size[2]
+    return triangles
+
+
+def read_mesh(path: Path, unit: str) -> Floats:
+    """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`.
+
+    Raises
+    ------
+    SetupError
+        One sentence: the file is missing, of another kind, too large, damaged or without surface.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
+        with path.open("rb") as stream:
+            loaded: Any = trimesh.load(
+                stream, file_type=path.suffix.lower()[1:], force="mesh", skip_materials=True
+            )
+        triangles: Floats = np.array(loaded.triangles, dtype=np.float64) * FACTOR[unit]
+    except OSError as problem:
+        raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
+    except SetupError:
+        raise
+    except Exception as problem:  # readers of four formats raise whatever they meet
+        raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
+    if not len(triangles) or not np.all(np.isfinite(triangles)):
+        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+    return triangles
+
+
+def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
+    """Obstacles of several sets of triangles."""
+    return Obstacles(np.concatenate([np.zeros((0, 3, 3)), *parts]), floor)

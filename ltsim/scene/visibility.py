@@ -1,0 +1,244 @@
+"""Who sees whom, and why not: elevation limits and their shadow cones, range, reflectors' acceptance, obstacles.
+
+All tables are stations by targets, analytic and vectorised; only obstacles need rays (`scene.meshes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltsim.arrays import Bools, Floats, as_floats
+from ltsim.errors import ModelError
+from ltsim.units import DEGREE
+
+DOWN = np.array([0.0, 0.0, -1.0])
+TOUCH = 1e-9
+
+
+class Reason(IntEnum):
+    """Why a station does not see a target: the first of these that holds."""
+
+    VISIBLE = 0
+    STATION_INSIDE = 1
+    RANGE = 2
+    BELOW = 3
+    ABOVE = 4
+    SHADOW = 5
+    ACCEPTANCE = 6
+    OBSTACLE = 7
+
+    @property
+    def words(self) -> str:
+        """What a person reads; empty for a pair that sees each other."""
+        return _WORDS[self]
+
+
+_WORDS = {
+    Reason.VISIBLE: "",
+    Reason.STATION_INSIDE: "station inside an obstacle",
+    Reason.RANGE: "out of range",
+    Reason.BELOW: "below the elevation limit",
+    Reason.ABOVE: "above the elevation limit",
+    Reason.SHADOW: "in the shadow cone",
+    Reason.ACCEPTANCE: "turned beyond the reflector's acceptance",
+    Reason.OBSTACLE: "hidden by an obstacle",
+}
+
+
+class Blocker(Protocol):
+    """What may stand in the way; `scene.meshes.Obstacles` is one."""
+
+    def blocked(self, origins: Floats, ends: Floats) -> Bools:
+        """(n,): something stands between origins and ends (n, 3) [m]."""
+
+    def encloses(self, points: Floats) -> Bools:
+        """(n,): an instrument at points (n, 3) [m] would stand inside something, head or tripod."""
+
+
+@dataclass(frozen=True)
+class SightLimits:
+    """What an instrument and its reflectors allow; radians and metres.
+
+    Attributes
+    ----------
+    elevation_min, elevation_max : float
+        Travel of the elevation axis, in the instrument's frame.
+    range_min, range_max : float
+    acceptance : float
+        Largest incidence on a reflector.
+    opening : float or None
+        Full angle of a shadow cone that is kept free; None: the one that `elevation_min` hides.
+    """
+
+    elevation_min: float = -55.0 * DEGREE
+    elevation_max: float = 77.0 * DEGREE
+    range_min: float = 0.5
+    range_max: float = 20.0
+    acceptance: float = 30.0 * DEGREE
+    opening: float | None = None
+
+    @property
+    def cone_opening(self) -> float:
+        """Full angle [rad] of the shadow cone that holds: 70 deg for a limit of -55 deg, unless stated."""
+        return cone_opening(self.elevation_min) if self.opening is None else self.opening
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """The table of a layout.
+
+    Attributes
+    ----------
+    reason : (S, T) int8
+        Values of `Reason`.
+    range_ : (S, T) float, [m]
+    elevation : (S, T) float, [rad]
+        In the instrument's frame.
+    incidence : (S, T) float, [rad]
+        On the reflector; 0 where it is re-aimed, NaN where its nest is unknown.
+    """
+
+    reason: NDArray[np.int8]
+    range_: Floats
+    elevation: Floats
+    incidence: Floats
+
+    @property
+    def visible(self) -> Bools:
+        """(S, T) bool."""
+        return np.asarray(self.reason == Reason.VISIBLE)
+
+    def words(self) -> list[list[str]]:
+        """The reason of each pair in words, '' where the station sees the target."""
+        return [[Reason(code).words for code in line] for line in self.reason.tolist()]
+
+    def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
+        """One sentence for every pair that does not see each other."""
+        return [
+            f"{stations[s]} does not see {targets[t]}: {Reason(int(self.reason[s, t])).words}"
+            for s, t in np.argwhere(~self.visible).tolist()
+        ]
+
+
+def cone_opening(elevation_min: float) -> float:
+    """Full angle [rad] of the cone under an instrument that its lowest elevation [rad] hides (-55 deg: 70 deg)."""
+    return float(np.pi + 2.0 * elevation_min)
+
+
+def shadow_radius(position: Floats, height: float, opening: float) -> Floats:
+    """Radius (S,) [m] of the shadow circles at `height` [m] under upright instruments at `position` (S, 3).
+
+    Zero where the instrument stands lower. The circles' centres are the positions themselves.
+    """
+    above = np.maximum(position[:, 2] - height, 0.0)
+    radius: Floats = above * np.tan(0.5 * opening)
+    return radius
+
+
+def visibility(
+    position: Floats,
+    points: Floats,
+    limits: SightLimits,
+    *,
+    rotation: Floats | None = None,
+    nest_normal: Floats | None = None,
+    reaimed: Bools | None = None,
+    obstacles: Blocker | None = None,
+) -> Visibility:
+    """Tables of who sees whom.
+
+    Parameters
+    ----------
+    position : (S, 3) float, [m]
+        Origins of the instruments.
+    points : (T, 3) float, [m]
+    limits : SightLimits
+    rotation : (S, 3, 3) float, optional
+        Instrument frames to the network frame; upright where not given.
+    nest_normal : (T, 3) float, optional
+        Where open faces look; rows of NaN are unknown and accept every beam.
+    reaimed : (T,) bool, optional
+        Reflectors that are turned to the station; all are where not given.
+    obstacles : Blocker, optional
+
+    Raises
+    ------
+    ModelError
+        For arrays of other shapes, or a target at a station's origin.
+    """
+    position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
+    sight = points - position[:, None, :]
+    range_ = np.linalg.norm(sight, axis=2)
+    if np.any(range_ < TOUCH):
+        raise ModelError("a target stands at the origin of a station")
+    beam = sight / range_[:, :, None]
+    down = np.broadcast_to(DOWN, position.shape) if rotation is None else rotation @ DOWN
+    elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
+    incidence = _incidence(beam, nest_normal, reaimed)
+    reason = np.zeros(range_.shape, dtype=np.int8)
+    shadow = 0.5 * limits.cone_opening - 0.5 * np.pi
+    checks = (
+        (Reason.ACCEPTANCE, incidence > limits.acceptance + TOUCH),
+        (Reason.SHADOW, elevation < shadow - TOUCH),
+        (Reason.ABOVE, elevation > limits.elevation_max + TOUCH),
+        (Reason.BELOW, elevation < limits.elevation_min - TOUCH),
+        (Reason.RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
+    )
+    for code, holds in checks:
+        reason[holds] = code
+    if obstacles is not None:
+        _add_obstacles(reason, position, points, obstacles)
+    return Visibility(reason, range_, elevation, incidence)
+
+
+def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:
+    """(S, T) [rad]: angle between the beam back to the station and the open face's normal."""
+    if nest_normal is None or reaimed is None:
+        return np.zeros(beam.shape[:2])
+    length = np.linalg.norm(nest_normal, axis=1, keepdims=True)
+    cosine = -np.einsum("stk,tk->st", beam, nest_normal / length)
+    angle: Floats = np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return angle
+
+
+def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Blocker) -> None:
+    """Enter pairs that something hides; rays are cast only for pairs that nothing else separates."""
+    inside = obstacles.encloses(position)
+    pairs = np.argwhere((reason == Reason.VISIBLE) & ~inside[:, None])
+    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], points[pairs[:, 1]])]
+    reason[hidden[:, 0], hidden[:, 1]] = Reason.OBSTACLE
+    reason[inside] = Reason.STATION_INSIDE
+
+
+def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Where fixed reflectors should look to serve all stations: the axis of the narrowest cone around them.
+
+    Returns
+    -------
+    normal : (T, 3) float
+        Unit vectors.
+    half_angle : (T,) float, [rad]
+        Half-angle of that cone; a target can serve all stations when the acceptance is larger.
+
+    Notes
+    -----
+    The narrowest cone of directions is the smallest ball around their unit vectors (stations within a half
+    space). Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges as 1/i.
+    """
+    back = position - points[:, None, :]
+    back /= np.linalg.norm(back, axis=2, keepdims=True)
+    centre = back.mean(axis=1)
+    rows = np.arange(len(points))
+    for i in range(1, 1001):
+        farthest = back[rows, np.argmin(np.einsum("tsk,tk->ts", back, centre), axis=1)]
+        centre += (farthest - centre) / (i + 1)
+        centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+    cosine = np.clip(np.einsum("tsk,tk->ts", back, centre), -1.0, 1.0)
+    half_angle: Floats = np.arccos(cosine.min(axis=1))
+    return centre, half_angle

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from ltsim.errors import SetupError
+from ltsim.scene.meshes import Obstacles, box, native_hits, placed, read_mesh, together
+
+CUBE = together([placed(box(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
+
+
+def blocked(start: tuple[float, float, float], end: tuple[float, float, float]) -> bool:
+    return bool(CUBE.blocked(np.array([start]), np.array([end]))[0])
+
+
+def test_a_box_hides_what_is_behind_it_only() -> None:
+    assert blocked((0, 0, 0.5), (4, 0, 0.5))
+    assert not blocked((0, 0, 0.5), (1.4, 0, 0.5))
+    assert not blocked((0, 0, 1.5), (4, 0, 1.5))
+    assert blocked((2, 0, 0.5), (4, 0, 0.5))
+
+
+def test_a_reflector_on_the_surface_is_seen_from_its_side() -> None:
+    assert not blocked((0, 0, 0.5), (1.5, 0, 0.5))
+    assert blocked((4, 0, 0.5), (1.5, 0, 0.5))
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-5, 1e-7])
+def test_grazing_rays_are_decided_in_double_precision(gap: float) -> None:
+    """Embree's single precision cannot tell 0.1 um at 1 m from 0; the second cast does."""
+    assert not blocked((0, 0.2, 1.0 + gap), (4, 0.2, 1.0 + gap))
+    assert blocked((0, 0.2, 1.0 - gap), (4, 0.2, 1.0 - gap))
+    assert not blocked((0, 0.5 + gap, 0.3), (4, 0.5 + gap, 0.3))
+    assert blocked((0, 0.5 - gap, 0.3), (4, 0.5 - gap, 0.3))
+
+
+def test_embree_and_double_precision_agree_on_a_curved_body() -> None:
+    body = Obstacles(np.array(trimesh.creation.icosphere(subdivisions=3).triangles))
+    rng = np.random.default_rng(2)
+    start, end = rng.uniform(-3, 3, (3000, 3)), rng.uniform(-3, 3, (3000, 3))
+    start *= np.maximum(1.01 / np.linalg.norm(start, axis=1), 1.0)[:, None]
+    end *= np.maximum(1.01 / np.linalg.norm(end, axis=1), 1.0)[:, None]
+    length = np.linalg.norm(end - start, axis=1)
+    native = native_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
+    assert 100 < native.sum() < 2900
+    np.testing.assert_array_equal(body.blocked(start, end), native)
+
+
+def test_no_station_stands_inside_or_with_its_tripod_through_something() -> None:
+    heads = np.array([[2.0, 0.0, 0.5], [2.0, 0.0, 1.8], [2.0, 0.6, 1.8], [0.0, 0.0, 1.8]])
+    assert CUBE.encloses(heads).tolist() == [True, True, False, False]
+
+
+def test_turned_and_moved() -> None:
+    turned = together([placed(box(np.array([4.0, 0.2, 2.0])), np.array([1.0, 1.0, 0.0]), np.pi / 2)])
+    assert turned.blocked(np.array([[0.0, 2.5, 1.0]]), np.array([[2.0, 2.5, 1.0]])).all()
+    assert not turned.blocked(np.array([[1.5, -3.0, 1.0]]), np.array([[1.5, 4.0, 1.0]])).any()
+
+
+def test_nothing_blocks_nothing() -> None:
+    empty = together([])
+    assert not empty.blocked(np.zeros((2, 3)), np.ones((2, 3))).any()
+    assert not empty.encloses(np.zeros((2, 3))).any()
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "glb", "ply"])
+def test_cad_files_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"part.{suffix}"
+    trimesh.creation.box(extents=(1000, 2000, 500)).export(path)
+    triangles = read_mesh(path, "mm")
+    assert triangles.shape == (12, 3, 3)
+    np.testing.assert_allclose(np.ptp(triangles.reshape(-1, 3), axis=0), [1.0, 2.0, 0.5], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("part.step", b"ISO-10303-21;", "expected one of .stl, .obj, .glb, .ply"),
+        ("part.stl", b"", "part.stl"),
+        ("part.glb", b"glTF but cut", "is not a whole glb file"),
+        ("part.ply", b"no header at all", "is not a whole ply file"),
+        ("part.obj", b"v 0 0 0\nv 1 0 0\n", "part.obj"),
+    ],
+)
+def test_damaged_files_get_one_sentence(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(SetupError, match=message) as caught:
+        read_mesh(path, "mm")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"gone\.stl: cannot be read"):
+        read_mesh(tmp_path / "gone.stl", "mm")
