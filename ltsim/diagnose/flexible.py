@@ -19,6 +19,7 @@ from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Hypothesis
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
 from ltsim.errors import unknown_name
+from ltsim.geometry.polar import wrap
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, MICROMETRE
@@ -28,6 +29,8 @@ Factor = tuple[str, str, float]
 Column = tuple[Factor, ...]
 
 AXES = ("x", "y", "z")
+LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
+"""Widths of a local bump, as a share of the covariate's span."""
 AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
 
 
@@ -71,7 +74,10 @@ def evaluate(sightings: Sightings, factor: Factor) -> Floats:
             return np.sin(k * x)
         case "tan":
             return np.tan(k * x)
-    raise unknown_name("function", function, ("legendre", "power", "cos", "sin", "tan"))
+        case "narrow" | "wide":
+            gap = wrap(x - k) if name == "azimuth" else x - k
+            return np.exp(-0.5 * (gap / (LOCAL_WIDTHS[function] * float(np.ptp(x)))) ** 2)
+    raise unknown_name("function", function, ("legendre", "power", "cos", "sin", "tan", *LOCAL_WIDTHS))
 
 
 @dataclass(frozen=True)
@@ -145,6 +151,8 @@ def describe(column: Column) -> str:
             words.append(f"P{int(k)}({name})")
         elif function == "power":
             words.append({1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}"))
+        elif function in LOCAL_WIDTHS:
+            words.append(f"bump({name} near {k:.3g})")
         else:
             scale = "" if k == 1 else f"{k:.4g} "
             words.append(f"{function}({scale}{name})")
@@ -193,6 +201,17 @@ def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             columns: tuple[Column, ...] = (((name, "cos", rate),), ((name, "sin", rate),))
             term = FlexibleTerm((), (), observable, columns)
             yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
+
+
+def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """A bump in one direction, at one distance, for a while."""
+    for observable, name in product(OBSERVABLES, ("azimuth", "elevation", "distance", "time")):
+        values = covariate(sightings, name)
+        for function, width in LOCAL_WIDTHS.items():
+            for centre in np.linspace(values.min(), values.max(), round(1.5 / width)):
+                column = ((name, function, float(centre)),)
+                term = FlexibleTerm((), (), observable, (column,))
+                yield Hypothesis(f"unknown:{observable}:{name}:local", term, False)
 
 
 AZIMUTH: tuple[Column, ...] = (*(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),)
@@ -257,6 +276,7 @@ def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
     return [
         *_smooth_terms(sightings),
         *_periodic_terms(sightings),
+        *_local_terms(sightings),
         *_product_terms(sightings),
         *_field_terms(sightings),
     ]
