@@ -9,7 +9,16 @@ from pathlib import Path
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import native
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.formats import point_list, polar_text, spatialanalyzer
+from ltsim.recording.formats import (
+    cern_lgc,
+    gama,
+    gama_writer,
+    gsi,
+    openindy,
+    point_list,
+    polar_text,
+    spatialanalyzer,
+)
 from ltsim.recording.recording import Recording
 
 HEAD = 16_384
@@ -45,6 +54,35 @@ FORMATS: tuple[Format, ...] = (
         (".csv", ".txt"),
         spatialanalyzer.recognises,
         spatialanalyzer.read,
+    ),
+    Format(
+        "cern-lgc",
+        "input file of CERN's LGC",
+        (".lgc", ".lgc2"),
+        cern_lgc.recognises,
+        cern_lgc.read,
+    ),
+    Format(
+        "gama-local",
+        "input file of GNU Gama",
+        (".gkf", ".xml"),
+        gama.recognises,
+        gama.read,
+        gama_writer.write,
+    ),
+    Format(
+        "openindy",
+        "OpenIndy project",
+        (".xml",),
+        openindy.recognises,
+        openindy.read,
+    ),
+    Format(
+        "gsi",
+        "Leica GSI-8 and GSI-16",
+        (".gsi",),
+        gsi.recognises,
+        gsi.read,
     ),
     Format(
         "polar-text",

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from ltsim.errors import RecordError
 
-MAX_BYTES = 64 * 1024 * 1024
+MAX_BYTES = 32 * 1024 * 1024
+MAX_LINES = 500_000
 MAX_LINE = 20_000
 MAX_NAME = 100
 MAX_TEXT = 500
@@ -58,8 +59,11 @@ def read_text(path: Path, *, latin: bool = False) -> str:
 
 
 def read_lines(path: Path, *, latin: bool = False) -> list[str]:
-    """The lines of a text file, without line breaks; none longer than `MAX_LINE` characters."""
-    lines = read_text(path, latin=latin).split("\n")
+    """The lines of a text file, without line breaks; at most `MAX_LINES`, none longer than `MAX_LINE`."""
+    text = read_text(path, latin=latin)
+    if text.count("\n") > MAX_LINES:
+        raise RecordError(f"has more than {MAX_LINES} lines, the most that is read", file=path)
+    lines = text.split("\n")
     for i, line in enumerate(lines):
         if len(line) > MAX_LINE:
             raise RecordError(f"line {i + 1} is longer than {MAX_LINE} characters", file=path)

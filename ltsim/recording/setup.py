@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Vector = tuple[Finite, Finite, Finite]
 
 
@@ -110,7 +111,7 @@ class Target(Section):
     reaimed: bool = True
     known_mm: Vector | None = None
     known_sigma_mm: Positive = 0.01
-    known_axes: Literal["xyz", "xy", "xz", "yz", "x", "y", "z"] = "xyz"
+    known_axes: Axes = "xyz"
     approximate_mm: Vector | None = None
     datum: bool = False
     height_mm: Finite = 0.0

@@ -114,7 +114,7 @@ def test_comments_say_what_is_meant(tmp_path: Path) -> None:
     recording = read(file)
     np.testing.assert_allclose(recording.readings, [[1.5005, 2 * np.pi - 12.5 * np.pi / 200, 0.0]], atol=1e-12)
     assert recording.stations == ("S1",)
-    file.write_text("# Units: furlong\nP1 12,5\t100\t1500,5\n")
+    file.write_text("# Format: polar\n# Units: furlong\nP1 12,5\t100\t1500,5\n")
     with pytest.raises(RecordError, match="expected one of deg, gon, rad"):
         read(file)
 

@@ -146,7 +146,7 @@ def _unit(heading: str, known: dict[str, T], file: Path) -> T:
 def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of every row that holds something."""
     lines = read_lines(path)
-    heading = next((line for line in lines if re.match(r'"?Collection"?[;,\t]', line)), None)
+    heading = next((line for line in lines if _HEADING.match(line)), None)
     if heading is None:
         raise RecordError("holds no heading 'Collection, Group, Target, ...': it was cut, or is no report", file=path)
     separator = heading.replace('"', "")[len("Collection")]

@@ -1,0 +1,157 @@
+"""Export of levelled networks to GNU Gama (``gama-local``), so that it can check an adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.errors import RecordError
+from ltsim.recording.files import write_text
+from ltsim.recording.formats.gama import CC, FIXED_MM
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Target, Vector
+from ltsim.units import GON, MILLIMETRE
+
+SPACE = "http://www.gnu.org/software/gama/gama-local"
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Write an input file of gama-local: levelled set-ups, face 2 reduced to face 1, gauge lengths as distances.
+
+    Where no coordinates are known, the targets of the first set-up get those it saw and define the datum.
+
+    Raises
+    ------
+    RecordError
+        For a set-up that is not levelled: gama-local knows levelled instruments only.
+    """
+    for name in recording.stations:
+        if not recording.station_setup(name).levelled:
+            message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
+            raise RecordError(f"{message}; say levelled = true in the set-up where it holds", file=path)
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<gama-local xmlns="{SPACE}">',
+        '<network axes-xy="en" angles="right-handed">',
+        f"<description>{_escaped(recording.setup.title)}</description>",
+        '<parameters sigma-apr="1" conf-pr="0.95" tol-abs="1000" sigma-act="apriori" />',
+        "<points-observations>",
+        *_point_lines(recording),
+        *_observation_lines(recording),
+        *_length_lines(recording),
+        "</points-observations>",
+        "</network>",
+        "</gama-local>",
+    ]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _escaped(text: str) -> str:
+    return quoteattr(text)[1:-1]
+
+
+def point_of(recording: Recording, station: str) -> str:
+    """Name of the point a station stands on: a target's mark, or one of its own."""
+    over = recording.station_setup(station).over
+    if over is not None:
+        return over
+    return station if station not in recording.targets else f"{station}.station"
+
+
+def _point_lines(recording: Recording) -> Iterator[str]:
+    """Points: fixed, observed with a variance, or adjusted; the datum in capitals."""
+    names = dict.fromkeys([*recording.targets, *recording.setup.targets])
+    anchored = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
+    first = {} if anchored else _first_cloud(recording)
+    observed = []
+    for name in names:
+        target = recording.target_setup(name)
+        place = target.known_mm or target.approximate_mm or first.get(name)
+        words = (
+            "" if place is None else "".join(f' {a}="{v * MILLIMETRE!r}"' for a, v in zip("xyz", place, strict=True))
+        )
+        datum = target.datum or name in first
+        if target.known_mm is None:
+            yield f'<point id={quoteattr(name)}{words} adj="{"XYZ" if datum else "xyz"}" />'
+        elif target.known_sigma_mm <= 10 * FIXED_MM:
+            rest = "".join(a for a in "xyz" if a not in target.known_axes)
+            adjusted = f' adj="{rest}"' if rest else ""
+            yield f'<point id={quoteattr(name)}{words} fix="{target.known_axes}"{adjusted} />'
+        else:
+            yield f'<point id={quoteattr(name)}{words} adj="xyz" />'
+            observed.append((name, target))
+    for name in dict.fromkeys(point_of(recording, s) for s in recording.stations):
+        if name not in names:
+            yield f'<point id={quoteattr(name)} adj="xyz" />'
+    for name, target in observed:
+        yield from _coordinate_lines(name, target)
+
+
+def _words(place: Vector, axes: str) -> str:
+    """Coordinates [mm] as attributes in metres."""
+    values = dict(zip("xyz", place, strict=True))
+    return "".join(f' {axis}="{round(values[axis] * MILLIMETRE, 12)!r}"' for axis in axes)
+
+
+def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
+    words = _words(target.known_mm, target.known_axes) if target.known_mm is not None else ""
+    variances = " ".join([repr(target.known_sigma_mm**2)] * len(target.known_axes))
+    yield f"<coordinates><point id={quoteattr(name)}{words} />"
+    yield f'<cov-mat dim="{len(target.known_axes)}" band="0">{variances}</cov-mat></coordinates>'
+
+
+def _first_cloud(recording: Recording) -> dict[str, Vector]:
+    """Coordinates [mm] of what the first set-up saw completely, in its own frame."""
+    front = _front(recording)
+    cloud: dict[str, Vector] = {}
+    for i in np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1)):
+        d, a, e = front[i]
+        point = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]) * d / MILLIMETRE
+        x, y, z = point.round(3).tolist()
+        cloud[recording.targets[recording.target[i]]] = (x, y, z)
+    return cloud
+
+
+def _front(recording: Recording) -> Floats:
+    """Readings (n, 3) with face 2 reduced to face 1."""
+    front = recording.readings.copy()
+    back = recording.face == 2
+    front[back, 1] = np.mod(front[back, 1] + np.pi, 2 * np.pi)
+    front[back, 2] = np.pi - front[back, 2]
+    return front
+
+
+def _observation_lines(recording: Recording) -> Iterator[str]:
+    front, sigma = _front(recording), recording.sigma()
+    instrument, target_height = (h.tolist() for h in recording.heights())
+    flat = recording.is_horizontal
+    for s, station in enumerate(recording.stations):
+        yield f"<obs from={quoteattr(point_of(recording, station))}>"
+        for i in np.flatnonzero(recording.station == s).tolist():
+            (distance, azimuth, elevation), (sd, sa, se) = front[i].tolist(), sigma[i].tolist()
+            start = f' from_dh="{instrument[i]!r}"' if instrument[i] else ""
+            end = f' to_dh="{target_height[i]!r}"' if target_height[i] else ""
+            to = f"to={quoteattr(recording.targets[recording.target[i]])}{start}{end}"
+            if np.isfinite(azimuth):
+                yield f'<direction {to} val="{azimuth % (2 * np.pi) / GON!r}" stdev="{sa / CC!r}" />'
+            if np.isfinite(elevation):
+                yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CC!r}" />'
+            if np.isfinite(distance):
+                kind = "distance" if flat[i] else "s-distance"
+                yield f'<{kind} {to} val="{distance!r}" stdev="{sd / MILLIMETRE!r}" />'
+        yield "</obs>"
+
+
+def _length_lines(recording: Recording) -> Iterator[str]:
+    """Lengths of the gauge at the temperature of the measurement."""
+    gauge = recording.gauge
+    grown = 1 + gauge.expansion_per_k * (gauge.measured_at_c - gauge.calibrated_at_c)
+    for line in gauge.distance:
+        value = line.length_mm * MILLIMETRE * grown
+        yield f"<obs from={quoteattr(line.from_)}>"
+        yield f'<s-distance to={quoteattr(line.to)} val="{value!r}" stdev="{line.sigma_mm!r}" />'
+        yield "</obs>"
