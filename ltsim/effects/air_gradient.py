@@ -19,9 +19,8 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.ciddor import temperature_sensitivity
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.effects.rays import REFERENCE, bent
+from ltsim.effects.rays import bending, bent
 from ltsim.scene.sightings import Sightings
 
 
@@ -51,7 +50,7 @@ class AirGradient(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of gradient, first order."""
-        steep = temperature_sensitivity(REFERENCE) * self.mask(sightings) * sightings.range_
+        steep = bending() * self.mask(sightings) * sightings.range_
         heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
         _, left, up = sightings.unit_vectors
         column = on_readings(
@@ -67,7 +66,7 @@ class AirGradient(Effect):
         bottom = self._sensor_height(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
-            warmer = values[0] * (points[:, 2] - np.repeat(bottom, len(points) // len(bottom)))
+            warmer = values[0] * (points[:, 2] - np.repeat(bottom, len(points) // max(len(bottom), 1)))
             return warmer, np.broadcast_to([0.0, 0.0, values[0]], points.shape)
 
         change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]

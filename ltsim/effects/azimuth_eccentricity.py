@@ -1,8 +1,11 @@
-"""Eccentricity of the azimuth encoder (6), one lobe a turn.
+"""Eccentricity of the azimuth circle (6): one lobe a turn.
 
-Delta_theta = A1 cos(theta_raw) + B1 sin(theta_raw).
-Source: Muralikrishnan et al. 2009 (x6); physics.md 2.2, entry 6. Validated: first order against the exact
-chain, and against the D-H columns of physics.md 2.4.
+Delta_azimuth = A1 cos(x) + B1 sin(x) of the raw azimuth x; odd, so it flips with the face.
+Like: radial run-out of order 2 (0.92 / 0).
+Separate by: two faces; another yaw at each station.
+Valid: first order of one read head; two opposite heads cancel it to second order.
+Source: Muralikrishnan et al. 2009 (x6x, x6y); physics.md 2.2, entry 6.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

@@ -1,8 +1,11 @@
-"""Two-lobe error of the azimuth encoder (8).
+"""Two-lobe error of the azimuth circle (8).
 
-A2 cos(2 x) + B2 sin(2 x) of the raw azimuth x.
-Source: Muralikrishnan et al. 2009 (x9a, x9b); physics.md 2.2, entry 8. Validated: first order against the
-exact chain, and against the D-H columns of physics.md 2.4.
+Delta_azimuth = A2 cos(2 x) + B2 sin(2 x) of the raw azimuth x: the same on both faces.
+Like: radial run-out of order 3 (0.80, one face).
+Separate by: one length at many azimuths; another yaw at each station. Two-face tests see nothing.
+Valid: old instruments up to 6 urad.
+Source: Muralikrishnan et al. 2009 (x9a, x9b) and 2010; physics.md 2.2, entry 8.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

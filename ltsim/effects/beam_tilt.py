@@ -1,8 +1,11 @@
-"""Beam tilt (3), the horizontal collimation error.
+"""Beam tilt (3): the beam is not square to the transit axis (horizontal collimation).
 
-Delta_theta = f c / cos(phi); exact u = (cos c, sin c, 0) in the chain.
-Source: Muralikrishnan et al. 2009 (x4t); physics.md 2.2, entry 3. Validated: first order against the exact
-chain, and against the D-H columns of physics.md 2.4.
+Delta_azimuth = f c / cos(el): a lateral shift proportional to the range; flips with the face.
+Like: bearing-wobble of the transit axis (0.98 / 0.82), transit-tilt (0.55 / 0), beam-offset.
+Separate by: two faces; steep and level targets.
+Valid: source in the rotating head; up to 100 urad.
+Source: Muralikrishnan et al. 2009 (x4t); physics.md 2.2, entry 3.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

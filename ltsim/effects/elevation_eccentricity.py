@@ -1,8 +1,11 @@
-"""Eccentricity of the elevation encoder (7), one lobe a turn.
+"""Eccentricity of the elevation circle (7): one lobe.
 
-E_V = C1 cos(phi_raw) + D1 sin(phi_raw): the sine part flips with the face, the cosine part does not.
-Source: Muralikrishnan et al. 2009 (x7); physics.md 2.2, entry 7. Validated: first order against the exact
-chain, and against the D-H columns of physics.md 2.4.
+C1 cos(x) + D1 sin(x) of the raw elevation x: Delta_elevation = C1 cos(el) + f D1 sin(el) in front-face terms.
+Like: C1: head-sag exactly, vertical-index (0.96 / 0); D1: elevation-second-order sine (0.93 / 0).
+Separate by: D1 by two faces; C1 from sag only with the tracker on its side.
+Valid: first order of one read head.
+Source: Muralikrishnan et al. 2009 (x7); physics.md 2.2, entry 7.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

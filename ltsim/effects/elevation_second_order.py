@@ -1,8 +1,11 @@
-"""Two-lobe error of the elevation encoder (8).
+"""Two-lobe error of the elevation circle (8).
 
-A2 cos(2 x) + B2 sin(2 x) of the raw elevation x.
-Source: Muralikrishnan et al. 2009 (x10a, x10b); physics.md 2.2, entry 8. Validated: first order against the
-exact chain, and against the D-H columns of physics.md 2.4.
+C2 cos(2 x) + D2 sin(2 x) of the raw elevation x: Delta_elevation = f C2 cos(2 el) + D2 sin(2 el).
+Like: D2: elevation-eccentricity sine (0.93, one face), air-layer (0.59), vertical mesh-expansion (0.50).
+Separate by: two faces (C2); more elevations.
+Valid: up to 10 urad.
+Source: Muralikrishnan et al. 2009 (x10a, x10b); physics.md 2.2, entry 8.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

@@ -45,6 +45,10 @@ class HeatPlume(Effect):
     parameters = (Parameter("plume-temperature", "K", "how much warmer its centre is", 5.0),)
     shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
 
+    def __post_init__(self) -> None:
+        if self.targets and not any(self.offset):  # all rays then point at the centre, and none is bent
+            object.__setattr__(self, "observables", ("distance",))
+
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """A ring of directions, above and below at every station; around every target."""

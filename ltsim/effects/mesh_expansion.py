@@ -2,7 +2,7 @@
 
 P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
 parameter is the growth of the structure itself (no correction of a reading); steel and concrete grow 11 to 12 ppm/K.
-Like: refractivity-drift and station-weather (uniform mode, exact up to sign), range-drift (0.955).
+Like: refractivity-drift and station-weather (uniform mode, exact where it grows between visits), range-drift (0.955).
 Separate by: thermometers on the structure; a gauge of another material read at each station; the first station again.
 Valid: linear over the recording; the fixed point does not matter, poses take a common motion.
 Source: physics.md entry 34, correlations [D*].

@@ -1,7 +1,11 @@
-"""Range offset (15): zero of the range, from the bird bath or the ADM.
+"""Range zero (15): bird-bath distance, offset of the absolute distance meter.
 
-Delta_d = rho_0. Source: Muralikrishnan et al. 2009 (x8); physics.md 2.2, entry 15. Validated: first order
-against the exact chain, and against the D-H columns of physics.md 2.4.
+Delta_d = rho_0, the same on both faces.
+Like: transit-offset (0.83 / 0), the axial part of smr-centring exactly; 99.6 % is absorbed by stations and targets.
+Separate by: a length in line, from outside and from between its ends.
+Valid: one mode of distance measurement; absolute and interferometric have zeros of their own.
+Source: physics.md 2.2 (x8), entry 15.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

@@ -1,8 +1,11 @@
 """Range scale (16, 17): frequency of the laser, or one refractive index of air for all.
 
-Delta_d = s d. Without a known length it is exactly the scale of the network.
-Source: physics.md 2.2, entries 16 and 17. Validated: first order against the exact chain, and against the D-H
-columns of physics.md 2.4.
+Delta_d = s d, the same on both faces.
+Like: gauge-scale and every uniform change of the mesh, exactly: without a known length it is the network's scale.
+Separate by: thermometers and a barometer; a second, long length standard.
+Valid: up to 100 ppm.
+Source: physics.md 2.2, entries 16 and 17.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

@@ -33,8 +33,15 @@ NODES, WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
 def _index_law() -> tuple[Polynomial, Polynomial]:
     """Index of air less one by the temperature above the sensor's, -15 to +40 K, and its derivative."""
     excess = np.linspace(-15.0, 40.0, 56)
-    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE + excess), 5).convert()
+    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE + excess), 8).convert()
     return law, law.deriv()
+
+
+@lru_cache
+def bending() -> float:
+    """Relative fall beta / n [1/K] of the index a kelvin, at the weather sensor."""
+    law, _ = _index_law()
+    return temperature_sensitivity(REFERENCE) / (1.0 + float(law(0.0)))
 
 
 def first_order(sightings: Sightings, field: AirField) -> Floats:
@@ -45,10 +52,10 @@ def first_order(sightings: Sightings, field: AirField) -> Floats:
     start = sightings.position[sightings.station]
     points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
     warmer, gradient = field(points.reshape(-1, 3))
-    beta = temperature_sensitivity(REFERENCE)
+    beta = bending()
     weight = 0.5 * WEIGHTS
-    mean = warmer.reshape(len(length), -1) @ weight
-    pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), -1, 3), weight * (1.0 - share))
+    mean = warmer.reshape(len(length), len(NODES)) @ weight
+    pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), len(NODES), 3), weight * (1.0 - share))
     bend = -beta * length[:, None] * pull  # D over d: an angle
     return on_readings(
         sightings,

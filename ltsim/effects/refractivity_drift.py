@@ -1,7 +1,7 @@
 """Drift of the air's index (17 in time): the hall warms up, the weather entered in the morning is kept.
 
 Delta_d = d s t, t since the first pointing: 0.955 ppm a kelvin.
-Like: mesh-expansion, the uniform mode (exact up to sign), station-weather in single stations.
+Like: mesh-expansion, the uniform mode (0.996, exact where it grows between visits), station-weather in single stations.
 Separate by: a thermometer on the structure; the first station again at the end.
 Valid: linear over the recording.
 Source: physics.md entries 17 and 32.

@@ -30,6 +30,7 @@ class StationLevelling(Effect):
     name = "station-levelling"
     number = 37
     stage = Stage.STATION
+    observables = ("azimuth", "elevation")
     covariates = ("place",)
     scope = "station"
     parameters = (

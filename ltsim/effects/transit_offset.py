@@ -1,8 +1,11 @@
-"""Transit offset (2): the transit axis does not cut the standing axis.
+"""Transit offset (2): the transit axis passes beside the standing axis.
 
-Delta_d = f tau cos(phi), Delta_phi = -f tau sin(phi) / d: the only geometric term with a two-face difference
-in range. Source: Muralikrishnan et al. 2009 (x2); physics.md 2.2, entry 2. Validated: first order against the
-exact chain, and against the D-H columns of physics.md 2.4.
+Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d: the only geometric term with a two-face range difference.
+Like: range-offset (0.83 / 0).
+Separate by: two faces, at once.
+Valid: source in the rotating head; up to 0.1 mm.
+Source: Muralikrishnan et al. 2009 (x2); physics.md 2.2, entry 2.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

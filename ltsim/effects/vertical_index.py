@@ -1,7 +1,11 @@
-"""Vertical index (5): zero of the elevation encoder, and the vertical part of the beam's tilt.
+"""Vertical index (5): zero of the elevation circle, with the vertical tilt of the beam.
 
-Delta_phi = f phi_0. Source: Muralikrishnan et al. 2009 (x3, x4m); physics.md 2.2, entry 5. Validated: first
-order against the exact chain, and against the D-H columns of physics.md 2.4.
+Delta_elevation = f phi_0: every target appears on a cone; flips with the face.
+Like: elevation-eccentricity cosine and head-sag (0.96 / 0), beam-offset vertical (0.89 / 0.95).
+Separate by: two faces; in one face the group cannot be resolved (136 urad).
+Valid: up to 100 urad; moves with the warm-up (index-drift).
+Source: Muralikrishnan et al. 2009 (x3, x4m); physics.md 2.2, entry 5.
+Status: validated against the exact chain in first order, and against the D-H columns of physics.md 2.4.
 """
 
 from __future__ import annotations

@@ -1,0 +1,180 @@
+"""What every effect of the catalogue promises, at every place and shape."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from ltsim import effects
+from ltsim.effects import CATALOGUE, NoiseEffect, find_effect
+from ltsim.effects.effect import Effect, SlotEffect
+from ltsim.errors import ModelError
+from ltsim.model.construction import misalignment
+from ltsim.recording.recording import OBSERVABLES
+from tests.effects.scenes import all_candidates, chosen, samples, scene
+
+SCENE = scene()
+IDS = [
+    "beam-offset", "transit-offset", "beam-tilt", "transit-tilt", "vertical-index", "azimuth-eccentricity",
+    "elevation-eccentricity", "azimuth-second-order", "elevation-second-order", "azimuth-harmonic",
+    "elevation-harmonic", "encoder-interpolation", "bearing-wobble", "head-sag", "backlash", "detector-offset",
+    "range-offset", "range-step", "range-scale", "station-weather", "dead-path", "range-cyclic", "refractivity-drift",
+    "range-drift", "air-gradient", "air-layer", "heat-plume", "turbulence", "smr-centring", "smr-incidence",
+    "smr-dihedral", "window", "smr-offset", "nest-lift", "target-moved", "index-drift", "azimuth-drift",
+    "station-settling", "mesh-expansion", "gauge-scale", "gauge-shape", "station-levelling", "timing-lag",
+    "station-bump", "target-swap", "outlier", "wrong-unit", "face-confusion", "noise-level", "station-noise",
+]
+EVERY = pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
+AIR = ("air-gradient", "air-layer", "heat-plume")
+"""First order here is a quadrature along the straight path: it has an error of its own, in proportion."""
+
+
+def prior(effect: Effect) -> np.ndarray:
+    return np.array([p.prior_sigma for p in effect.parameters])
+
+
+def test_the_catalogue_is_that_of_the_interface() -> None:
+    assert [kind.name for kind in CATALOGUE] == IDS
+
+
+@EVERY
+def test_parameters_are_declared(kind: type[Effect]) -> None:
+    for effect in samples(kind, SCENE):
+        assert effect.parameters
+        names = [p.name for p in effect.parameters]
+        assert len(set(names)) == len(names)
+        for p in effect.parameters:
+            assert re.fullmatch(r"[a-z][a-z-]*", p.name)
+            assert p.meaning
+            assert p.factor > 0
+            assert p.prior_sigma > 0
+
+
+@EVERY
+def test_the_card_tells_its_source_and_its_status(kind: type[Effect]) -> None:
+    card = sys.modules[kind.__module__].__doc__ or ""
+    assert re.search(r"^Source: \S", card, re.MULTILINE)
+    assert re.search(r"^(Status|Validated): \S", card, re.MULTILINE)
+
+
+@EVERY
+def test_shapes_and_finite_values(kind: type[Effect]) -> None:
+    for scene_ in (SCENE, chosen(SCENE, [3]), chosen(SCENE, [])):
+        for effect in samples(kind, SCENE):
+            p, n = len(effect.parameters), len(scene_)
+            design, shift = effect.design(scene_), effect.shift(scene_, prior(effect))
+            assert design.shape == (n, 3, p)
+            assert shift.shape == (n, 3)
+            assert np.isfinite(design).all()
+            assert np.isfinite(shift).all()
+
+
+@EVERY
+def test_zero_values_change_nothing(kind: type[Effect]) -> None:
+    for effect in samples(kind, SCENE):
+        zero = np.zeros(len(effect.parameters))
+        np.testing.assert_allclose(effect.shift(SCENE, zero), 0.0, atol=1e-13)
+
+
+@EVERY
+def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
+    """The difference is second order: within 5 % at a bad size, and a hundred times smaller at a tenth of it."""
+    own = 2e-3 if kind.name in AIR else 1e-9
+    for effect in samples(kind, SCENE):
+        values = prior(effect)
+        linear = effect.design(SCENE) @ values
+        size = np.abs(linear).max(axis=0)
+        large = np.abs(effect.shift(SCENE, values) - linear).max(axis=0)
+        small = np.abs(effect.shift(SCENE, 0.1 * values) - 0.1 * linear).max(axis=0)
+        assert (large <= 0.05 * size + 1e-12).all(), effect
+        assert (small <= 0.02 * large + 0.1 * own * size + 1e-13).all(), effect
+
+
+@EVERY
+def test_only_declared_observables_change(kind: type[Effect]) -> None:
+    for effect in samples(kind, SCENE):
+        silent = [c for c, o in enumerate(OBSERVABLES) if o not in effect.observables]
+        seen = [c for c, o in enumerate(OBSERVABLES) if o in effect.observables]
+        changes = np.abs(np.dstack([effect.design(SCENE), effect.shift(SCENE, prior(effect))])).max(axis=0)
+        largest = changes.max(axis=0)
+        assert (changes[silent] <= 1e-9 * largest + 1e-14).all()
+        if not isinstance(effect, NoiseEffect) and seen:
+            assert (changes[seen].max(axis=1) > 1e-9 * largest.min()).all(), effect
+
+
+@EVERY
+def test_nothing_happens_outside_its_place(kind: type[Effect]) -> None:
+    for effect in samples(kind, SCENE):
+        outside = effect.mask(SCENE) == 0
+        assert not effect.design(SCENE)[outside].any()
+        assert not effect.shift(SCENE, prior(effect))[outside].any()
+        assert set(effect.stations) <= set(SCENE.station_names)
+        assert set(effect.targets) <= set(SCENE.target_names)
+        if isinstance(effect, NoiseEffect):
+            sigma = np.full((len(SCENE), 3), 3e-6)
+            np.testing.assert_allclose(effect.variance(SCENE, sigma, prior(effect))[outside], 9e-12)
+
+
+@EVERY
+def test_written_and_packed_and_back(kind: type[Effect]) -> None:
+    for effect in samples(kind, SCENE):
+        assert eval(repr(effect), {kind.__name__: kind}) == effect
+        back = pickle.loads(pickle.dumps(effect))
+        assert back == effect
+        assert back.parameters == effect.parameters
+        np.testing.assert_array_equal(back.design(SCENE), effect.design(SCENE))
+
+
+@EVERY
+def test_shapes_lie_between_their_bounds(kind: type[Effect]) -> None:
+    for shape in kind.shape:
+        for effect in all_candidates(kind, SCENE):
+            value = getattr(effect, shape.name)
+            assert shape.low * (1 - 1e-9) <= value <= shape.high * (1 + 1e-9) or shape.low < 0
+            low, high = shape.bracket(value)
+            assert low <= value <= high
+
+
+@pytest.mark.parametrize("kind", [k for k in CATALOGUE if issubclass(k, SlotEffect)], ids=lambda kind: kind.name)
+def test_first_order_agrees_with_the_exact_chain(kind: type[SlotEffect]) -> None:
+    for effect in samples(kind, SCENE):
+        assert isinstance(effect, SlotEffect)
+        values = 0.01 * prior(effect)
+        exact = misalignment([effect]).readings(SCENE.local, SCENE.face, values) - SCENE.raw
+        exact[:, 1] = (exact[:, 1] + np.pi) % (2 * np.pi) - np.pi
+        linear = effect.design(SCENE) @ values
+        np.testing.assert_allclose(exact, linear, atol=2e-3 * np.abs(linear).max() + 1e-13)
+
+
+@pytest.mark.parametrize("kind", [k for k in CATALOGUE if issubclass(k, NoiseEffect)], ids=lambda kind: kind.name)
+def test_noise_is_the_stated_one_at_zero(kind: type[NoiseEffect]) -> None:
+    sigma = np.abs(np.random.default_rng(1).normal(size=(len(SCENE), 3)))
+    for effect in kind.candidates(SCENE):
+        zero = np.zeros(len(effect.parameters))
+        np.testing.assert_allclose(effect.variance(SCENE, sigma, zero), sigma**2)
+        for values in effect.size_grid():
+            assert len(values) == len(effect.parameters)
+            assert (effect.variance(SCENE, sigma, np.array(values)) > 0).all()
+
+
+def test_a_search_over_all_candidates_is_quick() -> None:
+    """Less than a millisecond a candidate on 280 pointings, two thousand to three thousand candidates."""
+    scene_ = scene()
+    tried = [e for kind in CATALOGUE for e in kind.candidates(scene_)]
+    start = time.perf_counter()
+    for effect in tried:
+        effect.design(scene_)
+    assert len(tried) < 4000
+    assert (time.perf_counter() - start) / len(tried) < 1e-3
+
+
+def test_effects_are_found_by_name() -> None:
+    assert find_effect("head-sag") is effects.find_effect("head-sag")
+    assert find_effect("head-sag").name == "head-sag"
+    with pytest.raises(ModelError, match=r"did you mean .*range-cyclic"):
+        find_effect("range-cycle")
