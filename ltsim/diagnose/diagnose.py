@@ -13,7 +13,7 @@ from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
 from ltsim.diagnose.detect import Detection, detect, noise_prior
 from ltsim.diagnose.diagnosis import Diagnosis, Fit
-from ltsim.diagnose.findings import gross_finding, mean_finding, noise_finding
+from ltsim.diagnose.findings import equivalents_of, gross_finding, mean_finding, noise_finding
 from ltsim.diagnose.flexible import flexible_hypotheses
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import (
@@ -26,6 +26,7 @@ from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, pattern_hypotheses
 from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.diagnose.search import EffectSet, Searcher
+from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.words import summarise
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import NoiseEffect
@@ -183,6 +184,12 @@ def _assemble(
         effect = fitted.effects[i]
         others = searcher.with_members(found.hypotheses[:i] + found.hypotheses[i + 1 :])
         ranking = searcher.rank(others)
+        name = member.hypothesis.effect.name
+        rival = next((h for f, h, _ in ranking.entries if h.effect.name != name), None)
+        advice = ""
+        if rival is not None and equivalents_of(ranking, name)[1]:
+            values = fitted.values(i)
+            advice = separating_measurement(baseline, effect, values, rival.effect)
         findings.append(
             mean_finding(
                 replace(member.hypothesis, effect=effect),
@@ -191,6 +198,7 @@ def _assemble(
                 found,
                 ranking,
                 detection,
+                advice,
             )
         )
     findings += [noise_finding(h, searcher, detection) for h in case.noise]

@@ -50,6 +50,7 @@ def mean_finding(
     found: EffectSet,
     ranking: Ranking,
     detection: Detection,
+    separate_by: str = "",
 ) -> Finding:
     """The finding of a mean shift."""
     name = hypothesis.effect.name if hypothesis.known else "unknown"
@@ -67,6 +68,7 @@ def mean_finding(
         evidence=Evidence(drop, spent, p_value, probability),
         sentence=finding_sentence(name, where, estimates, probability, formula),
         equivalents=equivalents,
+        separate_by=separate_by,
         formula=formula,
     )
 

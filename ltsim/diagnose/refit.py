@@ -79,6 +79,10 @@ class Refit:
     effects: tuple[Effect, ...]
     estimates: tuple[tuple[Estimate, ...], ...]
 
+    def values(self, member: int) -> Floats:
+        """Parameters [SI] of one effect."""
+        return _split(self.effects, self.adjustment.state.extra)[member]
+
 
 def refit(
     recording: Recording,

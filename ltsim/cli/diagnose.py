@@ -1,0 +1,76 @@
+"""`ltsim diagnose`: from a recording to the physics that was left out."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Seed, Source, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal, table
+from ltsim.diagnose import Diagnosis
+from ltsim.diagnose import diagnose as diagnosis_of
+from ltsim.diagnose.files import write_diagnosis
+from ltsim.diagnose.words import percent, place
+
+FailOnMismatch = Annotated[
+    bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
+]
+Level = Annotated[
+    float, typer.Option(min=1e-6, max=0.5, help="False-alarm rate of the whole search on a clean recording.")
+]
+
+
+def diagnose(
+    source: Source,
+    out: Out = None,
+    level: Level = 0.05,
+    fail_on_mismatch: FailOnMismatch = False,
+    seed: Seed = 0,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
+
+    Writes diagnosis.json, targets.csv (adjusted with the findings modelled) and residuals to --out.
+
+    Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
+    """
+    terminal = Terminal(quiet, as_json)
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    terminal.say(recording_line(recording))
+    with terminal.busy("diagnosing"):
+        found = diagnosis_of(recording, seed=seed, level=level)
+    if out is not None:
+        write_diagnosis(found, out)
+    terminal.answer(found.to_json())
+    show(terminal, found)
+    if out is not None:
+        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    return 1 if fail_on_mismatch and found.verdict == "mismatch" else 0
+
+
+def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
+    """One sentence first, evidence below."""
+    terminal.say("\n" + diagnosis.summary)
+    for number, finding in enumerate(diagnosis.findings, start=1):
+        terminal.say(f"\n{number}. {finding.effect} {place(finding.where)}")
+        rows = [[p.name, f"{p.value:.3g}", f"{p.sigma:.2g}", p.unit] for p in finding.parameters]
+        terminal.say(table(["parameter", "value", "sigma", "unit"], rows))
+        terminal.say(
+            f"chi-square falls by {finding.evidence.chi2_drop:.0f} for {finding.evidence.parameters} parameters; "
+            f"probability {percent(finding.evidence.probability)}"
+        )
+        for name, probability in finding.equivalents:
+            terminal.say(f"not excluded: {name} ({percent(probability)})")
+        if finding.separate_by:
+            terminal.say(f"to decide: {finding.separate_by}")
+    blind = [u for u in diagnosis.undetectable if u.hides_um >= 1.0]
+    if blind:
+        terminal.say("\nNot to be seen in this recording, and the error of the targets it would hide:")
+        rows = [[u.effect, f"{u.hides_um:.0f}", u.cure] for u in sorted(blind, key=lambda u: -u.hides_um)]
+        terminal.say(table(["effect", "um", "cure"], [[r[0], r[1], r[2]] for r in rows]))
