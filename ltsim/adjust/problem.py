@@ -84,7 +84,8 @@ class NetworkProblem:
 
     def _residual_rows(self, state: State, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
-        gauge = (self.gauge.length - self.gauge.predict(state.points)) / self.gauge.sigma
+        stated = self.gauge.predict(state.points) + self._gauge_by_extra(state) @ state.extra
+        gauge = (self.gauge.length - stated) / self.gauge.sigma
         control = (self.control.points - state.points[self.control.target]) / self.control.sigma[:, None]
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
         prior = -(state.instrument / self.prior_sigma)[np.isfinite(self.prior_sigma)]
@@ -143,6 +144,7 @@ class NetworkProblem:
         for i in range(len(self.gauge)):
             gauge[[i] * 3, layout.target[self.gauge.first[i]]] = directions[i]
             gauge[[i] * 3, layout.target[self.gauge.second[i]]] = -directions[i]
+        gauge[:, layout.extra] = self._gauge_by_extra(state) / self.gauge.sigma[:, None]
         known = len(self.control)
         control = sp.coo_array(
             (
@@ -168,6 +170,12 @@ class NetworkProblem:
             ],
             format="csr",
         )
+
+    def _gauge_by_extra(self, state: State) -> Floats:
+        """Change (g, q) of the known lengths per unit of the further effects' parameters."""
+        ends = self.gauge.first, self.gauge.second
+        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.effects]
+        return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
     def _datum_rows(self, state: State) -> sp.csr_array:
         """Rows that hold the first station against the free rigid motions."""
