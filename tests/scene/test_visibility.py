@@ -26,7 +26,13 @@ def reason(point: np.ndarray, limits: SightLimits = LIMITS) -> Reason:
 
 @pytest.mark.parametrize(
     ("elevation", "expected"),
-    [(-55.1, Reason.BELOW), (-54.9, Reason.VISIBLE), (0.0, Reason.VISIBLE), (76.9, Reason.VISIBLE), (77.1, Reason.ABOVE)],
+    [
+        (-55.1, Reason.BELOW),
+        (-54.9, Reason.VISIBLE),
+        (0.0, Reason.VISIBLE),
+        (76.9, Reason.VISIBLE),
+        (77.1, Reason.ABOVE),
+    ],
 )
 def test_elevation_limits(elevation: float, expected: Reason) -> None:
     assert reason(at(elevation)) == expected
@@ -77,7 +83,7 @@ def test_limits_follow_a_leaning_instrument() -> None:
 
 
 def test_acceptance_of_fixed_nests_only() -> None:
-    normal = np.array([[-np.cos(31 * DEGREE), 2.0 * 0, np.sin(31 * DEGREE)]])
+    normal = np.array([[-np.cos(31 * DEGREE), 0.0, np.sin(31 * DEGREE)]])
     fixed = visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([False]))
     turned = visibility(HEAD, at(0.0), LIMITS, nest_normal=normal, reaimed=np.array([True]))
     assert fixed.incidence[0, 0] == pytest.approx(31 * DEGREE)

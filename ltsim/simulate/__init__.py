@@ -1,0 +1,1 @@
+"""Virtual workshops: a scenario and a seed give a recording and its truth."""

@@ -1,0 +1,187 @@
+"""Where everything truly stands, and the pointings in the order of the work: the part of a trial that may be kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats
+from ltsim.effects.effect import Effect
+from ltsim.errors import SetupError
+from ltsim.geometry.polar import to_polar
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.model.construction import Construction
+from ltsim.randomness import stream
+from ltsim.scene.sightings import Sightings
+from ltsim.scene.visibility import Visibility
+from ltsim.simulate.physics import construction_of, effects_of
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.workshop import Layout, planned, visibility_of
+from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
+
+LEVEL_GAP = 0.5
+"""Heights further apart than this [m] are different levels."""
+
+
+@dataclass(frozen=True)
+class Fieldwork:
+    """A scenario with its true geometry; draws of errors and noise on it are `simulator.measure`.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    layout : Layout
+        True poses and points, of every target, seen or not.
+    sightings : Sightings
+        The pointings, at the true geometry, of the targets that are seen; covariates are the air readings.
+    construction : Construction
+    effects : tuple of Effect
+    notes : tuple of str
+        Which station does not see which target, and why.
+    """
+
+    scenario: Scenario
+    layout: Layout
+    sightings: Sightings
+    construction: Construction
+    effects: tuple[Effect, ...]
+    notes: tuple[str, ...]
+
+
+def fieldwork(scenario: Scenario, seed: int, *key: str | int) -> Fieldwork:
+    """Place everything, leave out what is not seen, and order the work.
+
+    Raises
+    ------
+    SetupError
+        When a station sees nothing, a file of an obstacle is damaged, or an effect does not exist.
+    """
+    layout = placed(scenario, seed, *key)
+    table = visibility_of(scenario, layout)
+    for s, name in enumerate(layout.stations):
+        if not table.visible[s].any():
+            reason = table.words()[s][0]
+            raise SetupError(f"stations.{name}: sees no reflector ({layout.targets[0]} is {reason}); move it")
+    sightings = _sightings(scenario, layout, table.visible, seed, *key)
+    return Fieldwork(
+        scenario=scenario,
+        layout=layout,
+        sightings=sightings,
+        construction=construction_of(scenario.instrument),
+        effects=effects_of(scenario),
+        notes=_notes(layout, table),
+    )
+
+
+def placed(scenario: Scenario, seed: int, *key: str | int) -> Layout:
+    """The layout where it truly stands: as planned, with the scatter of `placing`; the gauge moves as one body."""
+    plan, placing = planned(scenario), scenario.placing
+    position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
+    for i, (name, station) in enumerate(scenario.stations.items()):
+        draw = stream(seed, *key, "placing", "station", name).standard_normal(6)
+        position[i] += placing.station_mm * MILLIMETRE * draw[:3]
+        tilt = placing.tilt_deg * DEGREE
+        if station.levelled:
+            tilt = station.levelling_sigma_arcsec * ARCSECOND
+        lean = from_rotation_vector(np.array([tilt * draw[3], tilt * draw[4], 0.0]))
+        rotation[i] = lean @ about_z(placing.yaw_deg * DEGREE * draw[5]) @ rotation[i]
+    for i, name in enumerate(scenario.targets):
+        draw = stream(seed, *key, "placing", "target", name).standard_normal(3)
+        points[i] += placing.target_mm * MILLIMETRE * draw
+    if scenario.gauge is not None:
+        body = slice(len(scenario.targets), None)
+        draw = stream(seed, *key, "placing", "gauge").standard_normal(6)
+        turn = from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
+        centre = points[body].mean(axis=0)
+        points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
+    return plan.at(position, rotation, points)
+
+
+def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
+    return tuple(table.lost(layout.stations, layout.targets))
+
+
+def _sightings(
+    scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int
+) -> Sightings:
+    """The pointings in the order of the work, without targets that nobody sees."""
+    kept = np.flatnonzero(visible.any(axis=0))
+    renumbered = np.full(len(layout.targets), -1)
+    renumbered[kept] = np.arange(len(kept))
+    rows: list[tuple[int, int, int, int, float]] = []
+    clock, work = 0.0, scenario.work
+    for s in range(len(layout.stations)):
+        for target, face, repeat in _visit(scenario, layout, s, visible[s], seed, *key):
+            rows.append((s, int(renumbered[target]), face, repeat, clock))
+            clock += work.seconds_per_pointing
+        clock += 60.0 * work.minutes_per_move
+    whole = np.array([row[:4] for row in rows], dtype=np.int64)
+    time = np.array([row[4] for row in rows])
+    return Sightings(
+        station=whole[:, 0],
+        target=whole[:, 1],
+        instrument=np.zeros(len(rows), dtype=np.int64),
+        face=whole[:, 2],
+        repeat=whole[:, 3],
+        time=time,
+        position=layout.position,
+        rotation=layout.rotation,
+        points=layout.points[kept],
+        nest_normal=layout.nest_normal[kept],
+        reaimed=layout.reaimed[kept],
+        station_names=layout.stations,
+        target_names=tuple(layout.targets[k] for k in kept),
+        covariates=_air(scenario, time),
+    )
+
+
+def _visit(
+    scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int
+) -> list[tuple[int, int, int]]:
+    """(target, face, repeat) of one station's visit in the order of the work."""
+    work = scenario.work
+    faces = tuple(range(1, work.faces + 1))
+    pointings: list[tuple[int, int, int]] = []
+    for repeat in range(1, work.repeats + 1):
+        order = [t for t in _order(scenario, layout, station, repeat, seed, *key) if visible[t]]
+        if work.face_order == "per-target":
+            pointings += [(t, face, repeat) for t in order for face in faces]
+        else:
+            pointings += [(t, face, repeat) for face in faces for t in order]
+    return pointings
+
+
+def _order(
+    scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int
+) -> list[int]:
+    """Targets in the order in which a station points at them."""
+    count = len(layout.targets)
+    if scenario.work.order == "as-listed":
+        return list(range(count))
+    if scenario.work.order == "level-by-level":
+        azimuth = to_polar(layout.points - layout.position[station])[:, 1]
+        levels = _levels(layout.points[:, 2])
+        return [int(t) for t in np.lexsort((azimuth, levels))]
+    draw = stream(seed, *key, "order", layout.stations[station], repeat)
+    return [int(t) for t in draw.permutation(count)]
+
+
+def _levels(heights: Floats) -> Floats:
+    """Number (T,) of each height's level, the highest first."""
+    down = np.argsort(-heights, kind="stable")
+    steps = np.concatenate([[0.0], -np.diff(heights[down]) > LEVEL_GAP])
+    levels = np.zeros(len(heights))
+    levels[down] = np.cumsum(steps)
+    return levels
+
+
+def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
+    """What the instrument's sensors read: to 0.1 of their units."""
+    room = scenario.workshop
+    temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
+    return {
+        "air_temperature_c": np.round(temperature, 1),
+        "air_pressure_hpa": np.full(len(time), round(room.pressure_hpa, 1)),
+        "relative_humidity_pct": np.full(len(time), round(room.humidity_pct, 1)),
+    }

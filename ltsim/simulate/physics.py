@@ -1,0 +1,149 @@
+"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their values."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects import find_effect
+from ltsim.effects.effect import Effect
+from ltsim.effects.smr_incidence import SmrIncidence
+from ltsim.errors import ModelError, SetupError
+from ltsim.model.construction import Construction, dh, misalignment
+from ltsim.randomness import stream
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.sections import EffectEntry, Instrument, Smr
+from ltsim.units import DEGREE, FACTOR, MICROMETRE
+
+PLACES = ("stations", "targets")
+
+
+def construction_of(instrument: Instrument) -> Construction:
+    """The construction of the scenario's tracker."""
+    return dh(instrument.harmonics, instrument.degree) if instrument.construction == "dh" else misalignment()
+
+
+def instrument_values(
+    instrument: Instrument, construction: Construction, seed: int, *key: str | int
+) -> Floats:
+    """True values (p,) [SI] of the construction's parameters: as stated, drawn from the prior, or 0.
+
+    Raises
+    ------
+    SetupError
+        When an error is stated that the construction does not have.
+    """
+    stated = {name: float(value) for name, value in instrument.errors.items() if name != "draw"}
+    for name in stated:
+        try:
+            construction.index(name)
+        except ModelError as problem:
+            raise SetupError(f"instrument.errors.{name}: {problem}") from None
+    values = np.zeros(construction.size)
+    for i, parameter in enumerate(construction.parameters):
+        if parameter.name in stated:
+            values[i] = stated[parameter.name] * parameter.factor
+        elif instrument.draws:
+            sigma = instrument.error_factor * parameter.sigma_from(instrument.prior)
+            values[i] = sigma * stream(seed, *key, "instrument", parameter.name).standard_normal()
+    return values
+
+
+def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> Effect:
+    """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
+
+    Raises
+    ------
+    ModelError
+        When there is no such effect or constant, or a value does not fit.
+    """
+    kind = find_effect(name)
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in PLACES}
+    units = {s.name: FACTOR[s.unit] for s in kind.shape}
+    constants: dict[str, Any] = {}
+    for key, value in shape.items():
+        if key not in fields:
+            known = ", ".join(sorted(fields)) or "none"
+            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
+        constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
+    return kind(**places, **constants)
+
+
+def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
+    """A constant in SI, of the type its default has."""
+    if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
+        raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
+    if isinstance(default, int):
+        if float(value) != int(value):
+            raise ModelError(f"{key} is {value}, expected a whole number")
+        return int(value)
+    return value * unit if isinstance(default, float) else value
+
+
+def shape_of(effect: Effect) -> dict[str, Any]:
+    """The constants of an effect, as `effect_from` takes them."""
+    units = {s.name: FACTOR[s.unit] for s in effect.shape}
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in PLACES]
+    values = {name: getattr(effect, name) for name in names}
+    return {name: value / units[name] if name in units else value for name, value in values.items()}
+
+
+def incidence_effect(smr: Smr) -> SmrIncidence:
+    """The reflectors' error against incidence, by the scenario's table."""
+    table = tuple(x * MICROMETRE for x in smr.table_um)
+    return SmrIncidence(table=table, direction=smr.direction_deg * DEGREE)
+
+
+def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
+    """The scenario's effects in the order of its file; the reflectors' incidence error, if it is on, is the last.
+
+    Raises
+    ------
+    SetupError
+        Naming the entry and what would be right.
+    """
+    effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
+    if scenario.smr.incidence_error:
+        effects.append(incidence_effect(scenario.smr))
+    return tuple(effects)
+
+
+def _effect_of(entry: EffectEntry, number: int) -> Effect:
+    try:
+        effect = effect_from(entry.name, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except (ModelError, ValueError, TypeError, KeyError) as problem:
+        raise SetupError(f"effects.{number}: {problem}") from None
+    names = [p.name for p in effect.parameters]
+    for name in entry.values:
+        if name not in names:
+            raise SetupError(f"effects.{number}.values: {entry.name} has no '{name}', it has {', '.join(names)}")
+    return effect
+
+
+def effect_values(
+    scenario: Scenario, effects: tuple[Effect, ...], seed: int, *key: str | int
+) -> tuple[Floats, ...]:
+    """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
+
+    A draw is keyed by the effect, its places, how many like it came before, and the parameter.
+    """
+    seen: Counter[tuple[str, str]] = Counter()
+    values = []
+    for i, effect in enumerate(effects):
+        entry = scenario.effects[i] if i < len(scenario.effects) else None
+        place = ",".join(effect.stations + effect.targets)
+        seen[effect.name, place] += 1
+        amount = np.zeros(len(effect.parameters))
+        for k, parameter in enumerate(effect.parameters):
+            if entry is not None and parameter.name in entry.values:
+                amount[k] = entry.values[parameter.name] * parameter.factor
+            elif entry is not None and entry.draw:
+                own = (effect.name, place, seen[effect.name, place], parameter.name)
+                amount[k] = parameter.prior_sigma * stream(seed, *key, "effect", *own).standard_normal()
+        values.append(amount)
+    return tuple(values)

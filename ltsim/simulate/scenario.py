@@ -1,0 +1,211 @@
+"""A scenario: everything a simulation needs but the seed, as a file a person can read and edit."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+from pydantic import Field, ValidationError
+
+from ltsim.errors import RecordError, SetupError
+from ltsim.recording.files import check_name, shown
+from ltsim.recording.settings import read_toml, sentence, to_toml
+from ltsim.recording.setup import Section, Vector
+from ltsim.simulate.sections import (
+    PRESETS,
+    Cmm,
+    EffectEntry,
+    Gauge,
+    Instrument,
+    Placing,
+    Smr,
+    Station,
+    Target,
+    Work,
+    Workshop,
+)
+
+FORMAT = "ltsim-scenario/1"
+
+
+class Scenario(Section):
+    """The whole file."""
+
+    format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
+    title: str = ""
+    workshop: Workshop = Workshop()
+    placing: Placing = Placing()
+    instrument: Instrument = Instrument()
+    smr: Smr = Smr()
+    cmm: Cmm = Cmm()
+    work: Work = Work()
+    gauge: Gauge | None = None
+    stations: dict[str, Station]
+    targets: dict[str, Target] = Field(default_factory=dict)
+    effects: tuple[EffectEntry, ...] = ()
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Targets of the mesh, then those of the gauge."""
+        return (*self.targets, *(self.gauge.targets if self.gauge else ()))
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Names of the built-in scenarios."""
+    folder = files("ltsim.simulate") / "builtin"
+    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
+
+
+def builtin_text(name: str) -> str:
+    """The commented file of a built-in scenario, to print and edit."""
+    if name not in builtin_names():
+        raise SetupError(_no_such(name))
+    return (files("ltsim.simulate") / "builtin" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """A built-in scenario by its name, or the scenario of a file.
+
+    Raises
+    ------
+    SetupError
+        One sentence: file, key, what was found, what would be right.
+    """
+    path = Path(name_or_path)
+    if str(name_or_path) in builtin_names():
+        path = Path(str(files("ltsim.simulate") / "builtin" / f"{name_or_path}.toml"))
+    elif not path.exists():
+        raise SetupError(_no_such(str(name_or_path)))
+    try:
+        data = read_toml(path, "scenario")
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
+    return scenario_from(data, path)
+
+
+def _no_such(name: str) -> str:
+    known = builtin_names()
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5) or known
+    message = "there is no such file, and no built-in scenario of this name"
+    return f"{shown(name)}: {message}; did you mean {', '.join(near)}?"
+
+
+def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
+    """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
+    if "format" not in data:
+        raise SetupError(f'{file}: the key format is missing, expected format = "{FORMAT}"')
+    text = json.dumps(_with_preset(data), default=str)
+    try:
+        scenario = Scenario.model_validate_json(text, strict=True)
+    except ValidationError as problem:
+        found = problem.errors()
+        misspelt = [error for error in found if error["type"] == "extra_forbidden"]
+        raise SetupError(f"{file}: {sentence((misspelt or found)[0], Scenario)}") from None
+    except (ValueError, RecursionError):
+        raise SetupError(f"{file}: holds a value that no scenario can hold") from None
+    _check(scenario, file)
+    return _with_files_beside(scenario, file)
+
+
+def _with_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The tables with the instrument's preset filled in below what the file says."""
+    instrument = data.get("instrument")
+    preset = PRESETS.get(str(instrument.get("preset", ""))) if isinstance(instrument, dict) else None
+    if not isinstance(instrument, dict) or not preset:
+        return data
+    filled = dict(instrument)
+    for section, values in preset.items():
+        given = instrument.get(section, {})
+        filled[section] = {**values, **given} if isinstance(given, dict) else given
+    return {**data, "instrument": filled}
+
+
+def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:
+    """CAD files are named from the folder of the scenario."""
+    obstacles = tuple(
+        o if o.file is None else o.model_copy(update={"file": str(file.parent / o.file)})
+        for o in scenario.workshop.obstacles
+    )
+    if not any(o.file for o in obstacles):
+        return scenario
+    return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": obstacles})})
+
+
+Refuse = Callable[[str, str], NoReturn]
+
+
+def _check(scenario: Scenario, file: Path) -> None:
+    """What no single key can tell: names, places inside the room, effects that name what exists."""
+
+    def refuse(key: str, message: str) -> NoReturn:
+        raise SetupError(f"{file}: {key} {message}")
+
+    _check_names(scenario, file, refuse)
+    _check_places(scenario, refuse)
+    for i, entry in enumerate(scenario.effects):
+        for kind, wanted, known in (
+            ("stations", entry.stations, tuple(scenario.stations)),
+            ("targets", entry.targets, scenario.target_names),
+        ):
+            for name in wanted:
+                if name not in known:
+                    refuse(f"effects.{i + 1}.{kind}", f"names '{shown(name)}', which is not one of {_listed(known)}")
+
+
+def _check_names(scenario: Scenario, file: Path, refuse: Refuse) -> None:
+    names = scenario.target_names
+    if not scenario.stations:
+        refuse("stations", "is empty, expected at least one table [stations.NAME]")
+    if len(names) < 3:
+        refuse("targets", f"holds {len(names)} reflectors with the gauge's, expected at least 3")
+    for name in names:
+        if names.count(name) > 1:
+            refuse("gauge.targets", f"names '{shown(name)}' twice, or it is a target of the mesh too")
+    for kind, listed in (("station", scenario.stations), ("target", names)):
+        for name in listed:
+            try:
+                check_name(name, kind, file=file)
+            except RecordError as problem:
+                raise SetupError(str(problem)) from None
+
+
+def _check_places(scenario: Scenario, refuse: Refuse) -> None:
+    size = scenario.workshop.size_mm
+
+    def check(key: str, place: Vector) -> None:
+        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, size, strict=True)):
+            room = " x ".join(f"{x:g}" for x in size)
+            refuse(key, f"is {list(place)}, outside the workshop of {room} mm whose corner is the origin")
+
+    for name, station in scenario.stations.items():
+        check(f"stations.{name}.position_mm", station.position_mm)
+    for name, target in scenario.targets.items():
+        check(f"targets.{name}.position_mm", target.position_mm)
+        if target.nest_normal is not None and not any(target.nest_normal):
+            refuse(f"targets.{name}.nest_normal", "is a vector without length")
+    if scenario.gauge is not None:
+        check("gauge.position_mm", scenario.gauge.position_mm)
+
+
+def _listed(names: Iterable[str], most: int = 12) -> str:
+    known = list(names)
+    return ", ".join(known[:most]) + (" ..." if len(known) > most else "")
+
+
+def scenario_to_toml(scenario: Scenario) -> str:
+    """The text of a file that `load_scenario` turns into the same scenario, every setting spelled out."""
+    table: dict[str, Any] = {"format": scenario.format, "title": scenario.title}
+    for name in ("workshop", "placing", "instrument", "smr", "cmm", "work"):
+        table[name] = getattr(scenario, name).model_dump(by_alias=True, exclude_none=True)
+    if scenario.gauge is not None:
+        table["gauge"] = scenario.gauge.model_dump(by_alias=True, exclude_none=True)
+    for kind in ("stations", "targets"):
+        entries: dict[str, Section] = getattr(scenario, kind)
+        table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
+    if scenario.effects:
+        table["effects"] = [e.model_dump(by_alias=True, exclude_defaults=True) for e in scenario.effects]
+    return to_toml(table)

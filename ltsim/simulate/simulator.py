@@ -1,0 +1,221 @@
+"""The simulator: a scenario and a seed give a recording, and apart from it the truth.
+
+Every draw has its own stream, keyed by what it is for: adding an effect, a station's twin or a worker changes no
+other draw.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.noise import white_noise_sigma
+from ltsim.effects.resolution import quantised
+from ltsim.geometry.polar import wrap
+from ltsim.randomness import stream
+from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Limits, Setup, Station, Target
+from ltsim.simulate.fieldwork import Fieldwork, fieldwork
+from ltsim.simulate.gauge import calibrated, frame_of, nominal_points
+from ltsim.simulate.physics import effect_values, instrument_values
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.truth import AppliedEffect, Truth
+from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+
+
+def simulate(scenario: Scenario, seed: int) -> tuple[Recording, Truth]:
+    """Measure a scenario once.
+
+    Raises
+    ------
+    SetupError
+        When the scenario asks for something impossible.
+    """
+    return measure(fieldwork(scenario, seed), seed)
+
+
+def measure(work: Fieldwork, seed: int, *key: str | int) -> tuple[Recording, Truth]:
+    """Draw the instrument's errors, the gauge's calibration and the noise anew on a fixed geometry.
+
+    Parameters
+    ----------
+    work : Fieldwork
+    seed : int
+    *key : str or int
+        What tells this trial from others with the same seed.
+    """
+    instrument = instrument_values(work.scenario.instrument, work.construction, seed, *key)
+    values = effect_values(work.scenario, work.effects, seed, *key)
+    readings = simulate_readings(work, instrument, values, seed, *key)
+    truth = _truth(work, instrument, values, seed, *key)
+    return _recording(work, readings, values, seed, *key), truth
+
+
+def simulate_readings(
+    work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
+) -> Floats:
+    """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded to the resolution.
+
+    Parameters
+    ----------
+    work : Fieldwork
+    instrument : (p,) float, [SI]
+    values : tuple of (q,) float, [SI]
+        One an effect of `work.effects`.
+    seed, *key
+        Of the noise.
+    """
+    readings = exact_readings(work, instrument, values) + drawn_noise(work, values, seed, *key)
+    step = work.scenario.instrument.resolution
+    readings[:, 1] = wrap(readings[:, 1])
+    return quantised(readings, distance=step.distance_um * MICROMETRE, angle=step.angle_arcsec * ARCSECOND)
+
+
+def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
+    """Raw readings (n, 3) before noise: the exact construction, then what the effects add, by stage."""
+    sightings = work.sightings
+    readings = work.construction.readings(sightings.local, sightings.face, instrument)
+    for k in sorted(range(len(work.effects)), key=lambda k: work.effects[k].stage):
+        readings = readings + work.effects[k].shift(sightings, values[k])
+    return readings
+
+
+def noise_sigma(work: Fieldwork, values: tuple[Floats, ...]) -> Floats:
+    """True standard deviation (n, 3) of the noise: the stated one, changed by effects on the noise."""
+    stated = work.scenario.instrument
+    sigma = stated.noise_factor * white_noise_sigma(work.sightings, [stated.noise])
+    for effect, amount in zip(work.effects, values, strict=True):
+        if isinstance(effect, NoiseEffect):
+            sigma = np.sqrt(effect.variance(work.sightings, sigma, amount))
+    return sigma
+
+
+def drawn_noise(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Floats:
+    """White noise (n, 3), a stream an observable."""
+    count = len(work.sightings)
+    draws = [stream(seed, *key, "noise", name).standard_normal(count) for name in OBSERVABLES]
+    return np.stack(draws, axis=1) * noise_sigma(work, values)
+
+
+def _recording(
+    work: Fieldwork, readings: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
+) -> Recording:
+    s = work.sightings
+    return Recording(
+        setup=_setup(work, values, seed, *key),
+        stations=s.station_names,
+        targets=s.target_names,
+        station=s.station,
+        target=s.target,
+        face=s.face,
+        repeat=s.repeat,
+        time=s.time,
+        readings=readings,
+        covariates=s.covariates,
+        notes=work.notes,
+    )
+
+
+def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Setup:
+    """What a person knows: the floor plan, the nests, the gauge's certificate, the maker's figures."""
+    scenario, step = work.scenario, work.scenario.placing
+    tracker, limits = scenario.instrument, scenario.instrument.limits
+    stations = {
+        name: Station(
+            position_mm=_rounded(s.position_mm, step.plan_step_mm),
+            yaw_deg=step.plan_step_deg * round(s.yaw_deg / step.plan_step_deg),
+            levelled=s.levelled,
+            levelling_sigma_arcsec=s.levelling_sigma_arcsec,
+        )
+        for name, s in scenario.stations.items()
+    }
+    return Setup(
+        title=scenario.title,
+        instrument=Instrument(
+            corrected=tracker.corrected,
+            noise=tracker.noise,
+            prior=tracker.prior,
+            limits=Limits(
+                elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg
+            ),
+        ),
+        gauge=_certificate(work, values, seed, *key),
+        stations=stations,
+        targets=_targets(work),
+    )
+
+
+def _rounded(place: tuple[float, float, float], step: float) -> tuple[float, float, float]:
+    x, y, z = (step * round(value / step) for value in place)
+    return x, y, z
+
+
+def _targets(work: Fieldwork) -> dict[str, Target]:
+    """What is known of each target that is seen: its nest, whether it is re-aimed, its reflector."""
+    scenario, s = work.scenario, work.sightings
+    known = {}
+    for i, name in enumerate(s.target_names):
+        normal = tuple(round(float(x), 4) for x in s.nest_normal[i])
+        own = scenario.targets[name].reflector if name in scenario.targets else None
+        known[name] = Target(
+            nest_normal=(normal[0], normal[1], normal[2]) if np.all(np.isfinite(normal)) else None,
+            reaimed=bool(s.reaimed[i]),
+            reflector=own or scenario.smr.reflector,
+        )
+    return known
+
+
+def _certificate(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Gauge | None:
+    """The gauge as the measuring machine calibrated it: lengths of pairs that were both seen."""
+    gauge, cmm = work.scenario.gauge, work.scenario.cmm
+    if gauge is None:
+        return None
+    frame = frame_of(gauge)
+    length, sigma = calibrated(gauge, frame, cmm, seed, *key)
+    for effect, amount in zip(work.effects, values, strict=True):
+        length = length + effect.gauge_design(frame.first, frame.second, frame.points) @ amount
+    seen = set(work.sightings.target_names)
+    lines = [
+        GaugeDistance.model_validate(
+            {
+                "from": frame.names[a],
+                "to": frame.names[b],
+                "length_mm": round(float(x) / MILLIMETRE, 4),
+                "sigma_mm": max(round(float(e) / MILLIMETRE, 6), 1e-6),
+            }
+        )
+        for a, b, x, e in zip(frame.first, frame.second, length, sigma, strict=True)
+        if {frame.names[a], frame.names[b]} <= seen
+    ]
+    measured = work.scenario.workshop.temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
+    return Gauge(
+        calibrated_at_c=gauge.calibrated_at_c,
+        measured_at_c=measured,
+        expansion_per_k=gauge.expansion_per_k,
+        distance=tuple(lines),
+    )
+
+
+def _truth(
+    work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
+) -> Truth:
+    s, scenario = work.sightings, work.scenario
+    nominal = None
+    if scenario.cmm.nominal:
+        nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *key)
+    return Truth(
+        title=scenario.title,
+        seed=seed,
+        stations=s.station_names,
+        position=s.position,
+        rotation=s.rotation,
+        targets=s.target_names,
+        points=s.points,
+        construction=work.construction.name,
+        instrument=dict(zip(work.construction.names, instrument.tolist(), strict=True)),
+        units={p.name: p.unit for p in work.construction.parameters},
+        effects=tuple(AppliedEffect(e, v) for e, v in zip(work.effects, values, strict=True)),
+        noise_factor=scenario.instrument.noise_factor,
+        nominal=nominal,
+    )

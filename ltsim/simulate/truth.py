@@ -1,0 +1,243 @@
+"""The truth of a simulated recording: kept in a file of its own (ltsim-truth/1), which no calibrator opens."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect
+from ltsim.errors import ModelError, RecordError
+from ltsim.geometry.rotations import quaternion
+from ltsim.recording.files import read_text, write_text
+from ltsim.recording.settings import sentence
+from ltsim.recording.setup import Finite, Section, Vector
+from ltsim.simulate.physics import effect_from, shape_of
+from ltsim.units import FACTOR, MILLIMETRE
+
+FORMAT = "ltsim-truth/1"
+
+
+@dataclass(frozen=True)
+class AppliedEffect:
+    """An effect that was at work, with the true values (q,) [SI] of its parameters."""
+
+    effect: Effect
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a recording was made from; SI units, the workshop's frame.
+
+    Attributes
+    ----------
+    title : str
+    seed : int
+    stations : tuple of str
+    position : (S, 3) float, [m]
+    rotation : (S, 3, 3) float
+        Instrument frame to workshop.
+    targets : tuple of str
+    points : (T, 3) float, [m]
+        Where no effect moves them.
+    construction : str
+    instrument : mapping of str to float, [SI]
+        True values of the construction's parameters.
+    units : mapping of str to str
+        The unit each is shown in.
+    effects : tuple of AppliedEffect
+        Everything beyond the instrument's parameters.
+    noise_factor : float
+        Drawn noise over stated noise.
+    nominal : (T, 3) float, [m], or None
+        The targets as a measuring machine gave them.
+    """
+
+    title: str
+    seed: int
+    stations: tuple[str, ...]
+    position: Floats
+    rotation: Floats
+    targets: tuple[str, ...]
+    points: Floats
+    construction: str
+    instrument: Mapping[str, float]
+    units: Mapping[str, str]
+    effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
+    noise_factor: float = 1.0
+    nominal: Floats | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of a truth file."""
+        content: dict[str, Any] = {
+            "format": FORMAT,
+            "title": self.title,
+            "seed": self.seed,
+            "construction": self.construction,
+            "parameters": [
+                {"name": name, "value": value / FACTOR[self.units[name]], "unit": self.units[name]}
+                for name, value in self.instrument.items()
+            ],
+            "effects": [_effect_to_json(applied) for applied in self.effects],
+            "noise_factor": self.noise_factor,
+            "stations": [
+                {
+                    "name": name,
+                    "position_mm": (self.position[i] / MILLIMETRE).tolist(),
+                    "rotation_quaternion": quaternion(self.rotation[i]).tolist(),
+                }
+                for i, name in enumerate(self.stations)
+            ],
+            "targets": [
+                {"name": name, "position_mm": (self.points[i] / MILLIMETRE).tolist()}
+                for i, name in enumerate(self.targets)
+            ],
+        }
+        if self.nominal is not None:
+            content["nominal"] = [
+                {"name": name, "position_mm": (self.nominal[i] / MILLIMETRE).tolist()}
+                for i, name in enumerate(self.targets)
+            ]
+        return content
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Truth:
+        """The truth of a truth file's contents.
+
+        Raises
+        ------
+        RecordError
+            One sentence: what was found, what would be right.
+        """
+        try:
+            table = _File.model_validate_json(json.dumps(content), strict=True)
+        except ValidationError as problem:
+            raise RecordError(sentence(problem.errors()[0], _File), file=file) from None
+        unknown = {p.unit for p in table.parameters} - set(FACTOR)
+        if unknown:
+            raise RecordError(f"'{unknown.pop()}' is no unit, expected one of {', '.join(FACTOR)}", file=file)
+        targets = [p.position_mm for p in table.targets]
+        nominal = [p.position_mm for p in table.nominal or ()]
+        if nominal and [p.name for p in table.nominal or ()] != [p.name for p in table.targets]:
+            raise RecordError("the nominal points are not those of the targets, in their order", file=file)
+        return cls(
+            title=table.title,
+            seed=table.seed,
+            stations=tuple(s.name for s in table.stations),
+            position=np.array([s.position_mm for s in table.stations]).reshape(-1, 3) * MILLIMETRE,
+            rotation=Rotation.from_quat([s.rotation_quaternion for s in table.stations]).as_matrix(),
+            targets=tuple(p.name for p in table.targets),
+            points=np.array(targets).reshape(-1, 3) * MILLIMETRE,
+            construction=table.construction,
+            instrument={p.name: p.value * FACTOR[p.unit] for p in table.parameters},
+            units={p.name: p.unit for p in table.parameters},
+            effects=tuple(_effect_from_json(e, file) for e in table.effects),
+            noise_factor=table.noise_factor,
+            nominal=np.array(nominal) * MILLIMETRE if nominal else None,
+        )
+
+
+class _Number(Section):
+    name: str
+    value: Finite
+    unit: str
+
+
+class _Effect(Section):
+    effect: str
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    parameters: tuple[_Number, ...] = ()
+
+
+class _Point(Section):
+    name: str
+    position_mm: Vector
+
+
+class _Pose(_Point):
+    rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
+
+
+class _File(Section):
+    format: Literal["ltsim-truth/1"]
+    title: str = ""
+    seed: int = 0
+    construction: str
+    parameters: tuple[_Number, ...] = ()
+    effects: tuple[_Effect, ...] = ()
+    noise_factor: Finite = 1.0
+    stations: tuple[_Pose, ...] = Field(min_length=1)
+    targets: tuple[_Point, ...] = Field(min_length=1)
+    nominal: tuple[_Point, ...] | None = None
+
+
+def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:
+    effect = applied.effect
+    return {
+        "effect": effect.name,
+        "stations": list(effect.stations),
+        "targets": list(effect.targets),
+        "shape": shape_of(effect),
+        "parameters": [
+            {"name": p.name, "value": float(v) / p.factor, "unit": p.unit}
+            for p, v in zip(effect.parameters, applied.values, strict=True)
+        ],
+    }
+
+
+def _effect_from_json(entry: _Effect, file: object) -> AppliedEffect:
+    try:
+        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except (ModelError, ValueError, TypeError) as problem:
+        raise RecordError(str(problem), file=file, column="effects") from None
+    stated = {p.name: p.value for p in entry.parameters}
+    return AppliedEffect(effect, np.array([stated.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+
+
+def write_truth(truth: Truth, path: Path) -> None:
+    """Write a truth file at once."""
+    write_text(path, json.dumps(truth.to_json(), indent=1) + "\n")
+
+
+def read_truth(path: Path) -> Truth:
+    """Read a truth file.
+
+    Raises
+    ------
+    RecordError
+        One sentence for whatever is wrong.
+    """
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as problem:
+        raise RecordError(f"is not JSON ({' '.join(str(problem).split())})", file=path) from None
+    if not isinstance(content, dict):
+        raise RecordError("holds no table, expected a truth file", file=path)
+    return Truth.from_json(content, path)
+
+
+def nominal_csv(truth: Truth) -> str:
+    """The table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, which verification reads.
+
+    Raises
+    ------
+    ModelError
+        When the scenario has no measuring machine.
+    """
+    if truth.nominal is None:
+        raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
+    rows = [
+        ",".join([name, *(f"{x / MILLIMETRE:.4f}" for x in point)])
+        for name, point in zip(truth.targets, truth.nominal, strict=True)
+    ]
+    return "\n".join(["target,x_mm,y_mm,z_mm", *rows]) + "\n"

@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ltsim.effects.noise import white_noise_sigma
+from ltsim.effects.resolution import quantised
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.simulator import fieldwork, measure
+from ltsim.units import ARCSECOND
+
+
+def test_sigma_is_that_of_a_recording() -> None:
+    work = fieldwork(load_scenario("paper-workshop-two-face"), 3)
+    recording, _ = measure(work, 3)
+    noise = work.scenario.instrument.noise
+    np.testing.assert_allclose(white_noise_sigma(work.sightings, [noise]), recording.sigma(), rtol=1e-3)
+
+
+@given(st.floats(-10, 10), st.sampled_from([1e-7, 0.018 * ARCSECOND, 0.5]))
+def test_rounding_gives_the_nearest_whole_step(value: float, step: float) -> None:
+    rounded = quantised(np.full((1, 3), value), distance=step, angle=step)[0, 0]
+    assert abs(rounded - value) <= 0.5 * step * (1 + 1e-6)
+    assert abs(rounded / step - round(rounded / step)) < 1e-6
+
+
+def test_without_a_step_readings_stay() -> None:
+    readings = np.array([[1.23456789, 2.3456789, 0.987654321]])
+    np.testing.assert_array_equal(quantised(readings, distance=0.0, angle=0.0), readings)
+    assert quantised(readings, distance=1e-3, angle=0.0)[0].tolist() == [1.235, 2.3456789, 0.987654321]
