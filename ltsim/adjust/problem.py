@@ -16,8 +16,9 @@ from ltsim.model.measurement import MeasurementModel, Prediction, State
 from ltsim.recording.recording import Recording
 from ltsim.solve.blocks import BlockSystem
 
-DATUM_SIGMA = np.array([1e-6] * 3 + [1e-6] * 3)
-"""Stiffness of the datum rows: any value gives the same adjustment, this one keeps the numbers balanced."""
+DATUM_SIGMA = np.full(6, 1e-8)
+"""Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
+station's frame wants one far below the sigmas of the network, the numbers one not too far."""
 WEAK = 300.0
 
 
