@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects import find_effect
-from ltsim.effects.effect import Effect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, dh, misalignment
@@ -130,7 +130,8 @@ def effect_values(
 ) -> tuple[Floats, ...]:
     """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
 
-    A draw is keyed by the effect, its places, how many like it came before, and the parameter.
+    A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances are
+    drawn positive.
     """
     seen: Counter[tuple[str, str]] = Counter()
     values = []
@@ -144,6 +145,7 @@ def effect_values(
                 amount[k] = entry.values[parameter.name] * parameter.factor
             elif entry is not None and entry.draw:
                 own = (effect.name, place, seen[effect.name, place], parameter.name)
-                amount[k] = parameter.prior_sigma * stream(seed, *key, "effect", *own).standard_normal()
+                draw = stream(seed, *key, "effect", *own).standard_normal()
+                amount[k] = parameter.prior_sigma * (abs(draw) if isinstance(effect, NoiseEffect) else draw)
         values.append(amount)
     return tuple(values)

@@ -12,6 +12,7 @@ from ltsim.arrays import Floats
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.resolution import quantised
+from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.randomness import stream
 from ltsim.recording.recording import OBSERVABLES, Recording
@@ -82,12 +83,21 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
 
 
 def noise_sigma(work: Fieldwork, values: tuple[Floats, ...]) -> Floats:
-    """True standard deviation (n, 3) of the noise: the stated one, changed by effects on the noise."""
+    """True standard deviation (n, 3) of the noise: the stated one, changed by effects on the noise.
+
+    Raises
+    ------
+    SetupError
+        When an effect leaves a variance below zero.
+    """
     stated = work.scenario.instrument
     sigma = stated.noise_factor * white_noise_sigma(work.sightings, [stated.noise])
     for effect, amount in zip(work.effects, values, strict=True):
         if isinstance(effect, NoiseEffect):
-            sigma = np.sqrt(effect.variance(work.sightings, sigma, amount))
+            variance = effect.variance(work.sightings, sigma, amount)
+            if not np.all(variance >= 0.0):
+                raise SetupError(f"effects: {effect.name} takes away more noise than there is; give larger values")
+            sigma = np.sqrt(variance)
     return sigma
 
 

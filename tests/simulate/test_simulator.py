@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ltsim.effects import CATALOGUE, Effect, find_effect
+from ltsim.errors import SetupError
 from ltsim.geometry.polar import to_polar, wrap
 from ltsim.recording.native import read_recording, write_recording
 from ltsim.recording.recording import Recording
@@ -164,6 +167,20 @@ def test_an_effect_on_the_noise_scales_the_same_draws() -> None:
     np.testing.assert_array_equal(plain.readings[~there], more.readings[~there])
     ratio = (more.readings - silent.readings)[there] / (plain.readings - silent.readings)[there]
     assert np.all(ratio > 0) and np.any(np.abs(ratio - 1) > 1e-3)
+
+
+def test_more_noise_cannot_be_taken_away_than_there_is() -> None:
+    entry = [{"name": "turbulence", "values": {p.name: -1e6 for p in find_effect("turbulence").parameters}}]
+    with pytest.raises(SetupError, match="turbulence takes away more noise"):
+        simulate(with_(PAPER, effects=entry), 1)
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
+def test_every_effect_of_the_catalogue_can_be_simulated_and_its_truth_kept(kind: type[Effect]) -> None:
+    places = {"station": {"stations": ["S2"]}, "target": {"targets": ["T03"]}}.get(kind.scope, {})
+    recording, truth = simulate(with_(PAPER, effects=[{"name": kind.name, "draw": True, **places}]), 1)
+    assert np.isfinite(recording.readings).all()
+    assert Truth.from_json(json.loads(json.dumps(truth.to_json()))).effects[0].effect == truth.effects[0].effect
 
 
 def test_wrong_gauge_scale_shows_in_the_certificate_only() -> None:
