@@ -10,6 +10,7 @@ from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.model.construction import Construction
+from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 
@@ -62,11 +63,15 @@ class Prediction:
 
 
 def sightings_of(recording: Recording, state: State) -> Sightings:
-    """The sightings of a recording's pointings with stations and targets at `state`."""
+    """The sightings of a recording's pointings with stations and targets at `state`.
+
+    Nest normals are turned from the floor plan into the network's frame (`floor_plan.plan_rotation`).
+    """
     known = [recording.target_setup(name) for name in recording.targets]
     missing = (np.nan, np.nan, np.nan)
     normal = np.array([t.nest_normal or missing for t in known], dtype=np.float64).reshape(-1, 3)
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = normal @ plan_rotation(recording, state.position, state.rotation).T
     return Sightings(
         station=recording.station,
         target=recording.target,

@@ -1,0 +1,54 @@
+"""Nest normals are stated in the floor plan and used in the network's frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.model.floor_plan import plan_rotation
+from ltsim.model.measurement import State, sightings_of
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Station
+from tests.networks import STATIONS, YAWS, network
+
+ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))
+"""Room to network, as after an adjustment in a station's frame."""
+
+
+def recording_with(**stated: object) -> tuple[Recording, State]:
+    """The test network with a rough floor plan, its state in a frame of its own."""
+    recording, truth = network(faces=1)
+    rough = np.random.default_rng(5)
+    stations = {}
+    for name, place, yaw in zip(recording.stations, STATIONS, YAWS, strict=True):
+        plan = {
+            "position_mm": tuple(1e3 * (place + rough.normal(0, 0.02, 3))),
+            "yaw_deg": float(np.degrees(yaw)) + rough.normal(0, 1.0),
+        }
+        stations[name] = Station.model_validate({k: plan[k] for k in plan if k in stated})
+    setup = recording.setup.model_copy(update={"stations": stations})
+    state = State(
+        truth.state.position @ ROOM.T, ROOM @ truth.state.rotation, truth.state.points @ ROOM.T, truth.state.instrument
+    )
+    return recording.replace(setup=setup), state
+
+
+@pytest.mark.parametrize("stated", [{"position_mm"}, {"yaw_deg"}, {"position_mm", "yaw_deg"}], ids=str)
+def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
+    recording, truth = network(faces=1)
+    expected = sightings_of(recording, truth.state)
+    found = sightings_of(*recording_with(**dict.fromkeys(stated)))
+    np.testing.assert_allclose(found.incidence, expected.incidence, atol=np.radians(1.0))
+    assert np.degrees(np.abs(found.incidence)).max() < 90
+
+
+def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
+    recording, _ = recording_with(position_mm=None, yaw_deg=None)
+    stations = np.stack([about_z(float(y)) for y in YAWS])
+    np.testing.assert_array_equal(plan_rotation(recording, STATIONS, stations), np.eye(3))
+
+
+def test_without_a_plan_nothing_is_turned() -> None:
+    recording, state = recording_with()
+    np.testing.assert_array_equal(plan_rotation(recording, state.position, state.rotation), np.eye(3))
