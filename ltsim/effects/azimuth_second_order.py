@@ -24,12 +24,8 @@ class AzimuthSecondOrder(SlotEffect):
     stage = Stage.ENCODERS
     observables = ("azimuth",)
     parameters = (
-        Parameter(
-            "azimuth-second-order-cos", "urad", "cosine of twice the raw azimuth", 3 * ARCSECOND, "angle"
-        ),
-        Parameter(
-            "azimuth-second-order-sin", "urad", "sine of twice the raw azimuth", 3 * ARCSECOND, "angle"
-        ),
+        Parameter("azimuth-second-order-cos", "urad", "cosine of twice the raw azimuth", 3 * ARCSECOND, "angle"),
+        Parameter("azimuth-second-order-sin", "urad", "sine of twice the raw azimuth", 3 * ARCSECOND, "angle"),
     )
     terms = (
         Term("azimuth", lambda raw: np.cos(2 * raw[:, 1])),

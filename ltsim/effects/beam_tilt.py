@@ -22,8 +22,6 @@ class BeamTilt(SlotEffect):
     stage = Stage.OPTICS
     observables = ("azimuth",)
     parameters = (
-        Parameter(
-            "beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"
-        ),
+        Parameter("beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"),
     )
     terms = (Term("beam-tilt"),)

@@ -24,9 +24,7 @@ class ElevationEccentricity(SlotEffect):
     stage = Stage.ENCODERS
     observables = ("elevation",)
     parameters = (
-        Parameter(
-            "elevation-eccentricity-cos", "urad", "cosine of the raw elevation", 3 * ARCSECOND, "angle"
-        ),
+        Parameter("elevation-eccentricity-cos", "urad", "cosine of the raw elevation", 3 * ARCSECOND, "angle"),
         Parameter("elevation-eccentricity-sin", "urad", "sine of the raw elevation", 3 * ARCSECOND, "angle"),
     )
     terms = (

@@ -24,12 +24,8 @@ class ElevationSecondOrder(SlotEffect):
     stage = Stage.ENCODERS
     observables = ("elevation",)
     parameters = (
-        Parameter(
-            "elevation-second-order-cos", "urad", "cosine of twice the raw elevation", 3 * ARCSECOND, "angle"
-        ),
-        Parameter(
-            "elevation-second-order-sin", "urad", "sine of twice the raw elevation", 3 * ARCSECOND, "angle"
-        ),
+        Parameter("elevation-second-order-cos", "urad", "cosine of twice the raw elevation", 3 * ARCSECOND, "angle"),
+        Parameter("elevation-second-order-sin", "urad", "sine of twice the raw elevation", 3 * ARCSECOND, "angle"),
     )
     terms = (
         Term("elevation", lambda raw: np.cos(2 * raw[:, 2])),

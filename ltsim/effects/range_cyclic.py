@@ -42,9 +42,7 @@ class RangeCyclic(Effect):
         Parameter("cyclic-cos", "um", "cosine of the range's phase", 8 * MICROMETRE),
         Parameter("cyclic-sin", "um", "sine of the range's phase", 8 * MICROMETRE),
     )
-    shape = (
-        ShapeParameter("wavelength", "mm", "unit length", SHORTEST, LONGEST, steps=600, reciprocal=True),
-    )
+    shape = (ShapeParameter("wavelength", "mm", "unit length", SHORTEST, LONGEST, steps=600, reciprocal=True),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -32,9 +32,7 @@ class SmrOffset(Effect):
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
-    parameters = (
-        Parameter("radius-difference", "mm", "radius of the ball used, less that assumed", 5 * MILLIMETRE),
-    )
+    parameters = (Parameter("radius-difference", "mm", "radius of the ball used, less that assumed", 5 * MILLIMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -22,8 +22,6 @@ class TransitOffset(SlotEffect):
     stage = Stage.AXES
     observables = ("distance", "elevation")
     parameters = (
-        Parameter(
-            "transit-offset", "um", "transit axis in front of the standing axis", 20 * MICROMETRE, "offset"
-        ),
+        Parameter("transit-offset", "um", "transit axis in front of the standing axis", 20 * MICROMETRE, "offset"),
     )
     terms = (Term("transit-offset"),)

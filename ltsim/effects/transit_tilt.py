@@ -22,8 +22,6 @@ class TransitTilt(SlotEffect):
     stage = Stage.AXES
     observables = ("azimuth",)
     parameters = (
-        Parameter(
-            "transit-tilt", "urad", "transit axis not square to the standing axis", 3 * ARCSECOND, "angle"
-        ),
+        Parameter("transit-tilt", "urad", "transit axis not square to the standing axis", 3 * ARCSECOND, "angle"),
     )
     terms = (Term("transit-tilt"),)

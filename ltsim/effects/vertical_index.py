@@ -21,7 +21,5 @@ class VerticalIndex(SlotEffect):
     number = 5
     stage = Stage.ENCODERS
     observables = ("elevation",)
-    parameters = (
-        Parameter("vertical-index", "urad", "zero of the elevation encoder", 3 * ARCSECOND, "angle"),
-    )
+    parameters = (Parameter("vertical-index", "urad", "zero of the elevation encoder", 3 * ARCSECOND, "angle"),)
     terms = (Term("elevation"),)

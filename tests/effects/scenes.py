@@ -34,10 +34,7 @@ def scene(*, lean: float = TILT) -> Sightings:
     """Sightings of the workshop: random order, both faces one after the other, 15 s a pointing."""
     points = mesh()
     rows = [
-        (s, t, f)
-        for s in range(len(STATIONS))
-        for t in stream(7, "order", s).permutation(len(points))
-        for f in (1, 2)
+        (s, t, f) for s in range(len(STATIONS)) for t in stream(7, "order", s).permutation(len(points)) for f in (1, 2)
     ]
     station, target, face = np.array(rows, dtype=np.int64).T
     time = 15.0 * np.arange(len(rows)) + 900.0 * station
@@ -116,9 +113,7 @@ def network_basis(sightings: Sightings, *, scale: bool = False) -> Floats:
 
 def lengths(sightings: Sightings, change: Floats) -> Floats:
     """Changes (n, 3, ...) of readings as lengths along, across and above the beam [m]."""
-    arm = np.stack(
-        [np.ones(len(sightings)), sightings.range_ * np.cos(sightings.elevation), sightings.range_], axis=1
-    )
+    arm = np.stack([np.ones(len(sightings)), sightings.range_ * np.cos(sightings.elevation), sightings.range_], axis=1)
     scaled: Floats = change * arm.reshape(*arm.shape, *([1] * (change.ndim - 2)))
     return scaled
 
@@ -129,4 +124,3 @@ def left_over(sightings: Sightings, change: Floats, *, scale: bool = False) -> F
     basis = network_basis(sightings, scale=scale)
     rest: Floats = whole - basis @ (basis.T @ whole)
     return rest
-
