@@ -9,14 +9,12 @@ from scipy import stats
 
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.adjust.problem import prior_sigmas
-from ltsim.adjust.screening import gross_pointings
-from ltsim.adjust.start import start_network
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, flat_names
 from ltsim.calibrate.correct import corrected_readings
 from ltsim.calibrate.distance_solver import Estimate, solve_distances
 from ltsim.calibrate.objective import DistanceProblem
-from ltsim.calibrate.result import criteria_of, frame_of, outliers_of, stations_of, undetermined_of
+from ltsim.calibrate.result import criteria_of, frame_of, gross_rows, outliers_of, stations_of, undetermined_of
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
@@ -55,7 +53,8 @@ def calibrate_distance(
     """
     built = construction or misalignment()
     prior = prior_sigmas(recording, built)
-    estimate = solve_distances(DistanceProblem(_without_gross(recording), built, prior), METHODS[method])
+    usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
+    estimate = solve_distances(DistanceProblem(usable, built, prior), METHODS[method])
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
@@ -83,12 +82,6 @@ def calibrate_distance(
         outliers=outliers_of(adjustment),
         adjustment=adjustment,
     )
-
-
-def _without_gross(recording: Recording) -> Recording:
-    """The recording with the readings of gross pointings taken out (as not measured)."""
-    gross = gross_pointings(recording, *start_network(recording))
-    return recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
 
 
 def _fit(adjustment: Adjustment, estimate: Estimate) -> Fit:

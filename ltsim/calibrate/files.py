@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,8 @@ def write_calibration(calibration: Calibration, folder: Path) -> None:
         When the folder cannot be written; nothing half-written stays behind.
     """
     text = json.dumps(calibration_json(calibration), indent=1, allow_nan=False) + "\n"
-    texts = {JSON: text, TARGETS: targets_csv(calibration)}
+    table = targets_csv(calibration.targets, calibration.points, calibration.target_covariance)
+    texts = {JSON: text, TARGETS: table}
     if calibration.adjustment is not None:
         texts[RESIDUALS] = residuals_csv(calibration.adjustment)
     write_texts(folder, texts)
@@ -120,12 +122,12 @@ def _station(station: StationPose) -> dict[str, Any]:
     }
 
 
-def targets_csv(calibration: Calibration) -> str:
-    """The content of `targets.csv`."""
-    sigma = np.sqrt(np.einsum("tii->ti", calibration.target_covariance)) / MILLIMETRE
+def targets_csv(names: Sequence[str], points: Floats, covariance: Floats) -> str:
+    """The content of `targets.csv` for points (T, 3) [m] with covariance (T, 3, 3) [m^2]."""
+    sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     rows = [
         [name, *_digits(point / MILLIMETRE), *_digits(spread)]
-        for name, point, spread in zip(calibration.targets, calibration.points, sigma, strict=True)
+        for name, point, spread in zip(names, points, sigma, strict=True)
     ]
     header = "target,x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm"
     return _csv(header, rows)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, observable_name
-from ltsim.arrays import Floats
+from ltsim.adjust.screening import gross_pointings
+from ltsim.adjust.start import start_network
+from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Combination, Fit, OutlierRow, StationPose, flat_names
 from ltsim.calibrate.cures import cures
 from ltsim.calibrate.undetermined import Direction, undetermined
@@ -18,6 +20,11 @@ from ltsim.units import ARCSECOND, MILLIMETRE
 
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
+
+
+def gross_rows(recording: Recording) -> Bools:
+    """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
+    return gross_pointings(recording, *start_network(recording))
 
 
 def fit_of(adjustment: Adjustment) -> Fit:

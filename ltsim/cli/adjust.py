@@ -1,0 +1,32 @@
+"""`ltsim adjust`: targets and stations from a recording, taking the instrument as it is."""
+
+from __future__ import annotations
+
+from ltsim.calibrate import adjust_network
+from ltsim.cli.calibrate import finish
+from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal
+
+
+def adjust(
+    source: Source,
+    out: Out = None,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
+
+    Writes calibration.json, targets.csv and residuals.csv to --out.
+
+    Example: ltsim adjust my-recording --out adjusted
+    """
+    terminal = Terminal(quiet, as_json)
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    terminal.say(recording_line(recording))
+    with terminal.busy("adjusting"):
+        found = adjust_network(recording)
+    finish(terminal, found, out)

@@ -1,0 +1,134 @@
+"""`ltsim campaign`: many trials over a grid of settings."""
+
+from __future__ import annotations
+
+import csv
+import io
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ltsim.campaign.campaign import Outcome, Workers, run_campaign
+from ltsim.campaign.spec import load_campaign
+from ltsim.campaign.statistics import Results
+from ltsim.cli.options import Jobs, Json, Quiet
+from ltsim.cli.terminal import Terminal, table
+from ltsim.recording.files import write_text
+
+AGREED = 1e-3
+"""[sigma] how far the batch may be from the full solver."""
+SHOWN = (
+    "distance_improvement_percent",
+    "coordinate_improvement_percent",
+    "share_removed",
+    "target_error_um",
+)
+
+
+class Backend(StrEnum):
+    """Who works."""
+
+    LOCAL = "local"
+    DASK = "dask"
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
+    ] = None,
+    jobs: Jobs = 1,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue what the folder holds.")] = False,
+    backend: Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")] = (
+        Backend.LOCAL
+    ),
+    scheduler: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786.")
+    ] = "",
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
+
+    The rows are the same bytes for any number of jobs, any interruption and either backend. A cluster needs two
+    commands: `dask scheduler` on one machine, `dask worker tcp://HOST:8786` on each that works.
+
+    Exit status 1: the fast solver was more than 0.001 sigma from the full one on a trial that was verified.
+
+    Example: ltsim campaign my-campaign.toml --jobs 2
+    """
+    terminal = Terminal(quiet, as_json)
+    folder = out or file.with_suffix("")
+    settings, scenarios = load_campaign(file)
+    total = settings.trials * len(settings.methods) * len(scenarios)
+    workers = Workers(jobs, backend.value, scheduler)
+    with terminal.progress("trials", total) as advance:
+        outcome = run_campaign(file, folder, workers=workers, resume=resume, progress=advance)
+    results = Results(folder)
+    summary = results.summary()
+    write_text(folder / "summary.csv", summary_csv(summary))
+    terminal.answer(plain(summary))
+    show(terminal, outcome, summary)
+    worst = max((e["largest_difference_sigma"] or 0.0 for e in summary["ends"]), default=0.0)
+    return 1 if worst > AGREED else 0
+
+
+def plain(content: Any) -> Any:
+    """The same without values that JSON does not have (they become null)."""
+    if isinstance(content, dict):
+        return {key: plain(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [plain(value) for value in content]
+    if isinstance(content, float) and not abs(content) < float("inf"):
+        return None
+    return content
+
+
+def show(terminal: Terminal, outcome: Outcome, summary: dict[str, Any]) -> None:
+    """The answer in tables for a person."""
+    for note in outcome.notes:
+        terminal.note(note)
+    again = f", {outcome.kept} were finished before" if outcome.kept else ""
+    terminal.say(f"{outcome.shards} shards written to {outcome.folder}{again}")
+    for cell in summary["cells"]:
+        terminal.say(f"cell {cell['cell']}: {cell['label']}")
+    terminal.say()
+    ends = [
+        [
+            str(e["cell"]),
+            e["method"],
+            str(e["trials"]),
+            str(e["failed"]),
+            str(e["by_full_solver"]),
+            str(e["checked"]),
+            "" if e["largest_difference_sigma"] is None else f"{e['largest_difference_sigma']:.1e}",
+        ]
+        for e in summary["ends"]
+    ]
+    header = ["cell", "method", "trials", "failed", "full solver", "verified", "largest difference [sigma]"]
+    terminal.say(table(header, ends, left=2))
+    rows = [
+        [str(c["cell"]), c["method"], c["column"], f"{c['mean']:.3f}", f"{c['low']:.3f} to {c['high']:.3f}",
+         f"{c['quantiles'][1]:.2f}", f"{c['quantiles'][3]:.2f}", f"{c['quantiles'][5]:.2f}"]
+        for c in summary["columns"]
+        if c["column"] in SHOWN
+    ]  # fmt: skip
+    if rows:
+        terminal.say()
+        heads = ["cell", "method", "statistic", "mean", "95 % confidence", "5 %", "50 %", "95 %"]
+        terminal.say(table(heads, rows, left=3))
+    terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")
+
+
+def summary_csv(summary: dict[str, Any]) -> str:
+    """One line a cell, method and column."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    quantiles = [f"quantile_{100 * level:g}_percent" for level in summary["levels"]]
+    fixed = ["cell", "method", "column", "trials", "mean", "deviation", "low", "high", "least", "largest"]
+    writer.writerow([*fixed, *quantiles])
+    for entry in summary["columns"]:
+        writer.writerow([*(entry[name] for name in fixed), *entry["quantiles"]])
+    return text.getvalue()

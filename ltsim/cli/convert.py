@@ -1,0 +1,43 @@
+"""`ltsim convert`: between formats of recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.cli.options import FormatName, HintList, Json, Quiet, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal
+from ltsim.recording import FORMATS, write
+
+WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
+
+Input = Annotated[Path, typer.Argument(metavar="IN", help="A recording in a format that is recognised.")]
+Output = Annotated[Path, typer.Argument(metavar="OUT", help="Where to write it.")]
+To = Annotated[str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE}.")]
+
+
+def convert(
+    source: Input,
+    destination: Output,
+    to: To = "native",
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Read a recording in one format and write it in another.
+
+    What an ambiguous file means is decided from the data and said, or asked for: answer with --hint.
+
+    Example: ltsim convert survey.txt my-recording --hint azimuth=clockwise
+    """
+    terminal = Terminal(quiet, as_json)
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    write(recording, destination, to)
+    terminal.answer({"pointings": len(recording), "notes": list(recording.notes)})
+    terminal.say(recording_line(recording))
+    terminal.say(f"written to {destination} ({to})")

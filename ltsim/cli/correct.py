@@ -1,0 +1,61 @@
+"""`ltsim correct`: the same recording with the instrument's errors taken out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ltsim.calibrate import correct as corrected_by
+from ltsim.calibrate import read_calibration
+from ltsim.cli.options import CalibrationFile, FormatName, HintList, Json, Quiet, Source, recording_of
+from ltsim.cli.summary import show_notes
+from ltsim.cli.terminal import Terminal
+from ltsim.geometry.polar import wrap
+from ltsim.recording import write
+from ltsim.units import ARCSECOND, MICROMETRE
+
+Destination = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording.")]
+
+
+def correct(
+    source: Source,
+    calibration: CalibrationFile,
+    out: Destination,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Write the recording that an ideal tracker would have made, by a calibration of the instrument.
+
+    Example: ltsim correct my-recording --calibration my-calibration --out corrected
+    """
+    terminal = Terminal(quiet, as_json)
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    found = read_calibration(calibration)
+    if not found.names:
+        terminal.note("note: this calibration holds no instrument parameters; nothing changes")
+    corrected = corrected_by(recording, found)
+    write(corrected, out)
+    change = corrected.readings - recording.readings
+    change[:, 1:] = wrap(change[:, 1:])
+    largest = np.nanmax(np.abs(change), axis=0, initial=0.0)
+    terminal.answer(
+        {
+            "pointings": len(recording),
+            "largest_change": {
+                "distance_um": largest[0] / MICROMETRE,
+                "azimuth_arcsec": largest[1] / ARCSECOND,
+                "elevation_arcsec": largest[2] / ARCSECOND,
+            },
+        }
+    )
+    terminal.say(
+        f"{len(recording)} pointings corrected by up to {largest[0] / MICROMETRE:.1f} um in distance, "
+        f"{largest[1] / ARCSECOND:.2f} arcsec in azimuth, {largest[2] / ARCSECOND:.2f} arcsec in elevation"
+    )
+    terminal.say(f"written to {out}")

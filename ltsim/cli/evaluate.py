@@ -1,0 +1,73 @@
+"""`ltsim evaluate`: the paper's criteria, before and after a calibration."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.arrays import Bools
+from ltsim.calibrate import read_calibration
+from ltsim.calibrate.result import gross_rows
+from ltsim.cli.options import (
+    FormatName,
+    HintList,
+    Json,
+    OptionalCalibrationFile,
+    Out,
+    Quiet,
+    Source,
+    recording_of,
+)
+from ltsim.cli.summary import criteria_table, recording_line, show_notes
+from ltsim.cli.terminal import Terminal
+from ltsim.evaluate import Criteria
+from ltsim.evaluate import evaluate as criteria_of
+from ltsim.recording import Recording
+from ltsim.recording.files import write_texts
+
+
+def evaluate(
+    source: Source,
+    calibration: OptionalCalibrationFile = None,
+    out: Out = None,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """How far the stations disagree about distances and coordinates, before and after a calibration.
+
+    Writes criteria.json to --out. Without a calibration there is no "after".
+
+    Example: ltsim evaluate my-recording --calibration my-calibration
+    """
+    terminal = Terminal(quiet, as_json)
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    terminal.say(recording_line(recording))
+    gross = gross_rows(recording)
+    if gross.any():
+        rows = ", ".join(str(i + 1) for i in np.flatnonzero(gross)[:12])
+        terminal.note(f"note: {gross.sum()} pointings miss their target by far and are left out (rows {rows})")
+    show(terminal, criteria_with(recording, calibration, ~gross), out)
+
+
+def criteria_with(recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
+    """The criteria of a recording with the parameters of a calibration file."""
+    if calibration is None:
+        return criteria_of(recording, use=use)
+    found = read_calibration(calibration)
+    return criteria_of(recording, found.construction, found.values_for(recording), use=use)
+
+
+def show(terminal: Terminal, criteria: Criteria, out: Path | None) -> None:
+    """Write and print criteria."""
+    content = criteria.as_json()
+    if out is not None:
+        write_texts(out, {"criteria.json": json.dumps(content, indent=1) + "\n"})
+    terminal.answer(content)
+    terminal.say(criteria_table(criteria))
+    if out is not None:
+        terminal.say(f"\nwritten to {out}")

@@ -1,0 +1,70 @@
+"""Arguments and options that several verbs share, and what is done with them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ltsim.errors import RecordError
+from ltsim.recording import Hints, Recording, read
+
+Source = Annotated[
+    Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
+]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
+]
+OptionalCalibrationFile = Annotated[
+    Path | None,
+    typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random draws; the same seed, the same result.")]
+Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes to work with; the result is the same.")]
+FormatName = Annotated[
+    str | None, typer.Option("--format", metavar="NAME", help="Format of REC, where its content does not tell.")
+]
+HintList = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--hint",
+        metavar="KEY=VALUE",
+        help="What an ambiguous file means: angle=gon, vertical=zenith, azimuth=clockwise, length=m, points=FILE.",
+    ),
+]
+
+
+def hints_of(pairs: list[str] | None) -> Hints:
+    """Hints from `KEY=VALUE` texts.
+
+    Raises
+    ------
+    RecordError
+        When a key or a value is not known.
+    """
+    choices: dict[str, tuple[str, ...]] = {
+        "angle": ("deg", "gon", "rad"),
+        "vertical": ("zenith", "elevation"),
+        "azimuth": ("clockwise", "counter-clockwise"),
+        "length": ("mm", "m"),
+    }
+    given: dict[str, Any] = {}
+    keys = [f.name for f in dataclasses.fields(Hints)]
+    for pair in pairs or []:
+        key, _, value = pair.partition("=")
+        if key not in keys or not value:
+            raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(keys)}")
+        if key in choices and value not in choices[key]:
+            raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices[key])}")
+        given[key] = Path(value) if key == "points" else value
+    return Hints(**given)
+
+
+def recording_of(path: Path, format_name: str | None = None, hints: list[str] | None = None) -> Recording:
+    """The recording behind the argument REC of a verb; raises RecordError."""
+    return read(path, format=format_name, hints=hints_of(hints))

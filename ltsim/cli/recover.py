@@ -1,0 +1,115 @@
+"""`ltsim recover`: a check for continuous integration that what is injected is recovered."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from ltsim.campaign.recovery import FALSE_ALARM, Recovery
+from ltsim.campaign.recovery import recover as trials_of
+from ltsim.cli.calibrate import Method, MethodOption
+from ltsim.cli.options import Jobs, Json, Out, Quiet, Seed
+from ltsim.cli.simulate import ScenarioName
+from ltsim.cli.terminal import Terminal, table
+from ltsim.errors import SetupError
+from ltsim.model.construction import construction as construction_called
+from ltsim.recording.files import write_texts
+from ltsim.simulate.physics import construction_of
+from ltsim.simulate.scenario import load_scenario
+
+Trials = Annotated[int, typer.Option("--trials", "-n", min=2, help="How many recordings to simulate.")]
+ConstructionChoice = Annotated[
+    str | None,
+    typer.Option("--construction", metavar="NAME", help="Of the calibrator; default that of the scenario."),
+]
+
+
+def recover(
+    scenario: ScenarioName,
+    trials: Trials = 200,
+    method: MethodOption = Method.NETWORK,
+    construction: ConstructionChoice = None,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    out: Out = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Draw an instrument from its prior, measure, calibrate, compare with the truth; many times.
+
+    Exit status 1, naming what fails, when z-scores are not standard normal: mean, standard deviation, coverage of every
+    parameter, chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
+
+    Example: ltsim recover paper-workshop --trials 1000 --jobs 2
+    """
+    terminal = Terminal(quiet, as_json)
+    built = load_scenario(scenario)
+    if built.instrument.construction == "dh" and construction not in (None, "dh"):
+        raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
+    calibrator = construction_of(built.instrument) if construction is None else construction_called(construction)
+    found = []
+    with terminal.progress("trials", trials) as step:
+        for trial in trials_of(built, trials, seed=seed, jobs=jobs, method=method.value, construction=calibrator):
+            found.append(trial)
+            step(1)
+    result = Recovery(calibrator.names, tuple(found))
+    content = recovery_json(result, seed)
+    if out is not None:
+        write_texts(out, {"recovery.json": json.dumps(content, indent=1) + "\n", "trials.csv": trials_csv(result)})
+    terminal.answer(content)
+    terminal.say(recovery_table(result))
+    failures = result.failures()
+    for failure in failures:
+        terminal.note(failure.sentence())
+    if failures:
+        raise typer.Exit(1)
+    terminal.say(
+        f"{trials} trials: everything is recovered within its stated uncertainty "
+        f"(a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
+    )
+
+
+def recovery_json(result: Recovery, seed: int) -> dict[str, Any]:
+    """The outcome for a program."""
+    checks = result.checks()
+    return {
+        "format": "ltsim-recovery/1",
+        "passed": all(check.passed for check in checks),
+        "trials": len(result.trials),
+        "converged": len(result.converged),
+        "seed": seed,
+        "checks": [vars(check) | {"passed": check.passed} for check in checks],
+    }
+
+
+def trials_csv(result: Recovery) -> str:
+    """z-scores of every parameter, chi-square and the network's mean squares, one row a trial."""
+    header = ["trial", *result.names, "chi2", "dof", "targets", "stations"]
+    lines = [",".join(header)]
+    for number, trial in enumerate(result.trials):
+        if trial is not None:
+            values = [*trial.z, trial.chi2, trial.dof, trial.targets, trial.stations]
+            lines.append(",".join([str(number), *(f"{value:.6g}" for value in values)]))
+    return "\n".join(lines) + "\n"
+
+
+def recovery_table(result: Recovery) -> str:
+    """One row a parameter: z-scores and what is left of the prior."""
+    if len(result.converged) < 2:
+        return "fewer than two trials converged"
+    z = result.z
+    left = np.sqrt(np.mean([trial.sigma**2 for trial in result.converged], axis=0))
+    rows = [
+        [
+            name,
+            f"{z[:, i].mean():+.3f}",
+            f"{z[:, i].std(ddof=1):.3f}",
+            f"{100 * np.mean(np.abs(z[:, i]) < 1.959964):.1f} %",
+            f"{left[i]:.2f}",
+        ]
+        for i, name in enumerate(result.names)
+    ]
+    return table(["parameter", "mean z", "std z", "95 % covers", "sigma/prior"], rows)

@@ -1,0 +1,36 @@
+"""`ltsim report`: the page a person reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.cli.options import Quiet
+from ltsim.cli.terminal import Terminal
+
+Folder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders.")
+]
+Behind = Annotated[
+    Path | None,
+    typer.Option(
+        "--recording", metavar="REC", help="The recording behind a calibration or diagnosis, if not near DIR."
+    ),
+]
+
+
+def report(folder: Folder, recording: Behind = None, quiet: Quiet = False) -> None:
+    """Write report.html into DIR: one page that opens offline, the answer first, then tables, figures and the 3D view.
+
+    DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them.
+
+    Example: ltsim report my-calibration --recording my-recording
+    """
+    from ltsim.report.page import report as write_report  # jinja2, matplotlib and vtk take two seconds to load
+
+    terminal = Terminal(quiet)
+    with terminal.busy("drawing the report"):
+        page = write_report(folder, recording=recording)
+    terminal.say(f"written to {page}")

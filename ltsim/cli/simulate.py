@@ -1,0 +1,66 @@
+"""`ltsim simulate`: a recording from a scenario, and apart from it the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.cli.options import Json, Quiet, Seed
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal
+from ltsim.errors import SetupError
+from ltsim.recording import write
+from ltsim.recording.files import write_text
+from ltsim.simulate.scenario import builtin_names, builtin_text, load_scenario, scenario_to_toml
+from ltsim.simulate.simulator import simulate as measured
+from ltsim.simulate.truth import nominal_csv, write_truth
+
+ScenarioName = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help=f"A scenario file, or one of: {', '.join(builtin_names())}.")
+]
+Destination = Annotated[Path | None, typer.Option("--out", metavar="REC", help="Folder of the recording.")]
+TruthFile = Annotated[
+    Path | None, typer.Option("--truth", metavar="FILE", help="File for the truth; no calibrator opens it.")
+]
+NominalFile = Annotated[
+    Path | None,
+    typer.Option("--nominal", metavar="FILE", help="File for the points of the measuring machine, for verify."),
+]
+Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
+
+
+def simulate(
+    scenario: ScenarioName,
+    out: Destination = None,
+    truth: TruthFile = None,
+    nominal: NominalFile = None,
+    seed: Seed = 0,
+    show: Show = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Measure a virtual workshop once.
+
+    Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
+    """
+    terminal = Terminal(quiet, as_json)
+    if show:
+        is_builtin = scenario in builtin_names()
+        print(builtin_text(scenario) if is_builtin else scenario_to_toml(load_scenario(scenario)), end="")
+        return
+    if out is None:
+        raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")
+    built = load_scenario(scenario)
+    recording, true = measured(built, seed)
+    table = nominal_csv(true) if nominal is not None else ""
+    write(recording, out)
+    if truth is not None:
+        write_truth(true, truth)
+    if nominal is not None:
+        write_text(nominal, table)
+    show_notes(terminal, recording)
+    terminal.answer({"pointings": len(recording), "stations": len(recording.stations), "seed": seed})
+    terminal.say(recording_line(recording))
+    terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))

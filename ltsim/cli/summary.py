@@ -1,0 +1,151 @@
+"""A calibration, criteria and a recording in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.calibrate import Calibration
+from ltsim.cli.terminal import Terminal, digits, table
+from ltsim.evaluate import Comparison, Criteria
+from ltsim.recording import Recording
+from ltsim.units import MICROMETRE
+
+METHODS = {
+    "adjustment": "network adjustment without instrument parameters",
+    "network": "network adjustment",
+    "distance": "distances, least squares (the paper's)",
+    "distance-l1": "distances, least absolute deviations (the paper's)",
+}
+AGREES = 0.01
+"""Level at which chi-square says that readings and model disagree."""
+MOST_SHOWN = 12
+
+
+def recording_line(recording: Recording) -> str:
+    """How much was measured, in one line."""
+    faces = np.unique(recording.face)
+    in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
+    title = f"{recording.setup.title}: " if recording.setup.title else ""
+    return (
+        f"{title}{len(recording)} pointings, {len(recording.stations)} stations, {len(recording.targets)} targets, "
+        f"{in_faces}, {len(recording.gauge.distance)} known lengths"
+    )
+
+
+def show_notes(terminal: Terminal, recording: Recording) -> None:
+    """What the reader decided about a file that did not say."""
+    for note in recording.notes:
+        terminal.note(f"note: {note}")
+
+
+def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
+    """Fit, parameters, what was not determined, outliers, criteria."""
+    fit = calibration.fit
+    terminal.say(f"{METHODS[calibration.method]}, {fit_line(calibration)}")
+    terminal.say(f"coordinates in {calibration.frame}")
+    if calibration.names:
+        terminal.say()
+        terminal.say(parameter_table(calibration))
+    if calibration.undetermined:
+        terminal.say()
+        show_undetermined(terminal, calibration)
+    if calibration.outliers:
+        terminal.say()
+        show_outliers(terminal, calibration)
+    if calibration.criteria is not None:
+        terminal.say()
+        show_criteria(terminal, calibration.criteria)
+    if not np.isfinite(fit.chi2):
+        terminal.say("the fit is not finite")
+
+
+def fit_line(calibration: Calibration) -> str:
+    """chi2/dof and what it says, and how the iteration ended."""
+    fit = calibration.fit
+    ended = f"{fit.status} after {fit.iterations} iterations ({fit.sentence})"
+    if fit.sigma0 is None or fit.p_value is None:
+        return f"construction {calibration.construction.name}: {ended}; no redundancy to test it with"
+    verdict = "agree" if fit.p_value >= AGREES else "do not agree"
+    return (
+        f"construction {calibration.construction.name}: {ended}\n"
+        f"chi2/dof = {fit.chi2:.1f}/{fit.dof} = {fit.chi2 / fit.dof:.3f}, p = {fit.p_value:.2g}: readings, model and "
+        f"stated noise {verdict}"
+    )
+
+
+def parameter_table(calibration: Calibration) -> str:
+    """Parameters that the data say something about; the others are counted."""
+    shown = [i for i in range(len(calibration.names)) if _informed(calibration, i)]
+    rows = []
+    parameters = calibration.construction.parameters * len(calibration.instruments)
+    for i in shown:
+        factor = parameters[i].factor
+        value, sigma = digits(
+            float(calibration.values.ravel()[i]) / factor, float(calibration.sigma.ravel()[i]) / factor
+        )
+        prior = f"{calibration.prior_sigma.ravel()[i] / factor:.3g}"
+        rows.append([calibration.names[i], value, sigma, prior, parameters[i].unit])
+    text = table(["parameter", "value", "sigma", "prior", "unit"], rows)
+    silent = len(calibration.names) - len(shown)
+    return text + (f"\n({silent} more parameters keep their prior)" if silent else "")
+
+
+def _informed(calibration: Calibration, i: int) -> bool:
+    """Whether the prior variance of a parameter fell by 5 % at least."""
+    return float(calibration.sigma.ravel()[i]) < 0.975 * float(calibration.prior_sigma.ravel()[i])
+
+
+def show_undetermined(terminal: Terminal, calibration: Calibration) -> None:
+    """Combinations with their gain and cure; a long list is cut."""
+    count = len(calibration.undetermined)
+    terminal.say(f"not determined by this recording ({count}; coefficients in units of the prior sigmas):")
+    # What the recording almost determines is of more use than what nothing would.
+    listed = sorted(calibration.undetermined, key=lambda c: -c.gain)[:MOST_SHOWN]
+    for combination in listed:
+        terms = " ".join(f"{value:+.2f} {name}" for name, value in combination.coefficients.items())
+        terminal.say(f"  gain {combination.gain:.2f}: {terms}")
+        if combination.cure:
+            terminal.say(f"    cure: {combination.cure}")
+    if count > MOST_SHOWN:
+        terminal.say(f"  and {count - MOST_SHOWN} with less gain, in calibration.json")
+
+
+def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
+    """Readings that do not belong."""
+    terminal.say(f"readings that do not belong ({len(calibration.outliers)}):")
+    for outlier in calibration.outliers[:MOST_SHOWN]:
+        left = ", left out of the adjustment" if outlier.gross else ""
+        terminal.say(
+            f"  row {outlier.row}: {outlier.station} to {outlier.target}, {outlier.observable} off by "
+            f"{outlier.size:.3g} {outlier.unit} (w = {outlier.w:.1f}){left}"
+        )
+    if len(calibration.outliers) > MOST_SHOWN:
+        terminal.say(f"  and {len(calibration.outliers) - MOST_SHOWN} more")
+
+
+def show_criteria(terminal: Terminal, criteria: Criteria) -> None:
+    """The paper's criteria as its Table 3."""
+    terminal.say(criteria_table(criteria))
+
+
+def criteria_table(criteria: Criteria) -> str:
+    """Mean and maximum before and after in um, and the improvement of the mean."""
+    rows = [_criterion("distance", criteria.distance)]
+    if criteria.distance_to_first is not None:
+        rows.append(_criterion("distance, to the first station (eq. 11)", criteria.distance_to_first))
+    rows.append(_criterion("coordinate", criteria.coordinate))
+    header = ["criterion [um]", "mean", "max", "mean after", "max after", "improvement"]
+    return table(header, rows)
+
+
+def _criterion(name: str, comparison: Comparison) -> list[str]:
+    before, after = comparison.before, comparison.after
+    row = [name, f"{before.mean / MICROMETRE:.1f}", f"{before.maximum / MICROMETRE:.1f}"]
+    if after is None or comparison.improvement_percent is None:
+        return [*row, "", "", ""]
+    return [
+        *row,
+        f"{after.mean / MICROMETRE:.1f}",
+        f"{after.maximum / MICROMETRE:.1f}",
+        f"{comparison.improvement_percent:.1f} %",
+    ]

@@ -1,0 +1,45 @@
+"""`ltsim verify`: the paper's laboratory verification against nominal points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.calibrate import read_calibration
+from ltsim.cli.evaluate import show
+from ltsim.cli.options import CalibrationFile, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal
+from ltsim.evaluate import read_nominal
+from ltsim.evaluate import verify as verified
+
+Nominal = Annotated[
+    Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
+]
+
+
+def verify(
+    source: Source,
+    nominal: Nominal,
+    calibration: CalibrationFile,
+    out: Out = None,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
+
+    Writes criteria.json to --out.
+
+    Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
+    """
+    terminal = Terminal(quiet, as_json)
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    terminal.say(recording_line(recording))
+    found = read_calibration(calibration)
+    criteria = verified(recording, read_nominal(nominal), found.construction, found.values_for(recording))
+    show(terminal, criteria, out)

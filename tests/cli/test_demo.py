@@ -1,0 +1,44 @@
+"""The demonstration leaves what it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ltsim.cli.demo import HIDDEN, STEPS, calibrated, simulated
+from ltsim.cli.main import run
+from ltsim.effects import find_effect
+from ltsim.randomness import stream
+
+
+def test_first_steps(tmp_path: Path) -> None:
+    assert "5 stations, 28 reflectors, 140 pointings" in simulated(tmp_path, 1)
+    assert "the distance criterion improves by" in calibrated(tmp_path, 1)
+    found = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert {
+        "workshop/recording/observations.csv",
+        "workshop/truth.json",
+        "workshop/calibration.json",
+    } <= found
+
+
+def test_hidden_effects_exist_with_their_parameters() -> None:
+    for entry in HIDDEN:
+        known = {p.name for p in find_effect(entry.name).parameters}
+        assert set(entry.values) <= known
+    drawn = {int(stream(seed, "demo", "hidden").integers(len(HIDDEN))) for seed in range(40)}
+    assert drawn == set(range(len(HIDDEN)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", ["0", "2"])
+def test_the_whole_demonstration(capsys, tmp_path: Path, seed: str) -> None:
+    assert run(["demo", "--out", str(tmp_path), "--seed", seed, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert len(content["steps"]) == len(STEPS)
+    assert sum(step["seconds"] for step in content["steps"]) < 60
+    verdict = json.loads((tmp_path / "concealed" / "diagnosis.json").read_text())
+    hidden = json.loads((tmp_path / "concealed" / "truth.json").read_text())["effects"][0]["effect"]
+    assert verdict["findings"][0]["effect"] == hidden

@@ -1,0 +1,50 @@
+"""`ltsim recover` passes where the model holds and fails, naming the culprit, where it does not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ltsim.cli.main import run
+from ltsim.simulate.scenario import builtin_text
+
+WOBBLE = """
+[[effects]]
+name = "bearing-wobble"
+draw = true
+"""
+
+
+def test_passes_on_the_paper_workshop(capsys, tmp_path: Path) -> None:
+    assert run(["recover", "paper-workshop", "--trials", "20", "--out", str(tmp_path), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["passed"]
+    assert content["trials"] == content["converged"] == 20
+    assert json.loads((tmp_path / "recovery.json").read_text()) == content
+    rows = (tmp_path / "trials.csv").read_text().splitlines()
+    assert len(rows) == 21
+    assert rows[0].startswith("trial,range-offset,")
+
+
+def test_fails_with_status_1_when_the_model_lacks_something(capsys, tmp_path: Path) -> None:
+    file = tmp_path / "wobbly.toml"
+    file.write_text(builtin_text("paper-workshop-two-face") + WOBBLE)
+    assert run(["recover", str(file), "--trials", "20"]) == 1
+    printed = capsys.readouterr()
+    assert "chi-square fails: chi2/dof of all trials" in printed.err
+    assert "recovered within" not in printed.out
+
+
+def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -> None:
+    assert run(["recover", "paper-workshop", "--construction", "dh", "--trials", "2"]) == 2
+    assert "recover with its own construction" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("jobs", ["2"])
+def test_the_same_for_any_number_of_workers(jobs: str, capsys, tmp_path: Path) -> None:
+    for count, place in (("1", "one"), (jobs, "more")):
+        run(["recover", "paper-workshop", "-n", "6", "--jobs", count, "--out", str(tmp_path / place), "-q"])
+    one, more = (tmp_path / place / "trials.csv" for place in ("one", "more"))
+    assert one.read_bytes() == more.read_bytes()

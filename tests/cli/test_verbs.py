@@ -1,0 +1,217 @@
+"""The verbs as a user calls them: answers, files, exit status, one sentence for whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.cli.main import app, run
+from ltsim.cli.terminal import digits, table
+from ltsim.effects import CATALOGUE
+from ltsim.errors import ModelError
+from ltsim.recording import read
+from ltsim.simulate.truth import read_truth
+
+VERBS = [command.callback.__name__ for command in app.registered_commands]
+
+
+@pytest.fixture(scope="module")
+def workplace(tmp_path_factory) -> Path:
+    """A simulated recording with its truth, and its calibration."""
+    folder = tmp_path_factory.mktemp("work")
+    assert (
+        run(["simulate", "paper-workshop", "--out", str(folder / "rec"), "--truth", str(folder / "truth.json"), "-q"])
+        == 0
+    )
+    assert run(["calibrate", str(folder / "rec"), "--out", str(folder / "cal"), "-q"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help_with_an_example(verb: str, capsys) -> None:
+    assert run([verb, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"Example: ltsim {verb}" in text
+    assert "--quiet" in text
+    assert "--json" in text
+
+
+def test_help_without_arguments(capsys) -> None:
+    assert run([]) == 0
+    text = capsys.readouterr().out
+    assert all(verb in text for verb in VERBS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["calibrat"], "No such command 'calibrat'"),
+        (["calibrate"], "Missing argument 'REC'"),
+        (["calibrate", "nowhere"], "nowhere: there is no such file or folder"),
+        (["calibrate", "nowhere", "--method", "guess"], "'guess' is not one of"),
+        (["calibrate", "nowhere", "--hint", "angle=furlong"], "angle can be deg or gon or rad"),
+        (["calibrate", "nowhere", "--hint", "colour=red"], "expected KEY=VALUE with a key among angle"),
+        (["correct", "nowhere", "--out", "x"], "Missing option '--calibration'"),
+        (["simulate", "paper-workshp", "--out", "x"], "did you mean paper-workshop"),
+        (["simulate", "paper-workshop"], "give a folder for the recording with --out"),
+        (["effects", "station-setling"], "did you mean station-settling"),
+        (["recover", "paper-workshop", "--trials", "1"], "--trials"),
+        (["recover", "nowhere.toml"], "there is no such file"),
+    ],
+)
+def test_bad_usage_is_one_sentence_and_status_2(
+    arguments: list[str], sentence: str, capsys, monkeypatch, tmp_path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("error: ")
+    assert sentence in printed.err
+    assert "Traceback" not in printed.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_calibrate_says_what_was_found_and_what_was_not(workplace: Path, capsys) -> None:
+    assert run(["calibrate", str(workplace / "rec")]) == 0
+    text = capsys.readouterr().out
+    assert "chi2/dof = " in text
+    assert "converged after" in text
+    assert "beam-tilt" in text
+    assert "not determined by this recording" in text
+    assert "cure: measure every target in both faces" in text
+    assert "coordinates in the frame of station S1" in text
+
+
+@pytest.mark.parametrize("method", ["network", "distance", "distance-l1"])
+def test_json_alone_on_standard_output(workplace: Path, capsys, method: str) -> None:
+    assert run(["calibrate", str(workplace / "rec"), "--json", "--method", method]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["method"] == method
+    truth = read_truth(workplace / "truth.json")
+    z = [(p["value"] * 1e-6 - truth.instrument[p["name"]]) / (p["sigma"] * 1e-6) for p in content["parameters"]]
+    assert np.abs(z).max() < 4.5
+
+
+def test_quiet_prints_nothing(workplace: Path, capsys, tmp_path: Path) -> None:
+    assert run(["adjust", str(workplace / "rec"), "--out", str(tmp_path / "a"), "-q"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == printed.err == ""
+    assert json.loads((tmp_path / "a" / "calibration.json").read_text())["parameters"] == []
+
+
+def test_evaluate_before_and_after(workplace: Path, capsys, tmp_path: Path) -> None:
+    rec, cal = str(workplace / "rec"), str(workplace / "cal")
+    assert run(["evaluate", rec, "--calibration", cal, "--json", "--out", str(tmp_path)]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["distance"]["improvement_percent"] > 20
+    assert json.loads((tmp_path / "criteria.json").read_text()) == content
+    # The calibration file holds the same figures, up to the rounding of the recording.
+    kept = json.loads((workplace / "cal" / "calibration.json").read_text())["criteria"]
+    assert kept["coordinate"]["after"] == pytest.approx(content["coordinate"]["after"], rel=1e-6)
+    assert run(["evaluate", rec]) == 0
+    assert "coordinate" in capsys.readouterr().out
+
+
+def test_correct_takes_the_errors_out(workplace: Path, capsys, tmp_path: Path) -> None:
+    rec, cal, out = str(workplace / "rec"), str(workplace / "cal"), str(tmp_path / "corrected")
+    assert run(["correct", rec, "--calibration", cal, "--out", out]) == 0
+    assert "140 pointings corrected by up to" in capsys.readouterr().out
+    assert run(["evaluate", out, "--json"]) == 0
+    corrected = json.loads(capsys.readouterr().out)
+    assert run(["evaluate", rec, "--calibration", cal, "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)
+    assert corrected["distance"]["before"]["mean_um"] == pytest.approx(
+        expected["distance"]["after"]["mean_um"], rel=1e-3
+    )
+    assert read(Path(out)).setup.instrument.corrected
+
+
+def test_verify_against_the_laboratory(workplace: Path, capsys, tmp_path: Path) -> None:
+    lab, cmm = str(tmp_path / "lab"), str(tmp_path / "cmm.csv")
+    assert run(["simulate", "paper-laboratory", "--out", lab, "--nominal", cmm, "-q"]) == 0
+    assert run(["verify", lab, "--nominal", cmm, "--calibration", str(workplace / "cal"), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert set(content) == {"distance", "coordinate"}
+    assert 0 < content["coordinate"]["after"]["mean_um"] < 500
+
+
+def test_simulate_is_reproducible_and_can_be_shown(capsys, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert run(["simulate", "paper-workshop", "--out", str(tmp_path / name), "--seed", "3", "-q"]) == 0
+    first, second = (tmp_path / n / "observations.csv" for n in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()
+    assert run(["simulate", "paper-workshop", "--show"]) == 0
+    (tmp_path / "mine.toml").write_text(capsys.readouterr().out)
+    assert run(["simulate", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "c"), "--seed", "3", "-q"]) == 0
+    assert (tmp_path / "c" / "observations.csv").read_bytes() == first.read_bytes()
+
+
+def test_nominal_points_are_asked_for_in_vain(capsys, tmp_path: Path) -> None:
+    out, cmm = str(tmp_path / "rec"), str(tmp_path / "cmm.csv")
+    assert run(["simulate", "paper-workshop", "--out", out, "--nominal", cmm]) == 2
+    assert "nominal = true" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_convert_there_and_back(workplace: Path, capsys, tmp_path: Path) -> None:
+    text, back = str(tmp_path / "rec.txt"), str(tmp_path / "back")
+    assert run(["convert", str(workplace / "rec"), text, "--to", "polar-text", "-q"]) == 0
+    status = run(["convert", text, back, "--hint", "azimuth=counter-clockwise", "--hint", "angle=deg", "-q"])
+    assert status == 0
+    one, other = read(workplace / "rec"), read(Path(back))
+    assert len(one) == len(other)
+    assert run(["convert", str(workplace / "rec"), text, "--to", "papyrus"]) == 2
+    assert "papyrus" in capsys.readouterr().err
+
+
+def test_effects_lists_the_whole_catalogue(capsys) -> None:
+    assert run(["effects"]) == 0
+    text = capsys.readouterr().out
+    assert all(effect.name in text for effect in CATALOGUE)
+    assert run(["effects", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)) == len(CATALOGUE)
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_the_card_of_every_effect(effect, capsys) -> None:
+    assert run(["effects", effect.name]) == 0
+    text = capsys.readouterr().out
+    assert f"{effect.name} ({effect.number})" in text
+    assert "Source" in text
+    assert all(p.name in text for p in effect.parameters)
+
+
+def test_the_installed_command_leaves_no_traceback(workplace: Path) -> None:
+    start = "from ltsim.cli.main import main; main()"
+    bad = subprocess.run(
+        [sys.executable, "-c", start, "calibrate", "nowhere"], capture_output=True, text=True, check=False
+    )
+    assert (bad.returncode, bad.stdout) == (2, "")
+    assert bad.stderr == "error: nowhere: there is no such file or folder\n"
+    command = f"{sys.executable} -c '{start}' effects | head -1"
+    cut = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert cut.stderr == ""
+
+
+def test_folder_that_cannot_be_written(workplace: Path, capsys, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("")
+    assert run(["calibrate", str(workplace / "rec"), "--out", str(taken)]) == 2
+    assert str(taken) in capsys.readouterr().err
+    assert taken.read_text() == ""
+
+
+def test_digits_and_tables() -> None:
+    assert digits(3.14159, 0.0123) == ("3.142", "0.012")
+    assert digits(31.4159, 12.3) == ("31", "12")
+    assert digits(0.5, 0.0) == ("0.5", "0")
+    assert table(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
+    with pytest.raises(ModelError):
+        table(["a"], [["x", "y"]])

@@ -1,0 +1,163 @@
+"""Predicted uncertainty against experiment, and that the check can fail."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ltsim.adjust.datum import inner_covariance
+from ltsim.calibrate import calibrate_network
+from ltsim.campaign.recovery import (
+    FALSE_ALARM,
+    Recovery,
+    Trial,
+    from_prior,
+    mean_check,
+    parameter_checks,
+    recover,
+)
+from ltsim.evaluate.share_removed import target_error
+from ltsim.model.construction import Construction, misalignment
+from ltsim.simulate.fieldwork import fieldwork
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.simulator import measure
+
+
+def run_recovery(name: str, trials: int, **settings) -> Recovery:
+    construction = settings.get("construction") or misalignment()
+    return Recovery(construction.names, tuple(recover(load_scenario(name), trials, seed=11, **settings)))
+
+
+def flipped(slot: str) -> Construction:
+    """The misalignment construction with the sign of one motion's error turned round."""
+    construction = misalignment()
+    chain = tuple(dataclasses.replace(m, sign=-m.sign) if m.slot == slot else m for m in construction.chain)
+    assert chain != construction.chain
+    return dataclasses.replace(construction, chain=chain)
+
+
+@pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
+def test_a_correct_model_passes(name: str) -> None:
+    assert [c.sentence() for c in run_recovery(name, 40).failures()] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
+def test_a_correct_model_passes_many_trials(name: str) -> None:
+    assert [c.sentence() for c in run_recovery(name, 400, jobs=2).failures()] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["distance", "distance-l1"])
+def test_the_paper_methods_state_their_uncertainty_too(method: str) -> None:
+    assert [c.sentence() for c in run_recovery("paper-workshop", 200, method=method, jobs=2).failures()] == []
+
+
+@pytest.mark.long
+def test_the_paper_chain_recovers_itself() -> None:
+    scenario = load_scenario("paper-workshop-two-face")
+    instrument = scenario.instrument.model_copy(update={"construction": "dh"})
+    scenario = scenario.model_copy(update={"instrument": instrument})
+    trials = tuple(recover(scenario, 100, seed=3, jobs=2))
+    names = fieldwork(scenario, 0).construction.names
+    assert [c.sentence() for c in Recovery(names, trials).failures()] == []
+
+
+@pytest.mark.parametrize("slot", ["transit-offset", "beam-tilt"])
+def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
+    failures = run_recovery("paper-workshop-two-face", 25, construction=flipped(slot)).failures()
+    assert slot in {failure.what for failure in failures}
+    assert any("standard deviation" in failure.sentence() for failure in failures)
+
+
+def test_a_parameter_that_the_model_lacks_fails() -> None:
+    from ltsim.effects import BASELINE
+
+    without = misalignment(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
+    failures = run_recovery("paper-workshop", 25, construction=without).failures()
+    assert "chi-square" in {failure.what for failure in failures}
+
+
+def test_understated_noise_fails() -> None:
+    scenario = load_scenario("paper-workshop")
+    noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
+    result = Recovery(misalignment().names, tuple(recover(noisy, 25, seed=1)))
+    assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
+
+
+def test_errors_are_drawn_whatever_the_scenario_says() -> None:
+    scenario = load_scenario("paper-workshop")
+    fixed = scenario.model_copy(
+        update={"instrument": scenario.instrument.model_copy(update={"errors": {"beam-tilt": 900.0}})}
+    )
+    assert from_prior(fixed).instrument.draws
+    assert "beam-tilt" not in from_prior(fixed).instrument.errors
+
+
+def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
+    z = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
+    mean, spread, coverage = parameter_checks("x", z, FALSE_ALARM / 48)
+    assert (mean.low, mean.high) == (-0.1, 0.1)
+    assert (spread.low, spread.high) == pytest.approx((0.95, 1.05))
+    assert (coverage.low, coverage.high) == pytest.approx((0.935, 0.965))
+    assert mean.passed
+    assert spread.passed
+    assert coverage.passed
+    for wrong in (z + 0.12, 1.06 * z, 0.9 * z):
+        assert not all(check.passed for check in parameter_checks("x", wrong, FALSE_ALARM / 48))
+
+
+def test_chance_alone_fails_one_run_in_a_hundred() -> None:
+    """Runs of a check on pure normal numbers: the share that fails, against its stated rate."""
+    rng = np.random.default_rng(0)
+    runs, count, size = 400, 30, 16
+    failed = 0
+    for _ in range(runs):
+        level = FALSE_ALARM / (3 * size + 3)
+        z = rng.standard_normal((count, size))
+        failed += any(not c.passed for k in range(size) for c in parameter_checks("x", z[:, k], level))
+    assert failed <= stats.binom.ppf(0.999, runs, FALSE_ALARM)
+
+
+def test_a_trial_that_does_not_converge_fails() -> None:
+    good = Trial(np.zeros(1), np.ones(1), 1.0, 1.0, 10.0, 10)
+    failures = Recovery(("a",), (good, good, None)).failures()
+    assert failures[0].what == "convergence"
+    assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
+
+
+def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors (N, d) of parameters, targets and poses on one geometry, their stated sigmas, and inner-datum ratios."""
+    scenario = from_prior(load_scenario("paper-workshop"))
+    work = fieldwork(scenario, 5)
+    errors, sigmas, inner = [], [], []
+    for trial in range(trials):
+        recording, truth = measure(work, 5, "spread", trial)
+        found = calibrate_network(recording, advise=False)
+        true = np.array([truth.instrument[name] for name in found.names])
+        points = (truth.points - truth.position[0]) @ truth.rotation[0]
+        place = (truth.position[1:] - truth.position[0]) @ truth.rotation[0]
+        stood = np.array([s.position for s in found.stations[1:]])
+        errors.append(
+            np.concatenate([found.values[0] - true, (found.points - points).ravel(), (stood - place).ravel()])
+        )
+        spread = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+        poses = np.array([s.sigma_position for s in found.stations[1:]])
+        sigmas.append(np.concatenate([found.sigma[0], spread.ravel(), poses.ravel()]))
+        predicted = np.trace(inner_covariance(found.adjustment)) / len(points)
+        inner.append(target_error(found.points, points) ** 2 / predicted)
+    return np.array(errors), np.array(sigmas), np.array(inner)
+
+
+@pytest.mark.parametrize("trials", [40, pytest.param(500, marks=pytest.mark.long)])
+def test_predicted_covariance_is_the_spread_of_repeated_calibrations(trials: int) -> None:
+    errors, sigmas, inner = errors_of(trials)
+    z = errors / sigmas
+    level = 0.001 / z.shape[1]
+    low, high = np.sqrt(stats.chi2.ppf([level / 2, 1 - level / 2], trials) / trials)
+    spread = np.sqrt(np.mean(z**2, axis=0))
+    assert np.all((low < spread) & (spread < high)), (spread.min(), spread.max(), low, high)
+    assert inner.mean() == pytest.approx(1.0, abs=4 * inner.std() / np.sqrt(trials))
