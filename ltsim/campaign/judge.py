@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ltsim.arrays import Bools, Floats
 from ltsim.campaign.cloud_kernels import (
@@ -26,7 +28,7 @@ from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 
-Columns = dict[str, Floats]
+Columns = dict[str, NDArray[Any]]
 """Named results (B,), one value a trial; lengths in um, as the names say."""
 
 

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.campaign.kernels import readings_of
 from ltsim.campaign.program import ChainProgram
-from ltsim.effects.effect import Effect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
-from ltsim.model.measurement import State, sightings_of
+from ltsim.model.measurement import State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
@@ -32,14 +33,23 @@ LINEAR = 1e-3
 
 @dataclass(frozen=True)
 class TrueEffect:
-    """Physics beyond the instrument's errors: values are drawn from N(mean, sigma^2), fixed where sigma is 0.
+    """Physics beyond the instrument's errors, with values drawn from N(mean, sigma^2), fixed where sigma is 0.
 
-    `mean` and `sigma` (q,) in SI.
+    Attributes
+    ----------
+    effect : Effect
+    mean, sigma : (q,) float [SI]
+    key : str
+        Tells its draws from those of another one like it.
+    by_length : (g, q) float
+        Change of the stated lengths in the workshop per unit; empty for none.
     """
 
     effect: Effect
     mean: Floats
     sigma: Floats
+    key: str = ""
+    by_length: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -75,13 +85,15 @@ class Truth:
     recording : Recording
         Its readings are the nominal ones: those of an ideal tracker at `state`.
     state : State
-        True poses and targets.
+        True poses and targets, in the frame in which a calibrator starts (that of the first station).
+    sightings : Sightings
+        True geometry of the pointings, nests and all, in any frame.
     construction : Construction
         Of the true instrument.
     mean, sigma : (I, p) float [SI]
         Its errors are drawn from N(mean, sigma^2).
     noise : (n, 3) float
-        True standard deviations of the readings.
+        True standard deviations of the readings where effects on the noise have their mean values.
     gauge_sigma : (g,) float, [m]
         Of the stated lengths.
     effects : tuple of TrueEffect
@@ -91,6 +103,7 @@ class Truth:
 
     recording: Recording
     state: State
+    sightings: Sightings
     construction: Construction
     mean: Floats
     sigma: Floats
@@ -98,11 +111,6 @@ class Truth:
     gauge_sigma: Floats
     effects: tuple[TrueEffect, ...] = ()
     step: Floats = field(default_factory=lambda: np.zeros(3))
-
-    @cached_property
-    def sightings(self) -> Sightings:
-        """Geometry of the pointings."""
-        return sightings_of(self.recording, self.state)
 
     @cached_property
     def program(self) -> ChainProgram:
@@ -127,7 +135,7 @@ class Truth:
         miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
         return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.noise) else None
 
-    def draw(self, seed: int, number: int) -> Block:
+    def draw(self, seed: int, number: int, width: int = BLOCK) -> Block:
         """Draw a block.
 
         Parameters
@@ -135,22 +143,45 @@ class Truth:
         seed : int
             Root seed of the campaign.
         number : int
-            Of the block; its trials are ``BLOCK * number`` and following.
+            Of the block; its trials are ``width * number`` and following.
+        width : int
+            Number of trials; another one than `BLOCK` gives other draws.
         """
 
         def normal(what: str, *shape: int) -> Floats:
-            return stream(seed, "campaign", what, number).standard_normal((*shape, BLOCK))
+            return stream(seed, "campaign", what, number).standard_normal((*shape, width))
 
         values = self.mean[:, :, None] + self.sigma[:, :, None] * normal("instrument", *self.mean.shape)
         deviation = self._exact(values)
+        gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
         amounts = []
         for place, entry in enumerate(self.effects):
-            drawn = normal(f"effect {place} {entry.effect.name}", len(entry.mean))
+            drawn = normal(f"effect {entry.effect.name} {entry.key}", len(entry.mean))
             amounts.append(entry.mean[:, None] + entry.sigma[:, None] * drawn)
             deviation += self._shift(place, amounts[-1])
-        deviation += self.noise[:, :, None] * normal("noise", *self.noise.shape)
-        gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
+            if len(entry.by_length):
+                gauge_error += entry.by_length @ amounts[-1]
+        deviation += self._noise(amounts) * normal("noise", *self.noise.shape)
         return Block(number, values, tuple(amounts), self._quantised(deviation), gauge_error)
+
+    def _noise(self, amounts: list[Floats]) -> Floats:
+        """Standard deviation (n, 3, 1) or, where effects on the noise are drawn, (n, 3, B) of the readings."""
+        drawn = [
+            (entry, amount)
+            for entry, amount in zip(self.effects, amounts, strict=True)
+            if isinstance(entry.effect, NoiseEffect) and np.any(entry.sigma)
+        ]
+        if not drawn:
+            return self.noise[:, :, None]
+        trials = []
+        for trial in range(drawn[0][1].shape[1]):
+            sigma = self.noise
+            for entry, amount in drawn:
+                noise: Any = entry.effect
+                usual = noise.variance(self.sightings, self.noise, entry.mean)
+                sigma = sigma * np.sqrt(noise.variance(self.sightings, self.noise, amount[:, trial]) / usual)
+            trials.append(sigma)
+        return np.stack(trials, axis=2)
 
     def _exact(self, values: Floats) -> Floats:
         """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""

@@ -11,6 +11,7 @@ import pytest
 from ltsim.campaign.engine import Engine
 from ltsim.campaign.truth import TrueEffect, Truth
 from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import sightings_of
 from ltsim.units import ARCSECOND
 
 
@@ -42,6 +43,7 @@ def truth_of(
     return Truth(
         recording,
         state,
+        sightings_of(recording, state),
         built,
         np.zeros_like(sigma),
         scale * sigma,

@@ -1,0 +1,254 @@
+"""A campaign from its file to its rows: shards done by workers, written by one hand, continued after any stop."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed, parallel_config
+
+from ltsim.campaign.cell import fitted_construction, fitted_effects
+from ltsim.campaign.rows import Task, rows_of, run_task, task_of
+from ltsim.campaign.spec import Campaign, fingerprint, label, load_campaign
+from ltsim.campaign.store import FORMAT, SOURCE, Store
+from ltsim.errors import SetupError
+from ltsim.simulate.fieldwork import fieldwork
+from ltsim.simulate.scenario import Scenario
+
+DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
+"""Packages whose version can change a row's bytes."""
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where the work is done.
+
+    Attributes
+    ----------
+    jobs : int
+        Processes on this machine; with dask the scheduler's workers decide.
+    backend : str
+        `local` or `dask`.
+    scheduler : str
+        Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``.
+    """
+
+    jobs: int = 1
+    backend: str = "local"
+    scheduler: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did.
+
+    Attributes
+    ----------
+    folder : Path
+    shards : int
+        Written now.
+    kept : int
+        Found finished.
+    notes : tuple of str
+        What a person should know: damaged shards that were done again.
+    """
+
+    folder: Path
+    shards: int
+    kept: int
+    notes: tuple[str, ...]
+
+
+def run_campaign(
+    file: Path,
+    folder: Path,
+    *,
+    workers: Workers | None = None,
+    resume: bool = False,
+    progress: Progress = lambda trials: None,
+) -> Outcome:
+    """Run or continue the campaign of a file.
+
+    Parameters
+    ----------
+    file : Path
+    folder : Path
+        For the results.
+    workers : Workers, optional
+        Default: one process, this one. The rows do not depend on it.
+    resume : bool
+        Continue what the folder holds.
+    progress : callable
+        Told the number of trials that were done.
+
+    Raises
+    ------
+    SetupError
+        In one sentence, for a file that cannot be run, a folder that holds another campaign or cannot be written to.
+    """
+    campaign, scenarios = load_campaign(file)
+    _check(campaign, scenarios, file)
+    store, mark = Store(folder), fingerprint(campaign, scenarios)
+    with store.lock():
+        if store.begun:
+            _check_same(store, campaign, mark, file, resume=resume)
+        else:
+            store.begin(_manifest(campaign, scenarios, mark), file.read_bytes())
+        store.sweep()
+        waiting, notes = _waiting(store, campaign, scenarios, mark, progress)
+        for task, content in _results(waiting, workers or Workers()):
+            store.write_shard(task.cell, task.shard, content)
+            progress(rows_of(campaign, task.shard))
+    total = len(scenarios) * campaign.shards
+    return Outcome(folder, len(waiting), total - len(waiting), tuple(notes))
+
+
+def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> None:
+    """What would stop every trial is said before the first: impossible scenarios, unknown effects."""
+    for method in campaign.methods:
+        fitted_construction(method)
+        fitted_effects(method)
+    for number, (changes, scenario) in enumerate(zip(campaign.combinations(), scenarios, strict=True)):
+        try:
+            fieldwork(scenario, campaign.seed, "campaign")
+        except SetupError as problem:
+            raise SetupError(f"{file}: cell {number + 1} ({label(changes)}): {problem}") from None
+
+
+def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> None:
+    """Continue only what was begun, with the versions it was begun with."""
+    if not resume:
+        raise SetupError(f"{store.folder}: holds a campaign; continue it with --resume or name another --out")
+    manifest = store.manifest()
+    if manifest.get("fingerprint") != mark:
+        before = manifest.get("settings", {})
+        now = campaign.model_dump(mode="json", by_alias=True)
+        changed = [key for key in now if before.get(key) != now[key]] or ["the scenario"]
+        raise SetupError(
+            f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
+            f"continue with {store.folder / SOURCE}, or begin anew with another --out"
+        )
+    then, today = manifest.get("versions", {}), _versions()
+    for name in DECIDING:
+        if then.get(name) != today[name]:
+            raise SetupError(
+                f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
+                "continue with the same version, or begin anew with another --out"
+            )
+
+
+def _versions() -> dict[str, str]:
+    """Versions of everything that decides a row's bytes."""
+    found = {"python": platform.python_version()}
+    for name in DECIDING:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def commit() -> str | None:
+    """The commit of the checkout that the package runs from; None where it is no checkout."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "title": campaign.title,
+        "fingerprint": mark,
+        "seed": campaign.seed,
+        "trials": campaign.trials,
+        "shard": campaign.shard,
+        "methods": [method.title for method in campaign.methods],
+        "cells": [
+            {"cell": i, "label": label(changes), "settings": changes}
+            for i, changes in enumerate(campaign.combinations())
+        ],
+        "versions": _versions(),
+        "commit": commit(),
+        "settings": campaign.model_dump(mode="json", by_alias=True),
+        "scenarios": [scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios],
+    }
+
+
+def _waiting(
+    store: Store, campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str, progress: Progress
+) -> tuple[list[Task], list[str]]:
+    """Shards to be done; those that are damaged are set aside and done again."""
+    waiting, notes = [], []
+    for cell, scenario in enumerate(scenarios):
+        first = task_of(campaign, scenario, mark, cell, 0)
+        for shard in range(campaign.shards):
+            task = Task(first.campaign, first.scenario, mark, cell, shard)
+            state = store.state_of(cell, shard, task.key, rows_of(campaign, shard))
+            if state == "whole":
+                progress(rows_of(campaign, shard))
+                continue
+            if state == "damaged":
+                aside = store.set_aside(cell, shard)
+                notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
+            waiting.append(task)
+    return waiting, notes
+
+
+def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]]:
+    """Shards as they are finished, in any order."""
+    if workers.backend == "local" and workers.jobs == 1:
+        for task in tasks:
+            yield task, run_task(task)
+        return
+    with _backend(workers):
+        calls = (delayed(_labelled)(task) for task in tasks)
+        jobs = workers.jobs if workers.backend == "local" else -1
+        yield from _parallel(calls, jobs)
+
+
+def _parallel(calls: Iterable[Any], jobs: int) -> Iterator[tuple[Task, bytes]]:
+    results: Iterator[tuple[Task, bytes]] = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(calls)
+    yield from results
+
+
+def _labelled(task: Task) -> tuple[Task, bytes]:
+    return task, run_task(task)
+
+
+@contextmanager
+def _backend(workers: Workers) -> Iterator[None]:
+    """Joblib's processes on this machine, or its dask backend on the scheduler's workers."""
+    if workers.backend == "local":
+        with parallel_config(backend="loky", inner_max_num_threads=1):
+            yield
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise SetupError("the dask backend needs the extra 'cluster': pip install ltsim[cluster]") from None
+    if not workers.scheduler:
+        raise SetupError("--backend dask needs --scheduler ADDRESS, such as tcp://127.0.0.1:8786")
+    try:
+        connect: Any = Client
+        client = connect(workers.scheduler, timeout=30)
+    except (OSError, ValueError) as problem:
+        raise SetupError(f"no dask scheduler answers at {workers.scheduler} ({problem})") from None
+    with client, parallel_config(backend="dask", wait_for_workers_timeout=60):
+        yield

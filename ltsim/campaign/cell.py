@@ -1,0 +1,171 @@
+"""From a cell's scenario to the truth that its trials share, and to the calibrators that are compared."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.campaign.spec import Method
+from ltsim.campaign.truth import TrueEffect, Truth
+from ltsim.effects.effect import Effect
+from ltsim.errors import ModelError, SetupError
+from ltsim.model.construction import Construction, dh, ideal, misalignment
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.simulate.fieldwork import Fieldwork, fieldwork
+from ltsim.simulate.gauge import expansion, frame_of
+from ltsim.simulate.physics import effect_from
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.simulator import measure, noise_sigma
+from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+
+
+def truth_of(scenario: Scenario, seed: int, *key: str | int) -> Truth:
+    """The truth of a scenario with its geometry drawn once.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    seed : int
+    *key : str or int
+        Of the geometry.
+
+    Raises
+    ------
+    SetupError
+        When the scenario asks for something impossible.
+    """
+    work = fieldwork(scenario, seed, *key)
+    recording = _template(work, seed, *key)
+    grown, pairs = _gauge(work, recording)
+    mean, sigma = instrument_spread(scenario, work.construction)
+    effects = _true_effects(work, grown, pairs)
+    stated = [d.sigma_mm * MILLIMETRE for d in recording.gauge.distance]
+    tracker = scenario.instrument
+    return Truth(
+        recording=recording,
+        state=_start_frame(work, mean),
+        sightings=work.sightings,
+        construction=work.construction,
+        mean=mean[None],
+        sigma=sigma[None],
+        noise=noise_sigma(work, tuple(entry.mean for entry in effects)),
+        gauge_sigma=scenario.cmm.noise_factor * grown * np.array(stated),
+        effects=effects,
+        step=np.array(
+            [
+                tracker.resolution.distance_um * MICROMETRE,
+                tracker.resolution.angle_arcsec * ARCSECOND,
+                tracker.resolution.angle_arcsec * ARCSECOND,
+            ]
+        ),
+    )
+
+
+def _start_frame(work: Fieldwork, mean: Floats) -> State:
+    """The true geometry in the frame of the first station, or in the workshop's where levels define the vertical."""
+    s = work.sightings
+    if any(station.levelled for station in work.scenario.stations.values()):
+        return State(s.position, s.rotation, s.points, mean[None])
+    origin, turn = s.position[0], s.rotation[0]
+    return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean[None])
+
+
+def _template(work: Fieldwork, seed: int, *key: str | int) -> Recording:
+    """The recording with nominal readings and error-free lengths."""
+    recording = measure(work, seed, *key)[0].with_readings(work.sightings.raw)
+    scenario = work.scenario
+    if recording.setup.gauge is not None and scenario.gauge is not None:
+        frame = frame_of(scenario.gauge)
+        lengths = {
+            (frame.names[a], frame.names[b]): float(length) / MILLIMETRE
+            for a, b, length in zip(frame.first, frame.second, frame.length, strict=True)
+        }
+        exact = tuple(
+            d.model_copy(update={"length_mm": lengths[d.from_, d.to]}) for d in recording.setup.gauge.distance
+        )
+        gauge = recording.setup.gauge.model_copy(update={"distance": exact})
+        recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+    return recording
+
+
+def _gauge(work: Fieldwork, recording: Recording) -> tuple[float, list[int]]:
+    """How much the gauge has grown, and which of the frame's pairs are stated."""
+    gauge = work.scenario.gauge
+    if gauge is None:
+        return 1.0, []
+    frame = frame_of(gauge)
+    stated = {(d.from_, d.to) for d in recording.gauge.distance}
+    pairs = [
+        i
+        for i, (a, b) in enumerate(zip(frame.first, frame.second, strict=True))
+        if (frame.names[a], frame.names[b]) in stated
+    ]
+    return expansion(gauge, work.scenario.workshop.temperature_c), pairs
+
+
+def instrument_spread(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (p,) [SI] from which the instrument's errors are drawn."""
+    instrument = scenario.instrument
+    stated = {name: float(value) for name, value in instrument.errors.items() if name != "draw"}
+    for name in stated:
+        try:
+            construction.index(name)
+        except ModelError as problem:
+            raise SetupError(f"instrument.errors.{name}: {problem}") from None
+    parameters = construction.parameters
+    mean = np.array([stated.get(p.name, 0.0) * p.factor for p in parameters])
+    free = [instrument.draws and p.name not in stated for p in parameters]
+    prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
+    return mean, np.where(free, instrument.error_factor * prior, 0.0)
+
+
+def _true_effects(work: Fieldwork, grown: float, pairs: list[int]) -> tuple[TrueEffect, ...]:
+    """The scenario's effects with the law of their values; entries and effects are in the same order."""
+    entries, seen, found = work.scenario.effects, Counter[tuple[str, str]](), []
+    for i, effect in enumerate(work.effects):
+        entry = entries[i] if i < len(entries) else None
+        place = ",".join(effect.stations + effect.targets)
+        seen[effect.name, place] += 1
+        given = {} if entry is None else entry.values
+        mean = np.array([given.get(p.name, 0.0) * p.factor for p in effect.parameters])
+        free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
+        sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
+        key = f"{place} {seen[effect.name, place]}"
+        found.append(TrueEffect(effect, mean, sigma, key, _by_length(work, effect, grown, pairs)))
+    return tuple(found)
+
+
+def _by_length(work: Fieldwork, effect: Effect, grown: float, pairs: list[int]) -> Floats:
+    if not pairs or work.scenario.gauge is None:
+        return np.zeros((0, 0))
+    frame = frame_of(work.scenario.gauge)
+    design: Floats = grown * effect.gauge_design(frame.first, frame.second, frame.points)[pairs]
+    return design
+
+
+def fitted_construction(method: Method) -> Construction:
+    """The construction whose parameters a method estimates."""
+    if method.construction == "dh":
+        return dh(method.harmonics, method.degree)
+    return misalignment() if method.construction == "misalignment" else ideal()
+
+
+def fitted_effects(method: Method) -> tuple[Effect, ...]:
+    """The further effects that a method estimates.
+
+    Raises
+    ------
+    SetupError
+        Naming the method's entry and what would be right.
+    """
+    found = []
+    for number, entry in enumerate(method.effects):
+        places = {"stations": entry.stations, "targets": entry.targets}
+        try:
+            found.append(effect_from(entry.name, places, entry.shape))
+        except (ModelError, ValueError, TypeError, KeyError) as problem:
+            raise SetupError(f"methods.{method.title}.effects.{number + 1}: {problem}") from None
+    return tuple(found)

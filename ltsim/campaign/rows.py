@@ -1,0 +1,211 @@
+"""The rows of a shard: trials drawn, calibrated by every method on the same draws, judged."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import pyarrow as pa
+from threadpoolctl import threadpool_limits
+
+from ltsim.arrays import Floats, Ints
+from ltsim.campaign.calibrators import Calibrator, calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.engine import FAILED, STATUSES, Bench, Calibrated, parameter_columns
+from ltsim.campaign.judge import Columns
+from ltsim.campaign.spec import Campaign
+from ltsim.campaign.store import encoded
+from ltsim.campaign.truth import BLOCK, Block, Truth
+from ltsim.model.construction import Construction
+from ltsim.randomness import stream
+from ltsim.simulate.scenario import Scenario
+
+CHECKED = "full_difference_sigma"
+"""Column of the trials that were calibrated once more by the full solver: largest difference in sigmas."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One shard of one cell, as plain data that any worker can take.
+
+    Attributes
+    ----------
+    campaign, scenario : str
+        As JSON.
+    fingerprint : str
+    cell, shard : int
+    """
+
+    campaign: str
+    scenario: str
+    fingerprint: str
+    cell: int
+    shard: int
+
+    @property
+    def key(self) -> dict[str, str]:
+        """What the shard's file says of itself."""
+        return {"campaign": self.fingerprint, "cell": str(self.cell), "shard": str(self.shard)}
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A cell ready to work: everything its trials share."""
+
+    campaign: Campaign
+    scenario: Scenario
+
+    @cached_property
+    def shared(self) -> tuple[Truth, list[Calibrator]]:
+        """Truth and calibrators of a shared geometry."""
+        return self.at(truth_of(self.scenario, self.campaign.seed, "campaign"))
+
+    def at(self, truth: Truth) -> tuple[Truth, list[Calibrator]]:
+        """A truth with its calibrators, in the order of the file's methods."""
+        return truth, [calibrator_of(method, truth) for method in self.campaign.methods]
+
+    def blocks(self, first: int, last: int) -> Iterator[tuple[Block, Ints, Truth, list[Calibrator]]]:
+        """Blocks that hold the trials ``first`` to ``last - 1``, with the wanted trials' places in them."""
+        seed = self.campaign.seed
+        if self.campaign.geometry == "shared":
+            truth, calibrators = self.shared
+            for number in range(first // BLOCK, -(-last // BLOCK)):
+                places = np.arange(BLOCK * number, BLOCK * (number + 1))
+                wanted = np.flatnonzero((places >= first) & (places < last))
+                yield truth.draw(seed, number), wanted, truth, calibrators
+        else:
+            for trial in range(first, last):
+                truth, calibrators = self.at(truth_of(self.scenario, seed, "campaign", trial))
+                yield truth.draw(seed, trial, 1), np.zeros(1, dtype=np.int64), truth, calibrators
+
+
+@lru_cache(maxsize=4)
+def prepared(campaign: str, scenario: str) -> Prepared:
+    """The prepared cell of a task; kept, since a worker sees many shards of the same cell."""
+    return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario))
+
+
+def run_task(task: Task) -> bytes:
+    """A shard as the bytes of its file; one thread, so that sums keep their order on any worker."""
+    with threadpool_limits(limits=1):
+        return encoded(shard_rows(task), task.key)
+
+
+def shard_rows(task: Task) -> pa.Table:
+    """The rows of a shard: by method, then by trial."""
+    cell = prepared(task.campaign, task.scenario)
+    campaign = cell.campaign
+    first = task.shard * campaign.shard
+    last = min(first + campaign.shard, campaign.trials)
+    checked = _checked_trials(campaign, task.shard, first, last)
+    parts: list[list[Columns]] = [[] for _ in campaign.methods]
+    start = first
+    for block, wanted, truth, calibrators in cell.blocks(first, last):
+        numbers = start + np.arange(len(wanted))
+        start += len(wanted)
+        bench = Bench(truth)
+        shared = bench.before(block)
+        for part, calibrator in zip(parts, calibrators, strict=True):
+            found = calibrator.calibrate(block, wanted)
+            columns = _columns(campaign, bench, block, found, calibrator.construction, shared)
+            columns[CHECKED] = np.full(block.deviation.shape[2], np.nan)
+            for place in wanted[np.isin(numbers, checked)]:
+                columns[CHECKED][place] = calibrator.difference(block, int(place), found)
+            part.append({"trial": numbers} | {name: column[wanted] for name, column in columns.items()})
+    tables = [_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
+    return pa.concat_tables(tables, promote_options="default").combine_chunks()
+
+
+def _checked_trials(campaign: Campaign, shard: int, first: int, last: int) -> Ints:
+    """Trials of a shard that the full solver repeats: a sample drawn by key."""
+    draw = stream(campaign.seed, "campaign", "verify", shard)
+    return first + draw.choice(last - first, size=min(campaign.verify, last - first), replace=False)
+
+
+def _columns(
+    campaign: Campaign,
+    bench: Bench,
+    block: Block,
+    found: Calibrated,
+    construction: Construction,
+    shared: Columns,
+) -> Columns:
+    """The columns that the campaign wants of a method on a block."""
+    wanted, truth = campaign.statistics, bench.truth
+    names = truth.recording.instruments
+    columns: Columns = {"status": found.status, "chi2": found.chi2}
+    judged = shared | bench.after(block, found, construction, shared)
+    for name, column in judged.items():
+        kind = "criteria" if name.startswith(("distance_", "coordinate_")) else "errors"
+        if kind in wanted:
+            columns[name] = column
+    if "z-scores" in wanted:
+        columns |= _z_scores(truth, block, found, construction, names)
+    if "estimates" in wanted:
+        columns |= parameter_columns(construction, names, found.values, "estimate")
+        spread = np.broadcast_to(_per_trial(found.sigma), found.values.shape)
+        columns |= parameter_columns(construction, names, spread, "sigma")
+    if "truth" in wanted:
+        columns |= parameter_columns(truth.construction, names, block.values, "true")
+        for entry, amount in zip(truth.effects, block.amounts, strict=True):
+            for k, parameter in enumerate(entry.effect.parameters):
+                columns[f"true:{entry.effect.name}:{parameter.name} {entry.key}"] = amount[k] / parameter.factor
+    return columns
+
+
+def _per_trial(sigma: Floats) -> Floats:
+    """Standard deviations with a last index for trials."""
+    return sigma[:, :, None] if sigma.ndim == 2 else sigma
+
+
+def _z_scores(
+    truth: Truth, block: Block, found: Calibrated, construction: Construction, names: tuple[str, ...]
+) -> Columns:
+    """(estimate - truth) / sigma of the parameters that the true instrument has under the same name."""
+    both = [name for name in construction.names if name in truth.construction.names]
+    fitted = [construction.index(name) for name in both]
+    true = [truth.construction.index(name) for name in both]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = (found.values[:, fitted] - block.values[:, true]) / _per_trial(found.sigma)[:, fitted]
+    return {
+        f"z:{name}" + (f"@{instrument}" if len(names) > 1 else ""): z[i, k]
+        for i, instrument in enumerate(names)
+        for k, name in enumerate(both)
+    }
+
+
+def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:
+    """Columns as a table; numbers that people read are kept to seven digits."""
+    merged = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
+    count = len(trial)
+    lost = status == STATUSES.index(FAILED)
+    columns: dict[str, pa.Array] = {
+        "cell": pa.array(np.full(count, cell), pa.int32()),
+        "method": pa.array([method] * count, pa.string()),
+        "trial": pa.array(trial, pa.int64()),
+        "status": pa.array([STATUSES[s] for s in status], pa.string()),
+    }
+    for name, values in merged.items():
+        empty = np.isnan(values) | (lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
+        columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
+    return pa.table(columns)
+
+
+def task_of(campaign: Campaign, scenario: Scenario, fingerprint: str, cell: int, shard: int) -> Task:
+    """A task as plain data."""
+    return Task(
+        campaign.model_dump_json(by_alias=True),
+        json.dumps(scenario.model_dump(mode="json", by_alias=True)),
+        fingerprint,
+        cell,
+        shard,
+    )
+
+
+def rows_of(campaign: Campaign, shard: int) -> int:
+    """Number of rows of a shard."""
+    return len(campaign.methods) * (min((shard + 1) * campaign.shard, campaign.trials) - shard * campaign.shard)

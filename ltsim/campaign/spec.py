@@ -1,0 +1,164 @@
+"""The campaign file (ltsim-campaign/1): a base scenario, what varies, what is compared, how many trials."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from ltsim.errors import RecordError, SetupError
+from ltsim.recording.files import shown
+from ltsim.recording.settings import read_toml, sentence
+from ltsim.recording.setup import Finite, Section
+from ltsim.simulate.scenario import Scenario, load_scenario, scenario_from, scenario_to_toml
+
+FORMAT = "ltsim-campaign/1"
+NONE = "none"
+"""As a value it takes a key of the scenario out: ``gauge = "none"``."""
+Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
+
+
+class FittedEffect(Section):
+    """An effect that a method estimates besides the instrument's parameters; `shape` as in a scenario."""
+
+    name: str
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    shape: dict[str, Finite | str] = Field(default_factory=dict)
+
+
+class Method(Section):
+    """One calibrator.
+
+    `solver`: ``batch`` calibrates all trials of a geometry together, ``single`` one recording after the other by the
+    calibrator that users have; they agree (every campaign verifies it), the first is hundreds of times as fast.
+    """
+
+    name: str = ""
+    method: Literal["network", "distance", "distance-l1"] = "network"
+    construction: Literal["misalignment", "dh", "ideal"] = "misalignment"
+    harmonics: Annotated[int, Field(ge=0, le=4)] = 2
+    degree: Annotated[int, Field(ge=0, le=4)] = 2
+    effects: tuple[FittedEffect, ...] = ()
+    solver: Literal["batch", "single"] = "batch"
+
+    @property
+    def title(self) -> str:
+        """Its name in the results."""
+        return self.name or self.method
+
+    @model_validator(mode="after")
+    def _effects_need_the_network(self) -> Method:
+        if self.effects and self.method != "network":
+            raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
+        if self.construction == "ideal" and self.method != "network":
+            raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
+        return self
+
+
+class Campaign(Section):
+    """The whole file.
+
+    `settings` changes the scenario for all cells, `grid` holds lists of values that are combined with each other,
+    `cells` lists combinations one by one; keys are dotted, as in ``"instrument.noise_factor"``. Truth and fit
+    are apart: the scenario says what is true, `methods` what is estimated.
+    """
+
+    format: Literal["ltsim-campaign/1"]
+    title: str = ""
+    scenario: str = "paper-workshop"
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
+    shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
+    geometry: Literal["shared", "per-trial"] = "shared"
+    verify: Annotated[int, Field(ge=0, le=1000)] = 2
+    statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
+    settings: dict[str, Any] = Field(default_factory=dict)
+    grid: dict[str, list[Any]] = Field(default_factory=dict)
+    cells: tuple[dict[str, Any], ...] = ()
+    methods: tuple[Method, ...] = (Method(),)
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Campaign:
+        titles = [method.title for method in self.methods]
+        if not titles or len(set(titles)) < len(titles):
+            raise ValueError(f"it should hold methods with different names, found {', '.join(titles) or 'none'}")
+        if any(not values for values in self.grid.values()):
+            raise ValueError("it should hold at least one value a key of the grid")
+        return self
+
+    @property
+    def shards(self) -> int:
+        """Number of shards of each cell."""
+        return -(-self.trials // self.shard)
+
+    def combinations(self) -> Iterator[dict[str, Any]]:
+        """What each cell changes in the scenario, by dotted key."""
+        for listed in self.cells or ({},):
+            for values in itertools.product(*self.grid.values()):
+                yield {**self.settings, **listed, **dict(zip(self.grid, values, strict=True))}
+
+
+def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
+    """A campaign file, and the scenario of each of its cells.
+
+    Raises
+    ------
+    SetupError
+        One sentence: file, key, what was found, what would be right.
+    """
+    try:
+        data = read_toml(path, "campaign")
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
+    if "format" not in data:
+        raise SetupError(f'{path}: the key format is missing, expected format = "{FORMAT}"')
+    try:
+        campaign = Campaign.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as problem:
+        raise SetupError(f"{path}: {sentence(problem.errors()[0], Campaign)}") from None
+    return campaign, scenarios_of(campaign, path)
+
+
+def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
+    """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
+    beside = path.parent / campaign.scenario
+    base = load_scenario(beside if beside.is_file() else campaign.scenario)
+    table = base.model_dump(mode="json", by_alias=True, exclude_none=True)
+    found = []
+    for number, changes in enumerate(campaign.combinations()):
+        # Checked twice: as tables with the changes, and as what a file of it would say.
+        changed = json.loads(json.dumps(table))
+        for key, value in changes.items():
+            _set(changed, key, value, f"{path}: cell {number + 1}")
+        found.append(scenario_from(changed, path))
+    return tuple(found)
+
+
+def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
+    """Set one dotted key of nested tables; the value ``"none"`` removes it."""
+    *parents, last = key.split(".")
+    for name in parents:
+        table = table.setdefault(name, {})
+        if not isinstance(table, dict):
+            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
+    if value == NONE:
+        table.pop(last, None)
+    else:
+        table[last] = value
+
+
+def label(changes: Mapping[str, Any]) -> str:
+    """What a cell changes, in a line."""
+    return ", ".join(f"{key} = {json.dumps(value)}" for key, value in changes.items()) or "as the scenario says"
+
+
+def fingerprint(campaign: Campaign, scenarios: tuple[Scenario, ...]) -> str:
+    """A number of everything that decides the rows: the file and every cell's scenario, spelled out."""
+    content = [campaign.model_dump_json(by_alias=True), *(scenario_to_toml(s) for s in scenarios)]
+    return hashlib.sha256("\n".join(content).encode()).hexdigest()

@@ -1,0 +1,226 @@
+"""What the rows of a campaign say: queries that stream over the shards, a column at a time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import duckdb
+
+from ltsim.campaign.engine import FAILED
+from ltsim.campaign.rows import CHECKED
+from ltsim.campaign.store import Store
+from ltsim.errors import ModelError, SetupError, unknown_name
+
+NORMAL_95 = 1.959963984540054
+MEMORY = "1GB"
+LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
+IMPROVEMENTS = ("distance", "coordinate")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A column over the trials of one cell and method.
+
+    `low` and `high` bound the mean with 95 % confidence; `quantiles` belong to `LEVELS`.
+    """
+
+    cell: int
+    method: str
+    column: str
+    trials: int
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    least: float
+    largest: float
+    quantiles: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The z-scores of one parameter: N(0, 1) where the truth is drawn from the prior and the covariance is right."""
+
+    cell: int
+    method: str
+    parameter: str
+    trials: int
+    mean: float
+    deviation: float
+    coverage_95: float
+
+
+@dataclass(frozen=True)
+class Checked:
+    """How the trials of a cell and method ended, and how far the batch is from the full solver."""
+
+    cell: int
+    method: str
+    trials: int
+    failed: int
+    by_full_solver: int
+    checked: int
+    largest_difference_sigma: float | None
+
+
+class Results:
+    """The rows of a campaign's folder, as tables to query.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Raises
+    ------
+    SetupError
+        When there is no campaign, none of its shards is finished yet, or one is damaged.
+
+    Notes
+    -----
+    Table `rows` holds one row a trial and method, with two columns added: ``distance_improvement_percent`` and
+    ``coordinate_improvement_percent``. Table `cells` says what each cell is.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        store = Store(folder)
+        self.manifest = store.manifest()
+        if not any(folder.glob("rows/cell-*/shard-*.parquet")):
+            raise SetupError(f"{folder}: no shard of this campaign is finished yet")
+        self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 2})
+        source = f"read_parquet('{store.pattern.replace(chr(39), 2 * chr(39))}', union_by_name = true)"
+        try:
+            names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+            self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
+            self.columns: tuple[str, ...] = tuple(
+                row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"
+            )
+        except duckdb.Error as problem:
+            raise _damaged(folder, problem) from None
+        self._base.execute("CREATE TABLE cells (cell INTEGER, label VARCHAR)")
+        listed = [(entry["cell"], entry["label"]) for entry in self.manifest["cells"]]
+        self._base.executemany("INSERT INTO cells VALUES (?, ?)", listed)
+        self._folder = folder
+
+    def query(self, sql: str) -> list[tuple[Any, ...]]:
+        """Rows of any query over `rows` and `cells`.
+
+        Raises
+        ------
+        ModelError
+            When the query is no SQL of these tables.
+        SetupError
+            When a shard is damaged.
+        """
+        try:
+            return self._base.execute(sql).fetchall()
+        except (duckdb.IOException, duckdb.InvalidInputException) as problem:
+            raise _damaged(self._folder, problem) from None
+        except duckdb.Error as problem:
+            raise ModelError(f"the query fails: {' '.join(str(problem).split())}") from None
+
+    def _known(self, column: str) -> str:
+        if column not in self.columns:
+            raise unknown_name("column of these rows", column, self.columns)
+        return f'"{column}"'
+
+    def spread(self, column: str) -> list[Spread]:
+        """Mean, spread and quantiles of a column in every cell and for every method."""
+        name, levels = self._known(column), ", ".join(str(level) for level in LEVELS)
+        found = self.query(
+            f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
+            f"quantile_cont({name}, [{levels}]) FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
+            "ORDER BY cell, method"
+        )
+        return [_spread(column, row) for row in found]
+
+    def z_scores(self) -> list[Scores]:
+        """Mean, spread and coverage of the z-scores of every parameter."""
+        found = []
+        for column in (c for c in self.columns if c.startswith("z:")):
+            name = self._known(column)
+            rows = self.query(
+                f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), "
+                f"avg((abs({name}) <= {NORMAL_95})::INT) FROM rows WHERE isfinite({name}) "
+                "GROUP BY cell, method ORDER BY cell, method"
+            )
+            found += [
+                Scores(cell, method, column.removeprefix("z:"), count, mean, _number(deviation), coverage)
+                for cell, method, count, mean, deviation, coverage in rows
+            ]
+        return sorted(found, key=lambda s: (s.cell, s.method))
+
+    def checked(self) -> list[Checked]:
+        """Ends of the trials, and the largest difference from the full solver on the sample that was verified."""
+        rows = self.query(
+            f"SELECT cell, method, count(*), count(*) FILTER (status = '{FAILED}'), "
+            f"count(*) FILTER (status = 'full solver'), count({CHECKED}), max({CHECKED}) "
+            "FROM rows GROUP BY cell, method ORDER BY cell, method"
+        )
+        return [Checked(*row) for row in rows]
+
+    def share_below(self, column: str, value: float) -> list[tuple[int, str, float]]:
+        """Cell, method and the share of trials whose `column` is below a value: where a measured figure lies."""
+        name = self._known(column)
+        rows = self.query(
+            f"SELECT cell, method, avg(({name} < {float(value)!r})::INT) FROM rows WHERE {name} IS NOT NULL "
+            "GROUP BY cell, method ORDER BY cell, method"
+        )
+        return [(int(cell), str(method), float(share)) for cell, method, share in rows]
+
+    def paired(self, column: str, first: str, second: str) -> list[Spread]:
+        """`first` less `second` method on the same draws, trial by trial."""
+        name = self._known(column)
+        levels = ", ".join(str(level) for level in LEVELS)
+        words = [method.replace("'", "''") for method in (first, second)]
+        found = self.query(
+            f"WITH gap AS (SELECT a.cell AS cell, a.{name} - b.{name} AS d FROM rows a JOIN rows b "
+            f"ON a.cell = b.cell AND a.trial = b.trial AND a.method = '{words[0]}' AND b.method = '{words[1]}') "
+            "SELECT cell, '', count(d), avg(d), stddev_samp(d), min(d), max(d), "
+            f"quantile_cont(d, [{levels}]) FROM gap WHERE d IS NOT NULL GROUP BY cell ORDER BY cell"
+        )
+        return [_spread(f"{column}: {first} less {second}", row) for row in found]
+
+    def summary(self) -> dict[str, Any]:
+        """Everything a report needs, as plain data."""
+        wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
+        return {
+            "format": "ltsim-campaign-summary/1",
+            "title": self.manifest["title"],
+            "trials": self.manifest["trials"],
+            "cells": self.manifest["cells"],
+            "ends": [asdict(entry) for entry in self.checked()],
+            "levels": LEVELS,
+            "columns": [asdict(entry) for column in wanted for entry in self.spread(column)],
+            "z_scores": [asdict(entry) for entry in self.z_scores()],
+        }
+
+
+def _improvements(names: list[str]) -> str:
+    """SQL of the added columns, for the criteria that the rows hold."""
+    added = [
+        f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
+        for kind in IMPROVEMENTS
+        if {f"{kind}_after_mean_um", f"{kind}_before_mean_um"} <= set(names)
+    ]
+    return "".join(added)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _spread(column: str, row: tuple[Any, ...]) -> Spread:
+    cell, method, count, mean, deviation, least, largest, quantiles = row
+    spread = _number(deviation)
+    within = NORMAL_95 * spread / math.sqrt(count)
+    return Spread(
+        cell, method, column, count, mean, spread, mean - within, mean + within, least, largest, tuple(quantiles)
+    )
+
+
+def _damaged(folder: Path, problem: Exception) -> SetupError:
+    reason = str(problem).split("\n")[0]
+    return SetupError(f"{folder}: a shard cannot be read ({reason}); run the campaign with --resume to repair it")

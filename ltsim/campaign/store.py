@@ -1,0 +1,206 @@
+"""The folder of a campaign: a manifest and shards of rows, written so that nothing finished can be lost.
+
+    manifest.json                          settings, seed, versions, commit; written once, before the first row
+    campaign.toml                          the file as it was given
+    rows/cell-0000/shard-000000.parquet    a fixed run of trials of one cell, all methods
+
+A shard appears under its name only when it is whole and on the disk (temporary sibling, fsync, rename). Its bytes
+depend on settings and versions alone. Pages carry checksums, so a damaged shard is found when it is opened.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ltsim.errors import SetupError
+
+FORMAT = "ltsim-campaign-rows/1"
+MANIFEST, SOURCE, ROWS, LOCK = "manifest.json", "campaign.toml", "rows", ".lock"
+
+
+def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
+    """A table as the bytes of a Parquet file; `key` says which shard of what it is."""
+    labelled = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
+    words = [f.name for f in labelled.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        labelled,
+        sink,
+        version="2.6",
+        data_page_version="2.0",
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=words,
+        write_statistics=True,
+        write_page_checksum=True,
+        row_group_size=max(len(labelled), 1),
+    )
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def table_of(path: Path) -> pa.Table:
+    """The rows of a shard, every checksum verified; raises `pyarrow.ArrowException` or OSError."""
+    return pq.ParquetFile(path, page_checksum_verification=True).read()
+
+
+@dataclass(frozen=True)
+class Store:
+    """A campaign's folder.
+
+    Attributes
+    ----------
+    folder : Path
+    """
+
+    folder: Path
+
+    @property
+    def manifest_path(self) -> Path:
+        """Where the manifest lies."""
+        return self.folder / MANIFEST
+
+    def shard_path(self, cell: int, shard: int) -> Path:
+        """Where a shard lies."""
+        return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
+
+    @property
+    def pattern(self) -> str:
+        """All shards, as a query names them."""
+        return str(self.folder / ROWS / "cell-*" / "shard-*.parquet")
+
+    @property
+    def begun(self) -> bool:
+        """True when the folder holds a campaign."""
+        return self.manifest_path.exists()
+
+    def manifest(self) -> dict[str, Any]:
+        """The manifest.
+
+        Raises
+        ------
+        SetupError
+            When the folder holds no campaign, or its manifest is damaged.
+        """
+        try:
+            content = json.loads(self.manifest_path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})") from None
+        except (OSError, ValueError):
+            raise SetupError(
+                f"{self.manifest_path}: cannot be read as a manifest; begin again in another folder, "
+                "the rows in this one stay"
+            ) from None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise SetupError(f'{self.manifest_path}: expected format = "{FORMAT}"')
+        return content
+
+    def begin(self, manifest: Mapping[str, Any], source: bytes) -> None:
+        """Write the campaign's file, then its manifest."""
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            _write(self.folder / SOURCE, source)
+            _write(self.manifest_path, (json.dumps(manifest, indent=1) + "\n").encode())
+
+    def write_shard(self, cell: int, shard: int, content: bytes) -> None:
+        """Put a shard in its place at once.
+
+        Raises
+        ------
+        SetupError
+            When the disk is full or the folder cannot be written to; what is finished stays.
+        """
+        path = self.shard_path(cell, shard)
+        with self._writing():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write(path, content)
+
+    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int) -> str:
+        """`whole`, `missing` or `damaged`: whether a shard can be relied on."""
+        path = self.shard_path(cell, shard)
+        if not path.exists():
+            return "missing"
+        try:
+            table = table_of(path)
+            label = json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
+        except (pa.ArrowException, OSError, ValueError):
+            return "damaged"
+        return "whole" if len(table) == rows and label == dict(key) else "damaged"
+
+    def set_aside(self, cell: int, shard: int) -> Path:
+        """Rename a damaged shard, so that it can be looked at; where it went."""
+        path = self.shard_path(cell, shard)
+        aside = path.with_suffix(".damaged")
+        with self._writing():
+            os.replace(path, aside)
+        return aside
+
+    def sweep(self) -> None:
+        """Remove temporary files that a killed run left."""
+        with self._writing():
+            for left in self.folder.glob(f"{ROWS}/cell-*/.*.tmp"):
+                left.unlink(missing_ok=True)
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep others from working in the folder at the same time; the lock ends with the process, however it ends.
+
+        Raises
+        ------
+        SetupError
+            When another process holds it.
+        """
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise SetupError(f"{self.folder}: another campaign is at work in this folder; wait for it") from None
+            yield
+        finally:
+            os.close(handle)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as problem:
+            full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            reason = "the disk is full" if full else f"cannot be written ({problem.strerror or problem})"
+            cure = "free some space" if full else "make it writable"
+            raise SetupError(
+                f"{self.folder}: {reason}; finished shards are kept: {cure} and go on with --resume"
+            ) from None
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file so that it is either whole or not there, also after a power cut."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
