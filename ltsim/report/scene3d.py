@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -54,7 +53,6 @@ def times(scale: float) -> str:
 def build(
     workshop: Workshop,
     *,
-    cad: Path | None = None,
     window_size: tuple[int, int] = (1400, 1000),
     off_screen: bool = True,
 ) -> tuple[pv.Plotter, Legend]:
@@ -63,17 +61,14 @@ def build(
     Parameters
     ----------
     workshop : Workshop
-    cad : Path, optional
-        STL, OBJ, PLY or GLB file in metres, drawn with the walls.
-
-    Raises
-    ------
-    RecordError
-        When the CAD file cannot be read.
+    window_size : (int, int)
+        Pixels.
+    off_screen : bool
+        False for a window.
     """
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
-    _surroundings(plotter, workshop, cad)
+    _surroundings(plotter, workshop)
     lines: list[str] = []
     bar = _sights(plotter, workshop)
     _shadows(plotter, workshop, lines)
@@ -86,9 +81,9 @@ def build(
     return plotter, Legend(tuple(lines), bar)
 
 
-def picture(workshop: Workshop, *, cad: Path | None = None, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
+def picture(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
     """The scene as a PNG, with the legend written on it."""
-    plotter, legend = build(workshop, cad=cad, window_size=window_size)
+    plotter, legend = build(workshop, window_size=window_size)
     _labels(plotter, workshop)
     write_legend(plotter, workshop.title, legend)
     image = plotter.screenshot(return_img=True)
@@ -98,9 +93,9 @@ def picture(workshop: Workshop, *, cad: Path | None = None, window_size: tuple[i
     return stream.getvalue()
 
 
-def show(workshop: Workshop, *, cad: Path | None = None) -> None:
+def show(workshop: Workshop) -> None:
     """Open a window; returns when it is closed."""
-    plotter, legend = build(workshop, cad=cad, off_screen=False)
+    plotter, legend = build(workshop, off_screen=False)
     _labels(plotter, workshop)
     write_legend(plotter, workshop.title, legend)
     plotter.show()
@@ -132,7 +127,7 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
         )
 
 
-def _surroundings(plotter: pv.Plotter, workshop: Workshop, cad: Path | None) -> None:
+def _surroundings(plotter: pv.Plotter, workshop: Workshop) -> None:
     """Floor with a metre grid, walls, obstacles."""
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
@@ -142,8 +137,8 @@ def _surroundings(plotter: pv.Plotter, workshop: Workshop, cad: Path | None) -> 
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
     for i, wall in enumerate(workshop.walls):
         plotter.add_mesh(solids.polygon(wall), color=WALL, opacity=0.55, lighting=False, name=f"wall-{i}")
-    for i, mesh in enumerate(solids.from_cad(cad) if cad else []):
-        plotter.add_mesh(mesh, color="#B9A98C", name=f"cad-{i}", smooth_shading=False)
+    if len(workshop.obstacles):
+        plotter.add_mesh(solids.triangles(workshop.obstacles), color="#B9A98C", name="obstacles")
 
 
 def _sights(plotter: pv.Plotter, workshop: Workshop) -> tuple[str, float, float] | None:
@@ -303,13 +298,11 @@ def _camera(plotter: pv.Plotter, workshop: Workshop) -> None:
     """Look from the open side, above, at the middle."""
     low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
     high = np.array([*workshop.floor.max(axis=0), max(workshop.points[:, 2].max(), workshop.position[:, 2].max())])
-    middle = 0.5 * (low + high)
-    open_side = np.array([1.0, 0.72])
-    if len(workshop.walls):
-        away = middle[:2] - workshop.walls.mean(axis=1)[:, :2].mean(axis=0)
-        signs = np.where(np.abs(away) > 1e-6, np.sign(away), 1.0)
-        open_side = open_side * signs
-    reach = 1.68 * float(np.linalg.norm(high - low))
+    middle = 0.5 * (low + high) - np.array([0.0, 0.0, 0.04 * (high - low)[2]])
+    backs = workshop.walls.mean(axis=1) if len(workshop.walls) else workshop.points
+    away = (middle if len(workshop.walls) else workshop.position.mean(axis=0)) - backs.mean(axis=0)
+    open_side = np.array([1.0, 0.72]) * np.where(away[:2] < -1e-6, -1.0, 1.0)
+    reach = 1.75 * float(np.linalg.norm(high - low))
     direction = np.array([*(open_side / np.linalg.norm(open_side)), 0.62])
     plotter.camera_position = [
         tuple(middle + reach * direction / np.linalg.norm(direction)),

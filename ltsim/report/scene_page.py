@@ -1,10 +1,9 @@
-"""The workshop in 3D as one HTML page that opens offline: pyvista's export, made silent and given a legend."""
+"""The workshop in 3D as one HTML page that opens offline: with a legend."""
 
 from __future__ import annotations
 
 import re
 from html import escape
-from pathlib import Path
 
 import numpy as np
 import pyvista as pv
@@ -12,10 +11,8 @@ from matplotlib.colors import to_hex
 
 from ltsim.report import scene3d, solids
 from ltsim.report.style import INK, number, shorten
+from ltsim.report.viewer import viewer_page
 from ltsim.report.workshop import Workshop
-
-FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
-"""vtk.js asks its maker's site for an icon when it loads; the address is replaced by an empty one."""
 
 STYLE = """
 .content { position: fixed; inset: 0; }
@@ -33,19 +30,12 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 """
 
 
-def scene_page(workshop: Workshop, *, cad: Path | None = None) -> str:
-    """One self-contained HTML page with the scene to turn; it asks nothing of any server.
-
-    Raises
-    ------
-    RecordError
-        When the CAD file cannot be read.
-    """
-    plotter, legend = scene3d.build(workshop, cad=cad)
+def scene_page(workshop: Workshop) -> str:
+    """One self-contained HTML page with the scene to turn; it asks nothing of any server."""
+    plotter, legend = scene3d.build(workshop)
     _solid_labels(plotter, workshop)
-    html = plotter.trame.export_html(None).read()
+    html = viewer_page(plotter)
     plotter.close()
-    html = FAVICON.sub("data:,", html)
     title = escape(workshop.title or "Workshop")
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
     html = html.replace("</style>", STYLE + "</style>", 1)

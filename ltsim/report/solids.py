@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pyvista as pv
-import trimesh
 
 from ltsim.arrays import Floats
-from ltsim.errors import RecordError
 
 
 def polygon(corners: Floats) -> pv.PolyData:
@@ -72,24 +69,10 @@ def metre_grid(outline: Floats, height: float) -> pv.PolyData | None:
     return lines(np.array(ends).reshape(-1, 3))
 
 
-def from_cad(file: Path) -> list[pv.PolyData]:
-    """Meshes of a CAD file in metres.
-
-    Raises
-    ------
-    RecordError
-        When the file is missing, unreadable or without faces.
-    """
-    if not file.is_file():
-        raise RecordError("there is no such CAD file; give an STL, OBJ, PLY or GLB file", file=file)
-    try:
-        loaded = trimesh.load_scene(file).to_mesh()
-    except Exception as error:  # the readers of trimesh raise whatever they meet
-        raise RecordError(f"cannot be read as CAD ({error}); give an STL, OBJ, PLY or GLB file", file=file) from error
-    if not len(loaded.faces):
-        raise RecordError("holds no surface; give an STL, OBJ, PLY or GLB file with faces", file=file)
-    faces = np.column_stack([np.full(len(loaded.faces), 3), loaded.faces])
-    return [pv.PolyData(np.asarray(loaded.vertices), faces=faces.ravel())]
+def triangles(corners: Floats) -> pv.PolyData:
+    """A surface of triangles (k, 3, 3)."""
+    places = np.arange(3 * len(corners)).reshape(-1, 3)
+    return pv.PolyData(corners.reshape(-1, 3), faces=np.column_stack([np.full(len(corners), 3), places]).ravel())
 
 
 @cache

@@ -60,6 +60,7 @@ _SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "path",
     "svg.hashsalt": "ltsim",
     "figure.dpi": 100,
+    "savefig.dpi": 170,
 }
 
 P = ParamSpec("P")
@@ -148,6 +149,11 @@ def with_sigma(value: float, sigma: float) -> str:
         return number(value)
     decimals = max(1 - int(np.floor(np.log10(sigma))), 0)
     return _minus(f"{value:.{decimals}f}") + f" ± {sigma:.{decimals}f}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals; thousands are not divided, so that it can be copied."""
+    return _minus(f"{value:.{decimals}f}") if np.isfinite(value) else "–"
 
 
 def _minus(text: str) -> str:

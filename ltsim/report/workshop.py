@@ -13,6 +13,7 @@ from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
+from ltsim.scene.visibility import cone_opening, shadow_radius
 from ltsim.units import DEGREE, MILLIMETRE
 
 SECOND_OPENING = 110.0 * DEGREE
@@ -53,6 +54,8 @@ class Workshop:
     covariance : (T, 3, 3) float or None
     correction : (T, 3) float or None
         Change of the targets by a calibration or a finding.
+    obstacles : (k, 3, 3) float
+        Corners of the triangles of what stands in the way.
     notes : tuple of str
         What a reader must know, such as an assumed floor.
     """
@@ -72,6 +75,7 @@ class Workshop:
     sights: Sights | None = None
     covariance: Floats | None = None
     correction: Floats | None = None
+    obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     notes: tuple[str, ...] = ()
 
     @property
@@ -83,14 +87,12 @@ class Workshop:
     @property
     def openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the shadow cones: by the elevation limit, then the paper's other reading."""
-        own = np.pi + 2.0 * self.elevation_min
+        own = cone_opening(self.elevation_min)
         return (own,) if abs(own - SECOND_OPENING) < 1e-9 else (own, SECOND_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
         """(S,) [m]: radius on the floor of the cone with a full angle `opening`."""
-        height = np.maximum(self.position[:, 2] - self.floor_height, 0.0)
-        radius: Floats = height * np.tan(0.5 * opening)
-        return radius
+        return shadow_radius(self.position, self.floor_height, opening)
 
     @property
     def gauge_targets(self) -> tuple[int, ...]:

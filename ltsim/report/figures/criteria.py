@@ -64,7 +64,7 @@ def criteria(rows: Sequence[Criterion]) -> Figure:
     ax.scatter([x[1] for x in lines], places, s=30, facecolors="white", edgecolors=BEFORE, zorder=3, label="before")
     ax.scatter([x[2] for x in lines], places, s=30, color=AFTER, zorder=3, label="after")
     most = max(max(line[1], line[2]) for line in lines)
-    ax.set_xlim(0, 1.12 * most)
+    ax.set_xlim(-0.06 * most, 1.12 * most)
     ax.set_xlabel("deviation between stations [µm]")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure

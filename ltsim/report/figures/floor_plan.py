@@ -6,6 +6,7 @@ from collections import defaultdict
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
@@ -30,6 +31,7 @@ def floor_plan(workshop: Workshop) -> Figure:
     )
     for i, wall in enumerate(workshop.walls):
         ax.plot(wall[:2, 0], wall[:2, 1], color=INK, linewidth=3.0, zorder=1, label="wall" if i == 0 else None)
+    _obstacles(ax, workshop)
     _shadows(ax, workshop)
     _gauge(ax, workshop)
     _targets(ax, workshop)
@@ -63,6 +65,18 @@ def _shadows(ax: Axes, workshop: Workshop) -> None:
         for s, radius in enumerate(workshop.shadow_radius(opening)):
             word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
             ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **style))
+
+
+def _obstacles(ax: Axes, workshop: Workshop) -> None:
+    """What stands in the way, as its shadow at noon."""
+    if len(workshop.obstacles):
+        ax.add_collection(
+            PolyCollection(
+                list(workshop.obstacles[:, :, :2]), facecolors="#B9A98C", edgecolors="#B9A98C", linewidths=0.3
+            ),
+            autolim=False,
+        )
+        ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
 
 
 def _gauge(ax: Axes, workshop: Workshop) -> None:

@@ -78,7 +78,7 @@ def scatter(ax: Axes, residuals: Residuals, observable: str, covariate: str, *, 
         linewidths=0.5,
         alpha=0.6,
         label="before" if hollow else "after",
-        rasterized=len(residuals) > 1500,
+        rasterized=True,
         zorder=1 if hollow else 2,
     )
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)

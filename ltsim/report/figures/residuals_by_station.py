@@ -65,7 +65,7 @@ def _column(
             alpha=0.75,
             zorder=2,
             label=word if place == 0 else None,
-            rasterized=len(residuals) > 3000,
+            rasterized=len(residuals) > 600,
         )
         size = float(np.sqrt(np.mean(values**2)))
         ax.vlines(

@@ -1,0 +1,124 @@
+"""A report as data: sections of facts, tables, pictures and a scene. The template turns it into HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from matplotlib.figure import Figure
+
+from ltsim.report.style import svg_uri
+
+Mood = Literal["good", "bad", "plain"]
+Detail = Literal["turn", "still", "none"]
+"""How a section shows the workshop: in 3D to turn, as pictures, or not, since another section shows the same one."""
+
+
+def mood(good: bool) -> Mood:
+    """Good or bad."""
+    return "good" if good else "bad"
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One figure to see at a glance."""
+
+    name: str
+    value: str
+    mood: Mood = "plain"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells are texts; `text_columns` are set left, all others right; long tables fold away."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    text_columns: int = 1
+    note: str = ""
+    marked: frozenset[int] = frozenset()
+    kind: Literal["table"] = "table"
+
+    @property
+    def long(self) -> bool:
+        """Whether the table starts folded."""
+        return len(self.rows) > 30
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as a `data:` address with a caption that also serves readers who cannot see it."""
+
+    title: str
+    uri: str
+    caption: str
+    kind: Literal["picture"] = "picture"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The 3D view: a page to turn (empty where only the picture is shown) and a picture for print."""
+
+    title: str
+    png: str
+    caption: str
+    page: str = ""
+    kind: Literal["scene"] = "scene"
+
+
+@dataclass(frozen=True)
+class Note:
+    """A paragraph with a heading."""
+
+    title: str
+    text: str
+    mood: Mood = "plain"
+    kind: Literal["note"] = "note"
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Settings or another text to keep as it is; folded away."""
+
+    title: str
+    text: str
+    kind: Literal["listing"] = "listing"
+
+
+Block = Table | Picture | Scene | Note | Listing
+
+
+@dataclass(frozen=True)
+class Section:
+    """One folder's part of the report; `answer` is one sentence that stands first.
+
+    `title` heads a page of this section alone; `kind` and `folder` head it among others.
+    """
+
+    title: str
+    kind: str
+    answer: str
+    mood: Mood = "plain"
+    facts: Sequence[Fact] = ()
+    blocks: Sequence[Block] = ()
+    folder: str = ""
+    seed: str = ""
+    versions: Sequence[tuple[str, str]] = ()
+
+
+@dataclass(frozen=True)
+class Document:
+    """The whole page."""
+
+    title: str
+    answer: str
+    mood: Mood
+    sections: Sequence[Section] = field(default_factory=tuple)
+    versions: Sequence[tuple[str, str]] = ()
+
+
+def picture(title: str, figure: Figure, caption: str) -> Picture:
+    """A figure for the page."""
+    return Picture(title, svg_uri(figure), caption)

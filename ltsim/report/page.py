@@ -1,0 +1,142 @@
+"""The page a person reads: one HTML file that opens offline, the answer first."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from ltsim.errors import RecordError
+from ltsim.recording import Recording, read
+from ltsim.recording.files import write_text
+from ltsim.report.document import Detail, Document, Section
+from ltsim.report.sections.calibration import calibration_section
+from ltsim.report.sections.diagnosis import diagnosis_section
+from ltsim.report.sections.recording import recording_section
+from ltsim.report.words import natural
+
+NAME = "report.html"
+WEIGHT = {"Diagnosis": 0}
+"""Whose answer stands first on a page of several parts: the diagnosis, else the first part's."""
+
+POLICY = (
+    "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
+)
+"""The browser itself refuses whatever is not in the file."""
+
+Builder = Callable[["Part", Recording | None, Detail], Section]
+KINDS: dict[str, Builder] = {
+    "observations.csv": lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
+    "calibration.json": lambda part, recording, detail: calibration_section(part.folder, recording, detail=detail),
+    "diagnosis.json": lambda part, recording, _: diagnosis_section(part.folder, recording),
+}
+"""What a folder holds, by the file that tells; in the order of the page."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One section to come: its folder, kind, the recording behind it; `brief` where others tell more of that."""
+
+    folder: Path
+    kind: str
+    recording: Path | None
+    brief: bool = False
+
+
+def report(folder: Path, *, recording: Path | None = None) -> Path:
+    """Write `report.html` into a folder that a command left, and give its path.
+
+    Parameters
+    ----------
+    folder : Path
+        A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
+    recording : Path, optional
+        The recording behind a calibration or a diagnosis, where it does not lie in the folder or in `recording/`.
+
+    Raises
+    ------
+    RecordError
+        When there is nothing to report, or a file is malformed; nothing is written then.
+    """
+    target = folder / NAME
+    write_text(target, render(document(folder, recording=recording)))
+    return target
+
+
+def document(folder: Path, *, recording: Path | None = None) -> Document:
+    """What the page will say.
+
+    Raises
+    ------
+    RecordError
+        When there is nothing to report, or a file is malformed.
+    """
+    if not folder.is_dir():
+        raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
+    sections = [replace(section, folder=part.folder.name) for part, section in _sections(_parts(folder, recording))]
+    first = min(sections, key=lambda section: WEIGHT.get(section.kind, 1))
+    title = first.title if len(sections) == 1 else folder.resolve().name
+    return Document(title, first.answer, first.mood, sections, versions())
+
+
+def _parts(folder: Path, recording: Path | None) -> list[Part]:
+    """What a folder and the folders in it hold, in the order of the page."""
+    inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
+    found = [
+        Part(place, kind, recording or _recording_of(place, folder))
+        for kind in KINDS
+        for place in (folder, *inner)
+        if (place / kind).is_file()
+    ]
+    if not found:
+        raise RecordError(f"holds nothing to report; expected one of {', '.join(KINDS)} in it", file=folder)
+    used = Counter(part.recording for part in found)
+    return [replace(part, brief=used[part.recording] > 1) for part in found]
+
+
+def _sections(parts: list[Part]) -> Iterator[tuple[Part, Section]]:
+    """The sections; each recording is shown in 3D once, the first of them to turn."""
+    shown: set[Path | None] = set()
+    for part in parts:
+        detail: Detail = "none" if part.recording in shown and part.recording else "still" if shown else "turn"
+        section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
+        if any(block.kind == "scene" for block in section.blocks):
+            shown.add(part.recording)
+        yield part, section
+
+
+def render(content: Document) -> str:
+    """The page as text; every name in it is escaped."""
+    environment = Environment(
+        loader=PackageLoader("ltsim.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    source = environment.loader.get_source if environment.loader else None
+    assert source is not None
+    own = {name: Markup(source(environment, file)[0]) for name, file in (("style", "page.css"), ("script", "page.js"))}
+    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
+
+
+def versions() -> list[tuple[str, str]]:
+    """Versions of what made the page."""
+    found = [("Python", platform.python_version())]
+    for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
+        try:
+            found.append((name, importlib.metadata.version(name)))
+        except importlib.metadata.PackageNotFoundError:
+            found.append((name, "(not installed as a package)"))
+    return found
+
+
+def _recording_of(place: Path, top: Path) -> Path | None:
+    """The recording behind the results of a folder, if it lies near."""
+    for candidate in (place, place / "recording", place.parent / "recording", top):
+        if (candidate / "observations.csv").is_file():
+            return candidate.resolve()
+    return None

@@ -1,0 +1,298 @@
+"""What a report says of a calibration or an adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltsim.arrays import Floats
+from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.recording import Recording, Setup
+from ltsim.report import figures, style
+from ltsim.report.document import Block, Detail, Fact, Note, Section, Table, mood, picture
+from ltsim.report.files import CalibrationFile, Spread, read_json, read_targets
+from ltsim.report.residuals import Residuals
+from ltsim.report.sections.network import residual_blocks, station_table, target_table, workshop_blocks
+from ltsim.report.sections.recording import adjusted
+from ltsim.report.words import agreement, count, p_text
+from ltsim.report.workshop import Sights, Workshop, assemble
+from ltsim.units import MILLIMETRE
+
+FORMAT = "ltsim-calibration/1"
+
+
+def calibration_section(folder: Path, recording: Recording | None = None, *, detail: Detail = "turn") -> Section:
+    """The section of a folder with `calibration.json`.
+
+    A `recording` adds the floor plan and the residuals before.
+
+    Raises
+    ------
+    RecordError
+        When a file is malformed.
+    """
+    content = read_json(folder / "calibration.json", CalibrationFile, FORMAT)
+    agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
+    converged = content.fit.status in ("", "converged")
+    blocks: list[Block] = []
+    if not converged:
+        blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
+    blocks += parameter_blocks(content)
+    blocks += _criteria(content)
+    blocks += _network(folder, content, recording, detail=detail)
+    blocks += _undetermined(content) + _outliers(content)
+    good = agrees and converged and not content.outliers
+    title = (recording.setup.title if recording else "") or folder.name
+    return Section(
+        title,
+        _kind(content),
+        _answer(content, words),
+        "good" if good else "bad",
+        _facts(content, agrees=agrees),
+        blocks,
+    )
+
+
+def _kind(content: CalibrationFile) -> str:
+    """What the folder holds."""
+    return f"Calibration ({content.method or 'network'})" if content.parameters else "Network adjustment"
+
+
+def _answer(content: CalibrationFile, agreement_words: str) -> str:
+    """The first sentence."""
+    size = count(len(content.stations), "station")
+    if not content.parameters:
+        begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
+    else:
+        clear = [row for row in parameter_rows(content) if row.determined]
+        begin = (
+            f"The instrument was calibrated from {size}: {len(clear)} of "
+            f"{count(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
+        )
+    distance = content.criteria.get("distance")
+    if distance is not None and distance.improvement_percent is not None:
+        change = distance.improvement_percent
+        word = "better" if change >= 0 else "worse"
+        begin += (
+            f"; stations agree about distances {abs(change):.1f} % {word} than before "
+            f"({_size(distance.before)} to {_size(distance.after)} µm)"
+        )
+    if content.outliers:
+        begin += f"; {count(len(content.outliers), 'reading')} did not fit"
+    return begin + "."
+
+
+def _size(spread: Spread) -> str:
+    """A mean deviation [um]."""
+    return "–" if spread.mean_um is None else style.number(spread.mean_um)
+
+
+def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
+    """Figures at a glance."""
+    fit = content.fit
+    return [
+        Fact("sigma0", "–" if fit.sigma0 is None else f"{fit.sigma0:.3f}", mood(agrees)),
+        Fact("p of the fit", p_text(fit.p_value), mood(agrees)),
+        Fact("degrees of freedom", str(fit.dof)),
+        Fact("construction", content.construction or "–"),
+        Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),
+        Fact("status", fit.status or "–", "good" if fit.status in ("", "converged") else "bad"),
+    ]
+
+
+def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:
+    """Rows for the figure."""
+    return [
+        figures.ParameterRow(
+            f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma, p.unit, p.prior_sigma
+        )
+        for p in content.parameters
+    ]
+
+
+def parameter_blocks(content: CalibrationFile) -> list[Block]:
+    """Table and figures of the parameters."""
+    rows = parameter_rows(content)
+    if not rows:
+        return []
+    cells = [
+        [
+            row.name,
+            style.with_sigma(row.value, row.sigma),
+            style.unit_text(row.unit) or "–",
+            style.number(row.prior_sigma, 2) if row.prior_sigma else "–",
+            f"{row.value / row.sigma:.1f}".replace("-", "−") if row.sigma > 0 else "–",
+            "" if row.determined else "hardly",
+        ]
+        for row in rows
+    ]
+    blocks: list[Block] = [
+        picture(
+            "Instrument parameters",
+            figures.parameters(rows),
+            "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees.",
+        ),
+        Table(
+            "Instrument parameters",
+            ["parameter", "value ± σ", "unit", "prior σ", "value / σ", "determined"],
+            cells,
+            note="A parameter is 'hardly' determined where the recording removes less than half of the prior variance.",
+        ),
+    ]
+    if len(content.covariance) == len(rows) and len(rows) > 1:
+        blocks.append(
+            picture(
+                "Correlation of the parameters",
+                figures.correlation([row.name for row in rows], _correlation(np.array(content.covariance))),
+                "Two parameters near ±100 % can hardly be told apart with this network.",
+            )
+        )
+    return blocks
+
+
+def _correlation(covariance: Floats) -> Floats:
+    """Correlation coefficients; zero where a parameter is fixed."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    return np.asarray(covariance / np.outer(scale, scale))
+
+
+def _criteria(content: CalibrationFile) -> list[Block]:
+    """The paper's criteria before and after."""
+    rows = []
+    for name, entry in content.criteria.items():
+        before, after = entry.before, entry.after
+        sizes = [before.mean_um, after.mean_um, before.max_um, after.max_um]
+        known = [size for size in sizes if size is not None]
+        if len(known) == 4:
+            label = name.replace("_", " ")
+            rows.append(figures.Criterion(label, known[0], known[1], known[2], known[3], entry.improvement_percent))
+    if not rows:
+        return []
+    text = "How far stations disagree about distances between reflectors and about their coordinates."
+    return [picture("Criteria before and after calibration", figures.criteria(rows), text)]
+
+
+def _network(folder: Path, content: CalibrationFile, recording: Recording | None, *, detail: Detail) -> list[Block]:
+    """Residuals, floor plan, 3D view, stations and targets, as far as the files are there."""
+    blocks: list[Block] = []
+    before, geometry = residuals_before(folder, recording)
+    file = folder / "residuals.csv"
+    after = Residuals.read(file) if file.is_file() else None
+    if after is not None and geometry is not None:
+        after = after.with_covariates(geometry)
+    targets = folder / "targets.csv"
+    if targets.is_file() and content.stations:
+        names, points, sigma = read_targets(targets)
+        workshop = workshop_of(content, recording, names, points, sigma, after)
+        blocks += workshop_blocks(workshop, detail=detail)
+        position = np.array([s.position_mm for s in content.stations]) * MILLIMETRE
+        spread = [s.sigma_position_mm or (np.nan,) * 3 for s in content.stations]
+        frame = f"Coordinates are in {content.frame or 'the frame of the first station'}."
+        tables = [
+            station_table(tuple(s.name for s in content.stations), position, np.array(spread) * MILLIMETRE, note=frame),
+            target_table(names, points, sigma, note=frame),
+        ]
+    else:
+        tables = []
+    if after is not None:
+        blocks += residual_blocks(after, before, what="the instrument's parameters")
+    return blocks + tables
+
+
+def residuals_before(folder: Path, recording: Recording | None) -> tuple[Residuals | None, Residuals | None]:
+    """Residuals without parameters (from `residuals_before.csv`, else computed), and rows with covariates."""
+    plain = None
+    if recording is not None:
+        try:
+            plain = Residuals.from_adjustment(adjusted(recording)[0])
+        except (NetworkError, ConvergenceError):
+            plain = None
+    file = folder / "residuals_before.csv"
+    if file.is_file():
+        stored = Residuals.read(file)
+        return (stored.with_covariates(plain) if plain else stored), plain
+    return plain, plain
+
+
+def workshop_of(
+    content: CalibrationFile,
+    recording: Recording | None,
+    names: tuple[str, ...],
+    points: Floats,
+    sigma: Floats,
+    residuals: Residuals | None,
+) -> Workshop:
+    """The calibrated network, ready to be drawn."""
+    stations = tuple(s.name for s in content.stations)
+    return assemble(
+        recording.setup if recording is not None else Setup(),
+        title=(recording.setup.title if recording is not None else "") or "Calibrated network",
+        stations=stations,
+        position=np.array([s.position_mm for s in content.stations], dtype=np.float64) * MILLIMETRE,
+        rotation=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
+        targets=names,
+        points=points,
+        sights=_sights(residuals, stations, names),
+        covariance=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
+    )
+
+
+def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
+    """Lines of sight with the size of their normalised residuals."""
+    if residuals is None:
+        return None
+    station_at = {name: i for i, name in enumerate(stations)}
+    target_at = {name: i for i, name in enumerate(targets)}
+    known = [
+        i
+        for i, (s, t) in enumerate(zip(residuals.station.tolist(), residuals.target.tolist(), strict=True))
+        if s in station_at and t in target_at
+    ]
+    if not known:
+        return None
+    return Sights(
+        np.array([station_at[residuals.station[i]] for i in known]),
+        np.array([target_at[residuals.target[i]] for i in known]),
+        np.abs(np.nan_to_num(residuals.w[known])),
+        "largest normalised residual",
+    )
+
+
+def _undetermined(content: CalibrationFile) -> list[Block]:
+    """What the recording cannot tell, and the cure."""
+    if not content.undetermined:
+        return []
+    rows = [
+        [
+            " ".join(f"{'+' if c >= 0 else '−'} {abs(c):.2f} {name}" for name, c in entry.combination.items()),
+            entry.cure or "–",
+            "–" if entry.gain is None else f"{100 * entry.gain:.1f} %",
+        ]
+        for entry in content.undetermined
+    ]
+    note = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
+    header = ["combination, in units of the prior σ", "what would determine it", "told"]
+    return [Table("Not determined by this recording", header, rows, text_columns=2, note=note)]
+
+
+def _outliers(content: CalibrationFile) -> list[Block]:
+    """Readings that do not belong."""
+    if not content.outliers:
+        return []
+    rows = [
+        [
+            o.station,
+            o.target,
+            o.observable,
+            str(o.row),
+            f"{style.number(o.size)} {style.unit_text(o.unit)}",
+            f"{o.w:.1f}",
+        ]
+        for o in content.outliers
+    ]
+    header = ["station", "target", "observable", "row", "size", "w"]
+    return [Table("Readings that do not belong", header, rows, text_columns=3)]

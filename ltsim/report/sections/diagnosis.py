@@ -1,0 +1,191 @@
+"""What a report says of a diagnosis: the sentence first, then what carries it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.recording import Recording
+from ltsim.report import figures, style
+from ltsim.report.document import Block, Fact, Note, Section, Table, mood, picture
+from ltsim.report.files import DiagnosisFile, FindingEntry, FitEntry, WhereEntry, read_json, read_targets
+from ltsim.report.residuals import Residuals
+from ltsim.report.sections.calibration import residuals_before
+from ltsim.report.sections.network import residual_blocks, target_table
+from ltsim.report.words import count, listing, p_text
+
+FORMAT = "ltsim-diagnosis/1"
+
+
+def diagnosis_section(folder: Path, recording: Recording | None = None) -> Section:
+    """The section of a folder with `diagnosis.json`.
+
+    Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
+
+    Raises
+    ------
+    RecordError
+        When a file is malformed.
+    """
+    content = read_json(folder / "diagnosis.json", DiagnosisFile, FORMAT)
+    before, after = _residuals(folder, recording)
+    blocks: list[Block] = []
+    for number, finding in enumerate(content.findings, start=1):
+        blocks += _finding(finding, number, before, after)
+    blocks += _fit(content)
+    if after is not None:
+        blocks += residual_blocks(after, before, what="the findings")
+    blocks += _limits(content) + _targets(folder)
+    title = (recording.setup.title if recording else "") or folder.name
+    return Section(title, "Diagnosis", content.summary, mood(_good(content)), _facts(content), blocks)
+
+
+def _facts(content: DiagnosisFile) -> list[Fact]:
+    """Figures at a glance."""
+    test = content.global_test
+    verdict = mood(_good(content))
+    facts = [
+        Fact("verdict", content.verdict, verdict),
+        Fact("findings", str(len(content.findings)), verdict),
+        Fact("global test, p", p_text(test.p_value)),
+    ]
+    if test.search_p_value is not None:
+        facts.append(Fact("whole search, p", p_text(test.search_p_value)))
+    if content.fit is not None:
+        before, after = content.fit.before, content.fit.after
+        facts.append(Fact("χ² per d.o.f.", f"{_ratio(before)} → {_ratio(after)}"))
+        if before.held_out_rms is not None and after.held_out_rms is not None:
+            better = mood(after.held_out_rms <= before.held_out_rms)
+            facts.append(Fact("held-out error", f"{before.held_out_rms:.3f} → {after.held_out_rms:.3f}", better))
+    return facts
+
+
+def _good(content: DiagnosisFile) -> bool:
+    return content.verdict == "consistent"
+
+
+def _ratio(fit: FitEntry) -> str:
+    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 else "–"
+
+
+def _residuals(folder: Path, recording: Recording | None) -> tuple[Residuals | None, Residuals | None]:
+    """Residuals without and with the findings; covariates come from the recording's geometry."""
+    file = folder / "residuals.csv"
+    if not file.is_file():
+        return None, None
+    before, geometry = residuals_before(folder, recording)
+    after = Residuals.read(file)
+    stored = (folder / "residuals_before.csv").is_file()
+    return (before if stored else None), (after.with_covariates(geometry) if geometry else after)
+
+
+def _finding(finding: FindingEntry, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
+    """One finding: sentence, parameters, rivals, signature."""
+    name = finding.effect if finding.known else "an effect that no catalogue entry explains"
+    words = finding.sentence or f"{name} {_place(finding.where)}"
+    cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
+    formula = f" Proposed term: {finding.formula}." if finding.formula else ""
+    blocks: list[Block] = [Note(f"Finding {number}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
+    rows = [[p.name, f"{style.with_sigma(p.value, p.sigma)} {style.unit_text(p.unit)}"] for p in finding.parameters]
+    rows.append(["where", _place(finding.where)])
+    evidence = finding.evidence
+    if evidence.chi2_drop is not None:
+        rows.append(
+            ["χ² falls by", f"{style.number(evidence.chi2_drop)} for {count(evidence.parameters or 0, 'parameter')}"]
+        )
+    rows.append(["p, corrected for the search", p_text(evidence.p_value)])
+    blocks.append(Table(f"Finding {number} in figures", ["", "value"], rows, text_columns=2))
+    rivals = [
+        figures.Candidate(finding.effect, evidence.probability, evidence.chi2_drop, evidence.parameters, "finding"),
+        *(figures.Candidate(e.effect, e.probability) for e in finding.equivalents),
+    ]
+    text = "How probable each explanation is after the data, among those that were tried."
+    blocks.append(picture(f"Evidence for finding {number}", figures.evidence(rivals), text))
+    return blocks + _signature(finding, number, before, after)
+
+
+def _signature(finding: FindingEntry, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
+    """Residuals against the finding's first covariate, without and with it."""
+    if before is None or after is None:
+        return []
+    wanted = [*finding.where.covariates, "time", "elevation", "row"]
+    known = [name for name in wanted if name in before.covariates and name in after.covariates]
+    if not known or not _touched(before, finding.where) or not _touched(after, finding.where):
+        return []
+    figure = figures.signature(
+        before,
+        after,
+        covariate=known[0],
+        observables=finding.where.observables,
+        stations=finding.where.stations,
+        targets=finding.where.targets,
+    )
+    text = "Residuals without the finding (left) and with it modelled (right); the band is the running mean ± 2 s.e."
+    return [picture(f"Signature of finding {number}", figure, text)]
+
+
+def _touched(residuals: Residuals, where: WhereEntry) -> bool:
+    """Whether any residual lies where the finding acts; gross errors leave none."""
+    rows = np.ones(len(residuals), dtype=np.bool_)
+    if where.stations:
+        rows &= np.isin(residuals.station, where.stations)
+    if where.targets:
+        rows &= np.isin(residuals.target, where.targets)
+    return bool(rows.any())
+
+
+def _place(where: WhereEntry) -> str:
+    """Where a finding acts, in words."""
+    parts = [
+        f"{word} {listing(list(names))}"
+        for word, names in (
+            ("in", where.observables),
+            ("at station", where.stations),
+            ("at target", where.targets),
+            ("along", where.covariates),
+        )
+        if names
+    ]
+    return ", ".join(parts) or "everywhere"
+
+
+def _fit(content: DiagnosisFile) -> list[Block]:
+    """Fit before and after."""
+    if content.fit is None:
+        return []
+    rows = []
+    for word, fit in (("without the findings", content.fit.before), ("with the findings", content.fit.after)):
+        held = "–" if fit.held_out_rms is None else f"{fit.held_out_rms:.3f}"
+        rows.append([word, f"{fit.chi2:.1f}", str(fit.dof), _ratio(fit), held])
+    note = "Held-out error: normalised error of readings that the fit did not see; 1 is what the stated noise explains."
+    header = ["", "χ²", "degrees of freedom", "ratio", "held-out error"]
+    return [Table("Fit before and after", header, rows, note=note)]
+
+
+def _limits(content: DiagnosisFile) -> list[Block]:
+    """What could not be seen at all, and how small the rest may be."""
+    blocks: list[Block] = []
+    if content.undetectable:
+        rows = [
+            [u.effect, u.reason, u.cure, "–" if u.hides_um is None else f"{style.number(u.hides_um, 2)} µm"]
+            for u in content.undetectable
+        ]
+        header = ["effect", "why it leaves no residual", "what would show it", "may hide"]
+        blocks.append(Table("What this network cannot see", header, rows, text_columns=3))
+    if content.detectable:
+        rows = [
+            [d.effect, d.parameter, f"{style.number(d.size, 2)} {style.unit_text(d.unit)}"] for d in content.detectable
+        ]
+        note = "Found in 80 % of recordings of this network if it is at least this large."
+        blocks.append(Table("Smallest size that is found", ["effect", "parameter", "size"], rows, 2, note))
+    return blocks
+
+
+def _targets(folder: Path) -> list[Block]:
+    """Coordinates with the findings modelled."""
+    file = folder / "targets.csv"
+    if not file.is_file():
+        return []
+    names, points, sigma = read_targets(file)
+    return [target_table(names, points, sigma, note="Adjusted with the findings modelled.")]

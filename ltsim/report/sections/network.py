@@ -1,0 +1,85 @@
+"""Blocks that several kinds share: residual figures, the floor plan, the 3D view, who stands where."""
+
+from __future__ import annotations
+
+from ltsim.arrays import Floats
+from ltsim.report import figures, style
+from ltsim.report.document import Block, Detail, Scene, Table, picture
+from ltsim.report.residuals import Residuals
+from ltsim.report.words import natural
+from ltsim.report.workshop import Workshop
+
+
+def residual_blocks(after: Residuals, before: Residuals | None, *, what: str) -> list[Block]:
+    """Residuals by station and against covariates; `what` names the difference between before and after."""
+    compared = f" Grey: without {what}; blue: with." if before is not None else ""
+    blocks: list[Block] = [
+        picture(
+            "Residuals by station",
+            figures.residuals_by_station(after, before),
+            "Observed minus adjusted reading of every pointing; the bar is the root mean square." + compared,
+        )
+    ]
+    usual = [name for name in ("azimuth", "elevation", "distance", "time") if name in after.covariates]
+    if usual:
+        blocks.append(
+            picture(
+                "Residuals against what they might depend on",
+                figures.residuals_by_covariate(after, before, covariates=usual),
+                "Where the model holds, the running mean stays at zero within its band." + compared,
+            )
+        )
+    return blocks
+
+
+def workshop_blocks(workshop: Workshop, *, detail: Detail) -> list[Block]:
+    """The floor plan and the 3D view, as far as `detail` asks for them."""
+    if detail == "none":
+        return []
+    return [
+        picture(
+            "Floor plan",
+            figures.floor_plan(workshop),
+            "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
+            "station hides it. " + " ".join(workshop.notes),
+        ),
+        scene(workshop, interactive=detail == "turn"),
+    ]
+
+
+def scene(workshop: Workshop, *, interactive: bool) -> Scene:
+    """The 3D view; only an interactive one carries the page to turn."""
+    from ltsim.report import scene3d  # pyvista takes a second to load, and only this needs it
+    from ltsim.report.scene_page import scene_page
+
+    coloured = workshop.coloured("incidence")
+    _, legend = scene3d.build(coloured)
+    lines = "; ".join(line.rstrip(".") for line in legend.lines)
+    by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
+    return Scene(
+        title="The workshop in 3D",
+        png=style.png_uri(scene3d.picture(coloured)),
+        caption=f"{lines[:1].upper()}{lines[1:]}.{by}",
+        page=scene_page(coloured) if interactive else "",
+    )
+
+
+def station_table(names: tuple[str, ...], position: Floats, sigma: Floats | None, *, note: str) -> Table:
+    """Positions (S, 3) [m] and their standard deviations."""
+    header = ["station", "x [mm]", "y [mm]", "z [mm]"]
+    rows = [[name, *(style.fixed(1e3 * v, 3) for v in place)] for name, place in zip(names, position, strict=True)]
+    if sigma is not None:
+        header += ["σx [µm]", "σy [µm]", "σz [µm]"]
+        rows = [row + [style.number(1e6 * s, 2) for s in spread] for row, spread in zip(rows, sigma, strict=True)]
+    return Table("Stations", header, rows, note=note)
+
+
+def target_table(names: tuple[str, ...], points: Floats, sigma: Floats, *, note: str) -> Table:
+    """Coordinates (T, 3) [m] and their standard deviations."""
+    order = sorted(range(len(names)), key=lambda i: natural(names[i]))
+    rows = [
+        [names[i], *(style.fixed(1e3 * v, 4) for v in points[i]), *(style.number(1e6 * s, 2) for s in sigma[i])]
+        for i in order
+    ]
+    header = ["target", "x [mm]", "y [mm]", "z [mm]", "σx [µm]", "σy [µm]", "σz [µm]"]
+    return Table("Targets", header, rows, note=note)

@@ -1,0 +1,72 @@
+"""The page in a real browser: no console error, no outside request, the 3D canvas drawn, no sideways scroll."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.report import workshop
+from ltsim.report.page import report
+from ltsim.report.scene_page import scene_page
+from tests.report import samples
+from tests.report.browser import find_browser, visit
+
+PROBE = """<script>addEventListener("load", () => console.log("WIDTH " + document.documentElement.scrollWidth + " of " +
+innerWidth));</script></body>"""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    find_browser()
+    return report(samples.calibration_folder(tmp_path_factory.mktemp("page")))
+
+
+def clean(console: list[str]) -> list[str]:
+    """Console lines but the viewer's greeting and our probe."""
+    return [line for line in console if '"hashes,scene"' not in line and "WIDTH" not in line]
+
+
+def test_scene_is_drawn_without_asking_anybody(tmp_path: Path) -> None:
+    find_browser()
+    file = tmp_path / "scene.html"
+    file.write_text(scene_page(workshop.from_recording(samples.recording())))
+    seen = visit(file, tmp_path, width=900, height=700)
+    assert clean(seen.console) == []
+    assert seen.asked == []
+    middle = seen.picture[150:600, 200:700]
+    assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
+    assert (middle < 0.97).any(axis=2).mean() > 0.5
+
+
+def test_report_opens_without_error_or_request(page: Path, tmp_path: Path) -> None:
+    seen = visit(page, tmp_path, height=5200)
+    assert clean(seen.console) == []
+    assert seen.asked == []
+    dark = (seen.picture < 0.6).all(axis=2).mean(axis=1)
+    assert (dark > 0).mean() > 0.3
+
+
+def test_canvas_of_the_report_is_drawn(page: Path, tmp_path: Path) -> None:
+    file = tmp_path / "only-scene.html"
+    html = page.read_text()
+    style = "<style>header, main > section > :not(figure:has(.scene)), figure > h3 { display: none }</style></head>"
+    file.write_text(html.replace("</head>", style, 1))
+    seen = visit(file, tmp_path, width=1000, height=640)
+    assert clean(seen.console) == []
+    middle = seen.picture[150:500, 250:750]
+    assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
+
+
+def test_a_phone_never_scrolls_sideways(page: Path, tmp_path: Path) -> None:
+    inner = tmp_path / "inner.html"
+    inner.write_text(page.read_text().replace("</body>", PROBE))
+    outer = tmp_path / "phone.html"
+    outer.write_text(
+        '<body style="margin:0"><iframe src="inner.html" style="border:0;width:390px;height:3000px"></iframe>'
+    )
+    seen = visit(outer, tmp_path, width=600, height=3000)
+    said = [line for line in seen.console if "WIDTH" in line]
+    assert len(said) == 1
+    assert "WIDTH 390 of 390" in said[0]

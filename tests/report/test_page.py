@@ -1,0 +1,158 @@
+"""The page: the answer first, nothing from outside, names escaped, one sentence for broken input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from ltsim.errors import RecordError
+from ltsim.recording import write
+from ltsim.report.document import Document
+from ltsim.report.page import document, render, report
+from tests.report import samples
+
+PLACES = ("recording", "calibration", "diagnosis", ".")
+MARKUP = '<img src=x onerror="alert(1)">&amp;'
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would load, and the text in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.tags: list[str] = []
+        self.handlers: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "action", "data", "poster", "srcset"):
+                self.loads.append(value or "")
+            if name.startswith("on"):
+                self.handlers.append(name)
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def parsed(html: str) -> Reader:
+    reader = Reader()
+    reader.feed(html)
+    return reader
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    top = tmp_path_factory.mktemp("demo")
+    samples.calibration_folder(top)
+    shutil.rmtree(top / "recording")
+    samples.diagnosis_folder(top)
+    return top
+
+
+@pytest.fixture(scope="module")
+def contents(folder: Path) -> dict[str, Document]:
+    return {name: document(folder / name) for name in PLACES}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_page_loads_nothing_from_outside(name: str, contents: dict[str, Document]) -> None:
+    reader = parsed(render(contents[name]))
+    assert reader.loads
+    assert [load for load in reader.loads if not load.startswith(("data:", "#"))] == []
+    assert reader.handlers == []
+    assert "img" in reader.tags
+
+
+def test_answer_stands_first(contents: dict[str, Document]) -> None:
+    content = contents["diagnosis"]
+    assert content.answer == samples.DIAGNOSIS["summary"]
+    text = " ".join(" ".join(parsed(render(content)).text).split())
+    assert text.index(content.answer) < text.index("station-settling")
+
+
+def test_calibration_says_what_changed(contents: dict[str, Document]) -> None:
+    content = contents["calibration"]
+    assert "calibrated from 5 stations" in content.answer
+    assert "readings agree with the model" in content.answer
+    assert "% better than before" in content.answer
+    assert content.mood == "good"
+    kinds = [block.kind for block in content.sections[0].blocks]
+    assert kinds.count("scene") == 1
+    assert "table" in kinds
+    titles = [block.title for block in content.sections[0].blocks]
+    assert {"Floor plan", "Residuals by station", "Instrument parameters", "Targets"} <= set(titles)
+
+
+def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
+    content = contents["."]
+    assert [section.kind for section in content.sections] == ["Recording", "Calibration (network)", "Diagnosis"]
+    scenes = [block for section in content.sections for block in section.blocks if block.kind == "scene"]
+    assert len(scenes) == 1
+    assert content.answer == samples.DIAGNOSIS["summary"]
+
+
+def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
+    titles = [block.title for block in contents["diagnosis"].sections[0].blocks]
+    assert {"Signature of finding 1", "Evidence for finding 1", "Fit before and after"} <= set(titles)
+
+
+def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path: Path) -> None:
+    alone = shutil.copytree(folder / "calibration", tmp_path / "alone")
+    titles = [block.title for block in document(alone).sections[0].blocks]
+    assert "Residuals by station" in titles
+
+
+def test_names_are_escaped_everywhere(tmp_path: Path) -> None:
+    made = samples.recording()
+    setup = made.setup.model_copy(update={"title": MARKUP})
+    write(made.replace(setup=setup), tmp_path / "recording")
+    target = samples.diagnosis_folder(tmp_path / "other")
+    broken = json.loads((target / "diagnosis.json").read_text())
+    broken["summary"] = broken["findings"][0]["effect"] = broken["findings"][0]["separate_by"] = MARKUP
+    broken["findings"][0]["where"]["stations"] = [MARKUP]
+    (target / "diagnosis.json").write_text(json.dumps(broken))
+    for place in (tmp_path / "recording", target):
+        html = report(place).read_text()
+        reader = parsed(html)
+        assert reader.handlers == []
+        assert "x" not in reader.loads
+        assert "<img src=x" not in html
+        assert any(MARKUP.replace("&amp;", "&") in text or MARKUP in text for text in reader.text)
+
+
+def test_page_is_the_same_twice(folder: Path, contents: dict[str, Document]) -> None:
+    page = report(folder / "diagnosis")
+    assert page.read_text() == render(contents["diagnosis"])
+    page.unlink()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("diagnosis.json", "{", "not JSON"),
+        ("diagnosis.json", '{"format": "ltsim-diagnosis/9"}', "ltsim-diagnosis/1"),
+        ("diagnosis.json", '{"format": "ltsim-diagnosis/1"}', "verdict"),
+        ("calibration.json", '{"format": "ltsim-calibration/1"}', "fit"),
+        ("calibration.json", "[1]", "no JSON object"),
+        ("observations.csv", "station,target\n", "observations.csv"),
+    ],
+)
+def test_broken_input_gets_a_sentence_and_no_page(name: str, text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RecordError, match=words):
+        report(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [name]
+
+
+def test_nothing_to_report_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="nothing to report"):
+        report(tmp_path)
+    with pytest.raises(RecordError, match="no such folder"):
+        report(tmp_path / "missing")
