@@ -57,7 +57,7 @@ class Outcome:
     kept : int
         Found finished.
     notes : tuple of str
-        What a person should know: damaged shards that were done again.
+        What a person should know: damaged shards that were done again, another commit than at the beginning.
     """
 
     folder: Path
@@ -97,17 +97,18 @@ def run_campaign(
     _check(campaign, scenarios, file)
     store, mark = Store(folder), fingerprint(campaign, scenarios)
     with store.lock():
+        notes = []
         if store.begun:
-            _check_same(store, campaign, mark, file, resume=resume)
+            notes += _check_same(store, campaign, mark, file, resume=resume)
         else:
             store.begin(_manifest(campaign, scenarios, mark), file.read_bytes())
         store.sweep()
-        waiting, notes = _waiting(store, campaign, scenarios, mark, progress)
+        waiting, damaged = _waiting(store, campaign, scenarios, mark, progress)
         for task, content in _results(waiting, workers or Workers()):
             store.write_shard(task.cell, task.shard, content)
             progress(rows_of(campaign, task.shard))
     total = len(scenarios) * campaign.shards
-    return Outcome(folder, len(waiting), total - len(waiting), tuple(notes))
+    return Outcome(folder, len(waiting), total - len(waiting), (*notes, *damaged))
 
 
 def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> None:
@@ -122,8 +123,8 @@ def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> N
             raise SetupError(f"{file}: cell {number + 1} ({label(changes)}): {problem}") from None
 
 
-def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> None:
-    """Continue only what was begun, with the versions it was begun with."""
+def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> list[str]:
+    """Continue only what was begun, with the versions it was begun with; a remark where the code has moved on."""
     if not resume:
         raise SetupError(f"{store.folder}: holds a campaign; continue it with --resume or name another --out")
     manifest = store.manifest()
@@ -142,6 +143,12 @@ def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resu
                 f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or begin anew with another --out"
             )
+    begun, now_at = manifest.get("commit"), commit()
+    if begun == now_at:
+        return []
+    return [
+        f"{store.folder}: begun at commit {begun}, continued at {now_at}; where the solver changed, rows may differ"
+    ]
 
 
 def _versions() -> dict[str, str]:
