@@ -6,16 +6,16 @@ import csv
 import io
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.campaign.campaign import Outcome, Workers, run_campaign
-from ltsim.campaign.spec import load_campaign
-from ltsim.campaign.statistics import Results
 from ltsim.cli.options import Jobs, Json, Quiet
 from ltsim.cli.terminal import Terminal, table
 from ltsim.recording.files import write_text
+
+if TYPE_CHECKING:
+    from ltsim.campaign.campaign import Outcome
 
 AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
@@ -59,6 +59,11 @@ def campaign(
 
     Example: ltsim campaign my-campaign.toml --jobs 2
     """
+    # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
+    from ltsim.campaign.campaign import Workers, run_campaign
+    from ltsim.campaign.spec import load_campaign
+    from ltsim.campaign.statistics import Results
+
     terminal = Terminal(quiet, as_json)
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file)

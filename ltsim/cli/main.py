@@ -11,6 +11,7 @@ import typer
 
 from ltsim.cli.adjust import adjust
 from ltsim.cli.calibrate import calibrate
+from ltsim.cli.campaign import campaign
 from ltsim.cli.convert import convert
 from ltsim.cli.correct import correct
 from ltsim.cli.demo import demo
@@ -45,6 +46,7 @@ app.command()(correct)
 app.command()(evaluate)
 app.command()(verify)
 app.command()(recover)
+app.command()(campaign)
 app.command()(convert)
 app.command()(effects)
 app.command()(diagnose)

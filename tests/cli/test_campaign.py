@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from ltsim.cli.main import run
+
+FILE = """
+format = "ltsim-campaign/1"
+title = "two noise levels"
+trials = 300
+shard = 256
+verify = 1
+
+[grid]
+"instrument.noise_factor" = [1.0, 2.0]
+"""
+
+
+def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "noise.toml"
+    file.write_text(FILE)
+    assert run(["campaign", str(file)]) == 0
+    said = capsys.readouterr().out
+    assert "instrument.noise_factor = 2.0" in said and "share_removed" in said
+    with (tmp_path / "noise" / "summary.csv").open(newline="") as stream:
+        lines = list(csv.DictReader(stream))
+    share = [float(line["mean"]) for line in lines if line["column"] == "share_removed"]
+    assert len(share) == 2 and 0.5 < share[1] < share[0] < 1.0
+    assert run(["campaign", str(file)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert run(["campaign", str(file), "--resume", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert [end["trials"] for end in answer["ends"]] == [300, 300]
+
+
+def test_disagreement_with_the_full_solver_is_exit_status_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "noise.toml"
+    file.write_text(FILE)
+    monkeypatch.setattr("ltsim.campaign.engine.Engine.difference", lambda *_: 0.01)
+    assert run(["campaign", str(file), "--quiet"]) == 1
+
+
+def test_a_wrong_campaign_file_is_exit_status_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text('format = "ltsim-campaign/2"\n')
+    assert run(["campaign", str(file)]) == 2
+    assert "ltsim-campaign/1" in capsys.readouterr().err
+    assert run(["campaign", str(tmp_path / "missing.toml")]) == 2
