@@ -15,6 +15,7 @@ from ltsim.diagnose.evidence import log_evidence
 from ltsim.diagnose.residual_space import VISIBLE, ResidualSpace
 from ltsim.effects.effect import Effect
 
+BATCH = 256
 COLLINEAR = 1e-3
 """Share of a direction left by the effects already accepted, below which it says nothing of its own."""
 
@@ -79,28 +80,35 @@ class Bank:
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[Hypothesis]) -> Bank:
-        """Build a bank: signatures, what the adjustment leaves of them, orthonormal columns by rank."""
-        visible = np.zeros(len(hypotheses))
+        """Build a bank: signatures, what the adjustment leaves of them, orthonormal columns by rank.
+
+        Hypotheses that touch no reading of this recording are left out.
+        """
+        kept: list[Hypothesis] = []
+        visible: list[float] = []
         columns: dict[int, list[Floats]] = {}
         members: dict[int, list[int]] = {}
-        for start in range(0, len(hypotheses), 256):
-            batch = list(hypotheses[start : start + 256])
+        for start in range(0, len(hypotheses), BATCH):
+            batch = list(hypotheses[start : start + BATCH])
             whole = [space.signature(h.effect) for h in batch]
             left = space.project(np.hstack(whole))
             at = 0
-            for i, rows in enumerate(whole, start):
+            for hypothesis, rows in zip(batch, whole, strict=True):
                 part = left[:, at : at + rows.shape[1]]
                 at += rows.shape[1]
                 size = float((rows**2).sum())
-                visible[i] = float((part**2).sum()) / size if size else 0.0
+                if size == 0.0:
+                    continue
                 basis = _orthonormal(part, rows)
                 if basis.shape[1]:
                     columns.setdefault(basis.shape[1], []).append(basis.astype(np.float32))
-                    members.setdefault(basis.shape[1], []).append(i)
+                    members.setdefault(basis.shape[1], []).append(len(kept))
+                kept.append(hypothesis)
+                visible.append(float((part**2).sum()) / size)
         groups = [
             Group(rank, np.array(members[rank], dtype=np.int64), np.hstack(columns[rank])) for rank in sorted(members)
         ]
-        return cls(space, list(hypotheses), groups, visible)
+        return cls(space, kept, groups, np.array(visible))
 
     def drops(self, residual: Floats, extension: Floats | None = None) -> tuple[Floats, Ints]:
         """Drop of chi2 (h,) and visible directions (h,) of each hypothesis beside what is accepted already.

@@ -16,15 +16,6 @@ OUT_OF_REACH = 10.0
 """An effect that would have to be so many times a bad but plausible size to be found is called invisible."""
 
 
-def _representatives(bank: Bank) -> dict[str, Hypothesis]:
-    """The most visible hypothesis of each family of the catalogue."""
-    chosen: dict[str, tuple[float, Hypothesis]] = {}
-    for visible, hypothesis in zip(bank.visible, bank.hypotheses, strict=True):
-        if hypothesis.known and visible >= chosen.get(hypothesis.family, (-1.0,))[0]:
-            chosen[hypothesis.family] = (float(visible), hypothesis)
-    return {family: hypothesis for family, (_, hypothesis) in chosen.items()}
-
-
 def _smallest(space: ResidualSpace, hypothesis: Hypothesis) -> Floats:
     """Smallest size (q,) [SI] found of each parameter alone; infinite where nothing is left of it."""
     whole = space.signature(hypothesis.effect)
@@ -35,12 +26,25 @@ def _smallest(space: ResidualSpace, hypothesis: Hypothesis) -> Floats:
     return sizes
 
 
+def _representatives(space: ResidualSpace, bank: Bank) -> dict[str, tuple[Hypothesis, Floats]]:
+    """For each family of the catalogue its hypothesis of middling visibility, and its smallest sizes over prior."""
+    families: dict[str, list[tuple[float, int]]] = {}
+    for i, hypothesis in enumerate(bank.hypotheses):
+        if hypothesis.known:
+            families.setdefault(hypothesis.family, []).append((float(bank.visible[i]), i))
+    chosen = {}
+    for family, members in families.items():
+        hypothesis = bank.hypotheses[sorted(members)[(len(members) - 1) // 2][1]]
+        prior = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+        chosen[family] = (hypothesis, _smallest(space, hypothesis) / prior)
+    return chosen
+
+
 def detectable_sizes(space: ResidualSpace, bank: Bank) -> tuple[Detectable, ...]:
-    """Minimal detectable size of every effect that can be found here, its most visible parameter."""
+    """Minimal detectable size of every effect that can be found here, at a place of middling visibility."""
     rows = []
-    for family, hypothesis in _representatives(bank).items():
+    for family, (hypothesis, relative) in _representatives(space, bank).items():
         parameters = hypothesis.effect.parameters
-        relative = _smallest(space, hypothesis) / [p.prior_sigma for p in parameters]
         best = int(np.argmin(relative))
         if relative[best] < OUT_OF_REACH:
             p = parameters[best]
@@ -51,10 +55,8 @@ def detectable_sizes(space: ResidualSpace, bank: Bank) -> tuple[Detectable, ...]
 def undetectable_effects(space: ResidualSpace, bank: Bank) -> tuple[Undetectable, ...]:
     """Effects that leave no usable residual, with the error of the targets that a bad but plausible size hides."""
     rows = []
-    for family, hypothesis in _representatives(bank).items():
-        parameters = hypothesis.effect.parameters
-        prior = np.array([p.prior_sigma for p in parameters])
-        relative = _smallest(space, hypothesis) / prior
+    for family, (hypothesis, relative) in _representatives(space, bank).items():
+        prior = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
         if float(relative.min()) < OUT_OF_REACH:
             continue
         hidden = max(_hidden_error(space, hypothesis, np.eye(len(prior))[i] * prior) for i in range(len(prior)))

@@ -172,19 +172,40 @@ class NoiseBank:
         return replace(chosen, values=values, drop=drop, probability=total[name], equivalents=tuple(others[:3]))
 
 
+SMALLEST, LARGEST = -0.9, 400.0
+"""Bounds of a parameter in units of its grid's: the variance stays positive, and a fit ends."""
+
+
 def _most_likely(
     space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats
 ) -> tuple[tuple[float, ...], float]:
-    """Size at the maximum of the restricted likelihood, and twice the log likelihood ratio there."""
+    """Sizes at the maximum of the restricted likelihood, and twice the log likelihood ratio there.
+
+    Starts from the hypothesis, then every parameter of the effect is moved in turn.
+    """
     used = space.use
     share = space.redundancy[: int(used.sum())]
     squares = residual[: len(share)] ** 2
-    start = np.array(hypothesis.values)
 
-    def lost(log_scale: float) -> float:
-        variance = hypothesis.effect.variance(space.sightings, space.sigma, start * np.exp(log_scale))
-        factor = np.maximum((variance / space.sigma**2)[used], 1e-6)
-        return -float(squares @ (1 - 1 / factor) - share @ np.log(factor))
+    def gain(values: Floats) -> float:
+        variance = hypothesis.effect.variance(space.sightings, space.sigma, values)
+        factor = (variance / space.sigma**2)[used]
+        if float(factor.min()) <= 0.0:
+            return -np.inf
+        return float(squares @ (1 - 1 / factor) - share @ np.log(factor))
 
-    found = minimize_scalar(lost, bounds=(-2.5, 2.5), method="bounded")
-    return tuple(float(v) for v in start * np.exp(found.x)), -float(found.fun)
+    values = np.array(hypothesis.values, dtype=np.float64)
+    scale = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+    for _ in range(3):
+        for k in range(len(values)):
+
+            def lost(log_size: float, at: int = k) -> float:
+                tried = values.copy()
+                tried[at] = scale[at] * (np.exp(log_size) - 1.0)
+                return -gain(tried)
+
+            bounds = (np.log1p(SMALLEST), np.log1p(LARGEST))
+            found = minimize_scalar(lost, bounds=bounds, method="bounded")
+            if -found.fun > gain(values):
+                values[k] = scale[k] * (np.exp(found.x) - 1.0)
+    return tuple(float(v) for v in values), gain(values)

@@ -160,8 +160,22 @@ def _estimates(
             now = float(getattr(effect, shape.name))
             row.append(_shape_estimate(shape.name, shape.unit, now, float(sigma[shape_at]) * abs(now)))
             shape_at += 1
+        row += _change_time(effect, found)
         rows.append(tuple(row))
     return tuple(rows)
+
+
+def _change_time(effect: Effect, found: Adjustment) -> list[Estimate]:
+    """When a sudden change happened: anywhere in the gap between two pointings, hence its uncertainty."""
+    times = getattr(effect, "time", None)
+    if not isinstance(times, float) or not effect.finer(found.sightings):
+        return []
+    acting = found.sightings.time[effect.mask(found.sightings) > 0]
+    before, after = acting[acting < times], acting[acting >= times]
+    if not len(before) or not len(after):
+        return [Estimate("time", times, 0.0, "s")]
+    gap = float(after.min() - before.max())
+    return [Estimate("time", 0.5 * float(after.min() + before.max()), gap / np.sqrt(12.0), "s")]
 
 
 def _shape_estimate(name: str, unit: str, value: float, sigma: float) -> Estimate:

@@ -52,9 +52,9 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
         rest = adjust(recording, misalignment(), use=use, start=space.adjustment.state)
         predicted = rest.problem.model.linearised(rest.state)
-        design = rest.problem._pointing_design(predicted)  # noqa: SLF001
+        design = rest.problem._pointing_design(predicted)
         full = rest.problem.__class__.of(rest.problem.model, rest.state.points)
-        rows = full._pointing_design(predicted)[np.repeat(out, 3)]  # noqa: SLF001
+        rows = full._pointing_design(predicted)[np.repeat(out, 3)]
         spread = rows @ rest.factor.covariance_columns(rows.T.toarray())
         gap = (full.residuals(predicted.readings) / full.sigma)[out].ravel()
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))

@@ -1,0 +1,167 @@
+"""Diagnosis end to end: the concealed effect is found, placed, named, sized; clean recordings stay clean."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.diagnose import diagnose
+from ltsim.diagnose.files import write_diagnosis
+from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.effects import find_effect
+from ltsim.effects.effect import on_readings
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import sightings_of
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from tests.networks import drawn, network
+
+NONCENTRALITY = 250.0
+
+
+def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording, object]:
+    """A noisy recording of an imperfect tracker, and its true state."""
+    recording, truth = network(faces=faces, repeats=repeats, values=drawn(misalignment(), seed), seed=seed)
+    return recording, truth.state
+
+
+def strengthened(recording, state, change):
+    """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=state))
+    left = space.project(space.whiten(change[:, :, None]))[:, 0]
+    factor = np.sqrt(NONCENTRALITY / float(left @ left))
+    return recording.with_readings(recording.readings + factor * change), factor
+
+
+def concealing(name: str, seed: int, values: list[float], faces: int = 1, **fields):
+    """A recording that conceals an effect of the catalogue, and the values it was given [SI]."""
+    recording, state = workshop(seed, faces=faces)
+    effect = find_effect(name)(**fields)
+    change = effect.shift(sightings_of(recording, state), np.array(values))
+    hidden, factor = strengthened(recording, state, change)
+    return hidden, factor * np.array(values)
+
+
+CASES = [
+    ("station-settling", {"stations": ("S3",), "time_constant": 420.0}, [1e-6, -1e-6, 1e-6]),
+    ("station-weather", {"stations": ("S2",)}, [1e-6]),
+    ("range-cyclic", {"wavelength": 0.31}, [1e-6, 1e-6]),
+    ("backlash", {}, [1e-6, 1e-6]),
+    ("azimuth-harmonic", {"order": 3}, [1e-6, 1e-6]),
+    ("target-moved", {"targets": ("T07",), "time": 2500.0}, [1e-5, 1e-5, -1e-5]),
+]
+
+
+@pytest.mark.parametrize(("name", "fields", "values"), CASES, ids=[c[0] for c in CASES])
+def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
+    recording, truth = concealing(name, 11, values, **fields)
+    found = diagnose(recording, seed=1)
+    assert found.verdict == "mismatch"
+    first = found.findings[0]
+    assert first.effect == name
+    assert first.where.stations == fields.get("stations", ())
+    assert first.where.targets == fields.get("targets", ())
+    assert first.evidence.p_value < 1e-6
+    assert found.after.held_out_rms < found.before.held_out_rms
+    factors = [p.factor for p in find_effect(name)(**fields).parameters]
+    for estimate, value, factor in zip(first.parameters, truth, factors, strict=False):
+        assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate
+
+
+def test_two_effects_are_both_found():
+    recording, state = workshop(5)
+    sightings = sightings_of(recording, state)
+    for name, fields, values in (CASES[1], CASES[2]):
+        change = find_effect(name)(**fields).shift(sightings, np.array(values))
+        recording, _ = strengthened(recording, state, change)
+    found = diagnose(recording)
+    assert {f.effect for f in found.findings} == {"station-weather", "range-cyclic"}
+
+
+def test_physics_outside_the_catalogue_is_called_unknown():
+    recording, state = workshop(3)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=np.sin(2 * sightings.azimuth) * np.sin(2 * sightings.elevation))
+    recording, _ = strengthened(recording, state, change)
+    found = diagnose(recording)
+    first = found.findings[0]
+    assert (first.effect, first.known) == ("unknown", False)
+    assert first.where.observables == ("distance",)
+    assert set(first.where.covariates) == {"azimuth", "elevation"}
+    assert "azimuth" in first.formula
+    assert found.after.held_out_rms < found.before.held_out_rms
+
+
+def test_a_noisy_station_is_noise_and_not_a_shift():
+    recording, _ = workshop(7)
+    extra = stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()
+    extra[recording.station != 1] = 0.0
+    found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
+    assert [f.effect for f in found.findings] == ["station-noise"]
+    assert found.findings[0].where.stations == ("S2",)
+    assert found.after.held_out_rms == pytest.approx(1.0, abs=0.1)
+
+
+def test_one_bad_reading_is_an_outlier():
+    recording, _ = workshop(8)
+    readings = recording.readings.copy()
+    readings[41, 0] += 8e-5
+    found = diagnose(recording.with_readings(readings))
+    first = found.findings[0]
+    assert first.effect == "outlier"
+    assert first.where.stations == (recording.stations[recording.station[41]],)
+    assert first.where.targets == (recording.targets[recording.target[41]],)
+    assert first.where.observables == ("distance",)
+
+
+def test_exchanged_reflectors_are_named_and_mended():
+    recording, _ = workshop(9)
+    target = recording.target.copy()
+    rows = {t: np.flatnonzero((recording.station == 3) & (recording.target == t)) for t in (4, 13)}
+    target[rows[4]], target[rows[13]] = 13, 4
+    found = diagnose(recording.replace(target=target))
+    first = found.findings[0]
+    assert first.effect == "target-swap"
+    assert first.where.stations == ("S4",)
+    assert set(first.where.targets) == {"T05", "T14"}
+    assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+def test_a_clean_recording_is_consistent(faces):
+    recording, _ = workshop(21, faces=faces)
+    found = diagnose(recording)
+    assert found.verdict == "consistent"
+    assert found.findings == ()
+    assert "station-levelling" in {u.effect for u in found.undetectable}
+    assert "station-bump" in {d.effect for d in found.detectable}
+    assert all(u.hides_um >= 0 and u.cure for u in found.undetectable)
+
+
+def test_p_values_of_clean_recordings_are_uniform():
+    """The false-alarm rate is what it says: ten recordings, p-values spread over the unit interval."""
+    values = [diagnose(workshop(100 + s, repeats=1)[0], seed=s).search_p_value for s in range(10)]
+    assert min(values) > 0.001
+    assert 0.2 < np.mean(values) < 0.8
+
+
+def test_the_files_say_what_the_diagnosis_says(tmp_path):
+    recording, _ = concealing("station-weather", 4, [1e-6], stations=("S2",))
+    found = diagnose(recording)
+    write_diagnosis(found, tmp_path)
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert content["format"] == "ltsim-diagnosis/1"
+    assert content["findings"][0]["where"]["stations"] == ["S2"]
+    assert content["summary"].startswith("Station weather at station S2")
+    lines = (tmp_path / "targets.csv").read_text().splitlines()
+    assert len(lines) == 1 + len(recording.targets)
+    assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")
+
+
+def test_the_same_seed_gives_the_same_diagnosis():
+    recording, _ = workshop(2)
+    one, two = diagnose(recording, seed=3), diagnose(recording, seed=3)
+    assert one.to_json() == two.to_json()
