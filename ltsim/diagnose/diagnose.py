@@ -124,7 +124,7 @@ def _prepare(adjustment: Adjustment) -> tuple[ResidualSpace, Searcher, NoiseBank
 def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection) -> tuple[EffectSet, Searcher]:
     """Mean shifts and changes of the noise in turn, whichever explains more first."""
     threshold = max(detection.threshold(1.0 - NEXT_LEVEL), 2.0)
-    found = searcher.search(threshold)
+    found = searcher.search(threshold, something=True)
     for _ in range(MOST_ROUNDS):
         prior = noise_prior(noise)
         alone = noise.log_likelihood_ratio(searcher.space.residual)
@@ -132,7 +132,7 @@ def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detec
         alone_best = float(np.max(noise.family_evidence(alone) + prior, initial=-np.inf))
         beside_best = float(np.max(noise.family_evidence(beside) + prior, initial=-np.inf))
         noise_first = alone_best > found.score
-        if not noise_first and beside_best < threshold:
+        if max(alone_best if noise_first else -np.inf, beside_best) < threshold and (case.noise or not noise_first):
             break
         ratio = alone if noise_first else beside
         residual = searcher.space.residual if noise_first else found.residual
@@ -141,7 +141,7 @@ def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detec
         variance = hypothesis.effect.variance(searcher.space.sightings, case.sigma, np.array(hypothesis.values))
         case.sigma = np.sqrt(variance)
         _, searcher, noise = _prepare(case.adjustment())
-        found = searcher.search(threshold)
+        found = searcher.search(threshold, something=False)
     return found, searcher
 
 

@@ -188,11 +188,11 @@ class Searcher:
             at += q
         return total
 
-    def search(self, threshold: float) -> EffectSet:
+    def search(self, threshold: float, *, something: bool) -> EffectSet:
         """Find the best set.
 
-        The first member is the best there is (the caller has seen that something is missing); a further one is added
-        only where it raises the score by more than `threshold`.
+        A member is added only where it raises the score by more than `threshold`; but where the caller knows that
+        `something` is missing, the first member is the best there is.
         """
         beam = [self.empty]
         best = self.empty
@@ -206,7 +206,7 @@ class Searcher:
                         grown[key] = made
             beam = sorted(grown.values(), key=lambda s: -s.score)[:BEAM]
             beam[0] = self.reexamined(beam[0])
-            if depth and beam[0].score < best.score + threshold:
+            if (depth or not something) and beam[0].score < best.score + threshold:
                 break
             best = beam[0]
         return best
