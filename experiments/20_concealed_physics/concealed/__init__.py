@@ -1,0 +1,1 @@
+"""Concealed recordings: drawn, sealed, diagnosed by another process, unsealed and scored."""

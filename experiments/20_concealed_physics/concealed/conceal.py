@@ -1,0 +1,188 @@
+"""Make a recording with something hidden in it, and seal the truth apart from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from concealed.hidden import Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
+from concealed.plan import Case
+from concealed.workshop import Scene, draw_scene
+from ltsim.adjust.adjustment import adjust
+from ltsim.arrays import Floats
+from ltsim.diagnose.bank import Bank
+from ltsim.diagnose.diagnose import catalogue_hypotheses
+from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.effects import BASELINE
+from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
+from ltsim.errors import LtsimError
+from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, sightings_of
+from ltsim.randomness import stream
+from ltsim.recording import Recording, write
+from ltsim.recording.files import write_text
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.units import FACTOR, MICROMETRE, MILLIMETRE
+
+
+def conceal(case: Case, recordings: Path, sealed: Path) -> None:
+    """Write the recording of a case, bare, and its truth; what is there already stays."""
+    target, secret = recordings / case.name, sealed / f"{case.name}.json"
+    if secret.exists() and (target / "observations.csv").exists():
+        return
+    scene = draw_scene(stream(case.seed, *case.key, "scene"))
+    space = ResidualSpace.of(_silent_adjustment(scene))
+    hidden = _drawn(case, space)
+    recording = measured(scene, hidden, stream(case.seed, *case.key, "noise"))
+    truth = {
+        **_plan_entry(case),
+        "effects": [_entry(h, space) for h in hidden],
+        "nearest_known": _nearest_known(space, hidden[0]) if case.kind == "unknown" else None,
+        "targets_mm": dict(zip(recording.targets, (scene.state.points / MILLIMETRE).tolist(), strict=True)),
+        "told_um": _told(scene, recording, hidden, stream(case.seed, *case.key, "noise")),
+        "ordinary_um": _error(recording, scene, ()),
+        "stations": len(recording.stations),
+        "faces": int(recording.face.max()),
+        "pointings": len(recording),
+    }
+    write(recording, target)
+    write_text(secret, json.dumps(truth, indent=1) + "\n")
+
+
+def _plan_entry(case: Case) -> dict[str, Any]:
+    return {"name": case.name, "seed": case.seed, "kind": case.kind, "strength": case.strength, "number": case.number}
+
+
+def _drawn(case: Case, space: ResidualSpace) -> list[Hidden]:
+    rng = stream(case.seed, *case.key, "hidden")
+    match case.kind:
+        case "clean":
+            return []
+        case "mistake":
+            return [draw_mistake(space.sightings, rng)]
+        case "unknown":
+            return [draw_hidden(space, rng, case.strength, known=False)]
+        case "single":
+            return [draw_hidden(space, rng, case.strength)]
+    found: list[Hidden] = []
+    while len(found) < 2:
+        other = draw_hidden(space, rng, case.strength)
+        if all(other.effect.name != h.effect.name for h in found):
+            found.append(other)
+    return found
+
+
+def _with_gauge(scene: Scene, lengths: Floats) -> Recording:
+    setup = scene.recording.setup.model_copy(update={"gauge": scene.gauge(lengths)})
+    return scene.recording.replace(setup=setup)
+
+
+def _silent_adjustment(scene: Scene) -> Any:
+    """The ordinary adjustment of readings without noise: what it leaves of an effect is exact."""
+    recording = _with_gauge(scene, scene.lengths)
+    readings = MeasurementModel(recording, misalignment()).predict(scene.state)
+    return adjust(recording.with_readings(readings), misalignment(), start=scene.state)
+
+
+def measured(scene: Scene, hidden: Sequence[Hidden], rng: np.random.Generator) -> Recording:
+    """The recording: exact chain with all errors of the axes, effects in the order of the light's way, noise."""
+    in_chain = [h for h in hidden if isinstance(h.effect, SlotEffect)]
+    slots = [h.effect for h in in_chain if isinstance(h.effect, SlotEffect)]
+    construction = misalignment([*BASELINE, *slots])
+    instrument = np.concatenate([scene.state.instrument[0], *(h.values for h in in_chain)])
+    sightings = sightings_of(scene.recording, scene.state)
+    readings = construction.readings(sightings.local, sightings.face, instrument)
+    lengths = scene.lengths.copy()
+    for h in sorted((h for h in hidden if h not in in_chain), key=lambda h: h.effect.stage):
+        readings = readings + h.shift(sightings)
+        lengths = lengths + h.effect.gauge_design(scene.first, scene.second, scene.state.points) @ h.values
+    sigma = true_sigma(scene, hidden)
+    readings = readings + sigma * rng.standard_normal(readings.shape)
+    readings[:, 1] = wrap(readings[:, 1])
+    lengths = lengths + 1.8 * MICROMETRE * rng.standard_normal(len(lengths))
+    return _with_gauge(scene, lengths).with_readings(readings)
+
+
+def true_sigma(scene: Scene, hidden: Sequence[Hidden]) -> Floats:
+    """True standard deviation (n, 3) of the readings."""
+    sightings = sightings_of(scene.recording, scene.state)
+    sigma = scene.recording.with_readings(sightings.raw).sigma()
+    for h in hidden:
+        if isinstance(h.effect, NoiseEffect):
+            sigma = np.sqrt(h.effect.variance(sightings, sigma, h.values))
+    return sigma
+
+
+def _told(scene: Scene, recording: Recording, hidden: Sequence[Hidden], rng: np.random.Generator) -> float:
+    """Error [um] of the targets when the adjustment is told the truth: which effect, where, with which shape.
+
+    Its size is estimated. A blunder is taken back instead.
+    """
+    blunders = [h for h in hidden if not _is_fitted(h)]
+    if blunders:
+        recording = measured(scene, [h for h in hidden if h not in blunders], rng)
+    effects = [h.effect for h in hidden if _is_fitted(h) and not isinstance(h.effect, NoiseEffect)]
+    return _error(recording, scene, effects, true_sigma(scene, hidden))
+
+
+def _is_fitted(hidden: Hidden) -> bool:
+    return bool(hidden.effect.parameters[0].unit) or isinstance(hidden.effect, NoiseEffect)
+
+
+def _error(recording: Recording, scene: Scene, effects: Sequence[Effect], sigma: Floats | None = None) -> float:
+    """Root mean square error [um] of the adjusted targets after the best rigid fit to the truth."""
+    start = replace(scene.state, extra=np.zeros(sum(len(e.parameters) for e in effects)))
+    try:
+        points = adjust(recording, misalignment(), effects=tuple(effects), sigma=sigma, start=start).state.points
+    except (LtsimError, np.linalg.LinAlgError):
+        return float("nan")
+    return rigid_error(points, scene.state.points)
+
+
+def rigid_error(points: Floats, truth: Floats) -> float:
+    """Root mean square distance [um] of points (T, 3) [m] from the truth after the best rigid fit."""
+    rotation, translation = align(points, truth)
+    gap = points @ rotation.T + translation - truth
+    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))) / MICROMETRE)
+
+
+def _nearest_known(space: ResidualSpace, hidden: Hidden) -> dict[str, Any]:
+    """The effect of the catalogue that explains most of an invented one, and the share it explains."""
+    left = left_by_adjustment(space, hidden)[1]
+    bank = Bank.of(space, catalogue_hypotheses(space.sightings))
+    share = bank.drops(left)[0] / float(left @ left)
+    best = int(np.argmax(share))
+    return {"effect": bank.hypotheses[best].effect.name, "share": float(share[best])}
+
+
+def _entry(hidden: Hidden, space: ResidualSpace) -> dict[str, Any]:
+    effect = hidden.effect
+    seen = () if set(effect.observables) == set(OBSERVABLES) else effect.observables
+    felt = {} if getattr(effect, "law", "exponential") != "exponential" else _constants(effect)
+    return {
+        "effect": effect.name,
+        "text": repr(effect),
+        "stations": list(effect.stations),
+        "targets": list(effect.targets),
+        "observables": list(seen),
+        "covariates": list(effect.covariates),
+        "parameters": [
+            {"name": p.name, "value": float(v) / p.factor, "unit": p.unit}
+            for p, v in zip(effect.parameters, hidden.values, strict=True)
+        ],
+        "shape": felt,
+        "size": hidden.size,
+        "strength": strength(space, hidden),
+    }
+
+
+def _constants(effect: Effect) -> dict[str, float]:
+    """Continuous shape constants in the unit a person reads them in."""
+    return {s.name: float(getattr(effect, s.name)) / FACTOR[s.unit] for s in type(effect).shape}

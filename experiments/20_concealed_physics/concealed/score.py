@@ -1,0 +1,142 @@
+"""Unseal: compare one diagnosis with the truth of its recording."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from concealed.conceal import rigid_error
+from ltsim.units import MILLIMETRE
+
+Row = dict[str, Any]
+OVERLAP = 0.5
+"""Share of common targets from which a finding on several targets is at the right place."""
+HIGH = 0.9
+LIMIT = 1.959964
+
+
+def score(truth: dict[str, Any], folder: Path) -> Row:
+    """Everything that is counted of one recording."""
+    note = json.loads((folder / "status.json").read_text(encoding="utf-8"))
+    row: Row = {k: truth[k] for k in ("name", "kind", "strength", "number", "stations", "faces", "pointings")}
+    row["truth"] = " + ".join(e["effect"] for e in truth["effects"])
+    row["truth_detail"] = " + ".join(e["text"] for e in truth["effects"])
+    row.update(seconds=note["seconds"], exit=note["exit"], complaint=note["complaint"])
+    if note["exit"] != 0:
+        return row
+    found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    findings = found["findings"]
+    row["search_p_value"] = found["global_test"]["search_p_value"]
+    row["chi2_p_value"] = found["global_test"]["p_value"]
+    row["found"] = found["verdict"] == "mismatch"
+    row["first"] = findings[0]["effect"] if findings else ""
+    row["answer"] = " + ".join(f["effect"] for f in findings)
+    row["probability"] = findings[0]["evidence"]["probability"] if findings else np.nan
+    row["summary"] = found["summary"]
+    row["held_out_before"] = found["fit"]["before"]["held_out_rms"]
+    row["held_out_after"] = found["fit"]["after"]["held_out_rms"]
+    row["error_um"] = _target_error(truth, folder / "targets.csv")
+    row["told_um"], row["ordinary_um"] = truth["told_um"], truth["ordinary_um"]
+    match truth["kind"]:
+        case "single" | "mistake":
+            row.update(_named(truth["effects"][0], findings[0] if findings else None))
+            row["also_found"] = max(len(findings) - 1, 0)
+        case "unknown":
+            row.update(_unknown(truth, findings))
+        case "pair":
+            row.update(_pair(truth["effects"], findings))
+    return row
+
+
+def _target_error(truth: dict[str, Any], file: Path) -> float:
+    with file.open(encoding="utf-8") as lines:
+        rows = {r["target"]: [float(r[f"{a}_mm"]) for a in "xyz"] for r in csv.DictReader(lines)}
+    names = [name for name in truth["targets_mm"] if name in rows]
+    points = np.array([rows[name] for name in names]) * MILLIMETRE
+    return rigid_error(points, np.array([truth["targets_mm"][name] for name in names]) * MILLIMETRE)
+
+
+def _named(effect: dict[str, Any], finding: dict[str, Any] | None) -> Row:
+    """Name, place and parameters of one effect against one finding."""
+    if finding is None:
+        return {"named_first": False, "named": False}
+    first = finding["effect"] == effect["effect"]
+    named = first or any(e["effect"] == effect["effect"] for e in finding["equivalents"][:3])
+    where = finding["where"]
+    stations = set(where["stations"]) == set(effect["stations"])
+    targets = _same_targets(set(where["targets"]), set(effect["targets"]))
+    observables = _same_observables(set(where["observables"]), set(effect["observables"]), first)
+    row: Row = {"named_first": first, "named": named, "right_stations": stations, "right_targets": targets}
+    row.update(right_observables=observables, right_place=stations and targets and observables)
+    if first:
+        row.update(_coverage(effect, finding))
+    return row
+
+
+def _same_targets(found: set[str], true: set[str]) -> bool:
+    if len(true) < 2:
+        return found == true
+    return len(found & true) >= OVERLAP * len(found | true)
+
+
+def _same_observables(found: set[str], true: set[str], first: bool) -> bool:
+    """Equal; where the effect was named as an equivalent only, the finding's own may be others that share one."""
+    return found == true or (not first and (not found or not true or bool(found & true)))
+
+
+def _coverage(effect: dict[str, Any], finding: dict[str, Any]) -> Row:
+    """Parameters that were estimated, and how many of their 95 % intervals hold the truth."""
+    true = {p["name"]: p["value"] for p in effect["parameters"]} | effect["shape"]
+    if "table=(0" in effect["text"] or "table=(-" in effect["text"]:  # a table has no parameters to be right about
+        true = {}
+    misses = {
+        p["name"]: (p["value"] - true[p["name"]]) / p["sigma"]
+        for p in finding["parameters"]
+        if p["name"] in true and p["sigma"] > 0
+    }
+    return {
+        "parameters": len(misses),
+        "covered": sum(abs(m) <= LIMIT for m in misses.values()),
+        "misses": " ".join(f"{name}:{m:.1f}" for name, m in misses.items()),
+    }
+
+
+def _unknown(truth: dict[str, Any], findings: list[dict[str, Any]]) -> Row:
+    effect, nearest = truth["effects"][0], truth["nearest_known"]
+    row: Row = {"nearest_known": nearest["effect"], "nearest_share": nearest["share"], "called_unknown": False}
+    row.update(law=effect["parameters"][0]["name"], observable_right=False, wrong_name=False)
+    row["law"] = effect["text"].partition("law='")[2].partition("'")[0]
+    if not findings:
+        return row
+    first = findings[0]
+    row["called_unknown"] = first["effect"] == "unknown"
+    where = first["where"]
+    row["observable_right"] = row["called_unknown"] and set(where["observables"]) == set(effect["observables"])
+    row["right_covariates"] = row["called_unknown"] and bool(set(where["covariates"]) & set(effect["covariates"]))
+    row["wrong_name"] = first["known"] and first["evidence"]["probability"] > HIGH
+    row["where"] = f"{where['observables']} {where['covariates']} {where['stations']}"
+    return row
+
+
+def _pair(effects: list[dict[str, Any]], findings: list[dict[str, Any]]) -> Row:
+    """Each effect needs a finding of its own that names it first, or states it as an equivalent."""
+
+    def count(strict: bool) -> int:
+        free, hits = list(findings), 0
+        for effect in effects:
+            fits = [f for f in free if _hit(effect, f, strict)]
+            if fits:
+                free.remove(fits[0])
+                hits += 1
+        return hits
+
+    return {"pair_named": count(True), "pair_stated": count(False), "findings": len(findings)}
+
+
+def _hit(effect: dict[str, Any], finding: dict[str, Any], strict: bool) -> bool:
+    names = [finding["effect"], *([] if strict else [e["effect"] for e in finding["equivalents"][:3]])]
+    return effect["effect"] in names

@@ -1,0 +1,243 @@
+"""The examination with concealed physics: fair draws, nothing told, honest counting."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltsim.adjust.adjustment import adjust
+from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.effects import CATALOGUE
+from ltsim.effects.effect import NoiseEffect
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.recording import read
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _experiment(root: Path) -> Iterator[None]:
+    sys.path.insert(0, str(root / "experiments" / "20_concealed_physics"))
+    yield
+    sys.path.pop(0)
+
+
+def case(kind: str, strength: int, number: int) -> Any:
+    from concealed.plan import Case
+
+    return Case(3, kind, strength, number)  # type: ignore[arg-type]
+
+
+def space_of(made: Any, scene: Any) -> ResidualSpace:
+    from concealed.conceal import measured
+
+    quiet = measured(scene, made, _Silence())  # type: ignore[arg-type]
+    return ResidualSpace.of(adjust(quiet, misalignment(), start=scene.state))
+
+
+class _Silence:
+    """A generator without noise."""
+
+    @staticmethod
+    def standard_normal(shape: Any) -> Any:
+        return np.zeros(shape)
+
+
+@pytest.mark.parametrize("plan", ["quick", "full"])
+def test_plans_hold_recordings_whose_names_tell_nothing(root: Path, plan: str) -> None:
+    from concealed.plan import read_plan
+
+    cases = read_plan(root / "experiments" / "20_concealed_physics" / f"{plan}.toml")
+    assert len({c.name for c in cases}) == len(cases)
+    assert [c.kind for c in cases] != sorted(c.kind for c in cases)
+    assert not any(c.kind in c.name or str(c.strength) == c.name[1:] for c in cases)
+    if plan == "full":
+        assert sum(c.kind == "clean" for c in cases) >= 400
+
+
+def test_a_recording_does_not_depend_on_when_or_where_it_is_made(tmp_path: Path) -> None:
+    from concealed.conceal import conceal
+
+    one, other = case("single", 200, 1), case("clean", 0, 4)
+    for folder, order in (("a", (one, other)), ("b", (other, one))):
+        for c in order:
+            conceal(c, tmp_path / folder / "recordings", tmp_path / folder / "sealed")
+    files = ("recordings/{}/observations.csv", "recordings/{}/setup.toml", "sealed/{}.json")
+    for c in (one, other):
+        for part in (file.format(c.name) for file in files):
+            assert (tmp_path / "a" / part).read_bytes() == (tmp_path / "b" / part).read_bytes()
+
+
+def test_the_folder_of_a_recording_holds_readings_and_set_up_and_no_word_of_an_effect(tmp_path: Path) -> None:
+    from concealed.conceal import conceal
+
+    hidden = case("single", 600, 2)
+    conceal(hidden, tmp_path / "recordings", tmp_path / "sealed")
+    folder = tmp_path / "recordings" / hidden.name
+    assert sorted(p.name for p in folder.iterdir()) == ["observations.csv", "setup.toml"]
+    text = "".join(p.read_text(encoding="utf-8") for p in folder.iterdir())
+    assert not [kind.name for kind in CATALOGUE if kind.name in text]
+    truth = json.loads((tmp_path / "sealed" / f"{hidden.name}.json").read_text(encoding="utf-8"))
+    assert truth["effects"][0]["effect"] in {kind.name for kind in CATALOGUE}
+
+
+@pytest.mark.parametrize(("kind", "known"), [("single", True), ("unknown", False)])
+@pytest.mark.parametrize("number", range(4))
+def test_the_strength_is_the_drop_of_chi_square_that_the_truth_brings(kind: str, known: bool, number: int) -> None:
+    """Without noise the ordinary adjustment's chi2 is the noncentrality, and told the truth it is nothing."""
+    from concealed.hidden import draw_hidden
+    from concealed.workshop import draw_scene
+
+    rng = stream(8, kind, number)
+    scene = draw_scene(rng)
+    empty = space_of([], scene)
+    # The exact instrument's own prior is all that a silent recording leaves.
+    assert empty.residual @ empty.residual < 40.0
+    hidden = draw_hidden(empty, rng, 200.0, known=known)
+    if isinstance(hidden.effect, NoiseEffect):
+        pytest.skip("a change of the noise has no mean")
+    filled = space_of([hidden], scene)
+    left = filled.residual - empty.residual
+    assert left @ left == pytest.approx(200.0, rel=0.1)
+    assert hidden.size <= 20.0
+
+
+def test_drawn_shapes_lie_between_the_points_of_the_search() -> None:
+    from concealed.hidden import draw_effect
+    from concealed.workshop import draw_scene
+
+    rng = stream(9, "shapes")
+    scene = draw_scene(rng)
+    sightings = space_of([], scene).sightings
+    drawn = [effect for effect in (draw_effect(sightings, rng) for _ in range(300)) if effect is not None]
+    assert len({effect.name for effect in drawn}) > 20
+    constants = [e.wavelength for e in drawn if e.name == "range-cyclic"]  # type: ignore[attr-defined]
+    tried = [e.wavelength for e in next(k for k in CATALOGUE if k.name == "range-cyclic").candidates(sightings)]  # type: ignore[attr-defined]
+    assert constants
+    assert not set(constants) & set(tried)
+    assert all(min(tried) <= c <= max(tried) for c in constants)
+
+
+def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says() -> None:
+    from concealed.invented import LAWS, Invented
+    from concealed.workshop import draw_scene
+
+    scene = draw_scene(stream(2, "laws"))
+    sightings = space_of([], scene).sightings
+    acting = 0
+    for law, (observable, _, _) in LAWS.items():
+        design = Invented((), (), law, (0.3, 0.4, 0.2, 0.6, 0.9)).design(sightings)[:, :, 0]
+        if not design.any():
+            assert "load" in law
+            continue
+        acting += 1
+        if observable != "place":
+            column = ("distance", "azimuth", "elevation").index(observable)
+            assert not np.delete(design, column, axis=1).any()
+    assert acting >= 8
+
+
+def finding(effect: str, **changes: Any) -> dict[str, Any]:
+    where = {"observables": ["distance"], "stations": ["S2"], "targets": [], "covariates": ["time"]}
+    base = {"effect": effect, "known": effect != "unknown", "where": where, "equivalents": []}
+    parameters = [{"name": "range-step", "value": 10.0, "sigma": 1.0, "unit": "um"}]
+    return {**base, "parameters": parameters, "evidence": {"probability": 0.95}, **changes}
+
+
+TRUE_STEP = {
+    "effect": "range-step",
+    "text": "RangeStep()",
+    "stations": ["S2"],
+    "targets": [],
+    "observables": ["distance"],
+    "covariates": ["time"],
+    "parameters": [{"name": "range-step", "value": 11.5, "unit": "um"}],
+    "shape": {},
+}
+
+
+def test_a_name_counts_when_it_is_first_or_among_three_equivalents() -> None:
+    from concealed.score import _named
+
+    others = [{"effect": e, "probability": 0.1} for e in ("a", "b", "range-step", "c")]
+    assert _named(TRUE_STEP, finding("range-step"))["named_first"]
+    stated = _named(TRUE_STEP, finding("station-weather", equivalents=others))
+    assert stated["named"]
+    assert not stated["named_first"]
+    assert not _named(TRUE_STEP, finding("station-weather", equivalents=[others[3], *others]))["named"]
+    assert not _named(TRUE_STEP, None)["named"]
+
+
+@pytest.mark.parametrize(
+    ("where", "right"),
+    [({}, True), ({"stations": ["S1"]}, False), ({"stations": []}, False), ({"observables": []}, False)],
+)
+def test_the_place_is_right_when_stations_targets_and_observables_are(where: dict[str, Any], right: bool) -> None:
+    from concealed.score import _named
+
+    told = finding("range-step")
+    told["where"] = {**told["where"], **where}
+    assert _named(TRUE_STEP, told)["right_place"] is right
+
+
+def test_a_parameter_is_covered_within_1_96_sigma() -> None:
+    from concealed.score import _coverage
+
+    assert _coverage(TRUE_STEP, finding("range-step"))["covered"] == 1
+    far = {**TRUE_STEP, "parameters": [{"name": "range-step", "value": 12.1, "unit": "um"}]}
+    assert _coverage(far, finding("range-step")) == {"parameters": 1, "covered": 0, "misses": "range-step:-2.1"}
+
+
+def test_a_pair_needs_a_finding_for_each_of_its_effects() -> None:
+    from concealed.score import _pair
+
+    other = {**TRUE_STEP, "effect": "backlash"}
+    both = [finding("backlash"), finding("range-step")]
+    assert _pair([TRUE_STEP, other], both)["pair_named"] == 2
+    merged = [finding("backlash", equivalents=[{"effect": "range-step", "probability": 0.3}])]
+    assert _pair([TRUE_STEP, other], merged)["pair_stated"] == 1
+
+
+def test_errors_of_targets_do_not_depend_on_the_frame() -> None:
+    from concealed.conceal import rigid_error
+
+    rng = stream(4, "points")
+    truth = rng.uniform(0.0, 6.0, (28, 3))
+    shaken = truth + 1e-5 * rng.standard_normal(truth.shape)
+    moved = shaken @ from_rotation_vector(np.array([0.3, -1.0, 2.0])).T + [1.0, 2.0, 3.0]
+    assert rigid_error(moved, truth) == pytest.approx(rigid_error(shaken, truth), rel=1e-6)
+    assert 10.0 < rigid_error(shaken, truth) < 20.0
+
+
+def test_shares_come_with_their_binomial_interval() -> None:
+    from concealed.tables import rate
+
+    found = rate([True] * 19 + [False])
+    assert (found["right"], found["of"]) == (19, 20)
+    assert found["low"] == pytest.approx(0.7513, abs=1e-3)  # Clopper and Pearson
+    assert found["high"] == pytest.approx(0.9987, abs=1e-3)
+    assert rate([])["of"] == 0
+
+
+def test_a_recording_is_diagnosed_by_a_process_that_has_its_folder_only(tmp_path: Path, root: Path) -> None:
+    from concealed.conceal import conceal
+    from concealed.score import score
+
+    hidden = case("single", 600, 2)
+    conceal(hidden, tmp_path / "recordings", tmp_path / "sealed")
+    worker = root / "experiments" / "20_concealed_physics" / "concealed" / "examine.py"
+    folders = [str(tmp_path / "recordings"), str(tmp_path / "diagnoses")]
+    subprocess.run([sys.executable, str(worker), *folders, hidden.name], check=True, timeout=300, cwd=root)
+    truth = json.loads((tmp_path / "sealed" / f"{hidden.name}.json").read_text(encoding="utf-8"))
+    row = score(truth, tmp_path / "diagnoses" / hidden.name)
+    assert row["exit"] == 0, row["complaint"]
+    assert row["found"]
+    assert row["named"], row["answer"]
+    assert len(read(tmp_path / "recordings" / hidden.name)) == row["pointings"]
