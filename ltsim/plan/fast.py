@@ -28,6 +28,8 @@ from ltsim.scene.sightings import Sightings
 
 POSE_SCALE = 1e-5
 """[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
+ROUNDING = 1e-12
+"""Share of a pivot under which it is what rounding leaves of zero."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class Reducer:
             axis.ravel()
             for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
         )
-        at = np.searchsorted(np.sort(faces), face) * targets + target
+        at = survey.turn(slot[station], target, face)
         visit = survey.seconds_per_move + targets * len(faces) * survey.seconds_per_pointing
         normals = [survey.setup.targets.get(t) for t in survey.target_names]
         missing = (np.nan, np.nan, np.nan)
@@ -170,6 +172,18 @@ class Reducer:
             target_names=survey.target_names,
         )
 
+    def rows(self, position: Floats, yaw: Floats, slot: Ints) -> tuple[Floats, Floats]:
+        """Whitened derivatives by the target and by the parameters of set-ups, in the order of `sightings`.
+
+        Effects that count time from the start of the work see the first station too.
+        """
+        if not self.effects or slot.min() == 0:
+            return self._rows(self.sightings(position, yaw, slot))
+        whole = self.sightings(np.r_[position[:1], position], np.r_[yaw[:1], yaw], np.r_[0, slot])
+        by_target, by_value = self._rows(whole)
+        own = len(self.survey.points) * len(self.survey.faces)
+        return by_target[own:], by_value[own:]
+
     def _rows(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
         values = np.zeros(self.construction.size)
@@ -195,8 +209,7 @@ class Reducer:
             Targets that each measures; default all.
         """
         count, targets = len(position), len(self.survey.points)
-        sightings = self.sightings(position, yaw, np.zeros(count, dtype=np.int64) if slot is None else slot)
-        by_target, by_value = self._rows(sightings)
+        by_target, by_value = self.rows(position, yaw, np.zeros(count, dtype=np.int64) if slot is None else slot)
         weight = np.sqrt(self.survey.repeats) * np.ones((count, targets)) if seen is None else (
             np.sqrt(self.survey.repeats) * seen
         )
@@ -218,20 +231,30 @@ class Reducer:
         targets : bool
             Also the targets' point error.
         """
+        schur, inverse, weights = self._eliminated(blocks, chosen)
+        rms = self._target_rms(schur, inverse, weights) if targets else np.full(len(schur), np.nan)
+        return Reduced(self.marginal(schur), rms)
+
+    def schur(self, blocks: StationBlocks, chosen: Ints) -> Floats:
+        """(B, K, K): normal matrices of poses, gauge targets and parameters, all other targets eliminated."""
+        return self._eliminated(blocks, chosen)[0]
+
+    def marginal(self, schur: Floats) -> Floats:
+        """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated."""
+        size, count = schur.shape[1], len(self.scale)
+        corner = _cholesky(schur)[:, size - count :, size - count :]
+        information: Floats = corner @ np.swapaxes(corner, 1, 2)
+        return information
+
+    def _eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+        """Schur complement (B, K, K), inverse blocks (B, E, 3, 3) of the targets, and these times what joins them."""
         kept, tt, tk = self._normal(blocks, chosen)
         inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         weights = inverse @ tk
         size = kept.shape[1]
         flat, flat_weights = tk.reshape(len(kept), -1, size), weights.reshape(len(kept), -1, size)
         schur = kept - np.swapaxes(flat, 1, 2) @ flat_weights
-        count = len(self.scale)
-        root = _cholesky(0.5 * (schur + np.swapaxes(schur, 1, 2)))
-        corner = root[:, size - count :, size - count :]
-        information = corner @ np.swapaxes(corner, 1, 2)
-        rms = np.full(len(kept), np.nan)
-        if targets:
-            rms = self._target_rms(schur, inverse, weights)
-        return Reduced(information, rms)
+        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), inverse, weights
 
     def _normal(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
         """Kept block (B, K, K), mesh targets (B, E, 3, 3) and what joins them (B, E, 3, K)."""
@@ -273,13 +296,16 @@ class Reducer:
         return rows / DATUM_SIGMA[: rows.shape[1], None] * POSE_SCALE
 
     def _target_rms(self, schur: Floats, inverse: Floats, weights: Floats) -> Floats:
-        """Point error (B,) [m] with inner constraints: trace of the targets' covariance less its rigid part."""
-        layouts, size = schur.shape[:2]
-        covariance = np.linalg.inv(schur)
+        """Point error (B,) [m] with inner constraints: trace of the targets' covariance less its rigid part.
+
+        Effects are not estimated here, only the instrument's parameters.
+        """
+        layouts, size = len(schur), schur.shape[1] - (len(self.scale) - len(self.prior_sigma))
+        covariance = np.linalg.inv(schur[:, :size, :size])
         mesh, gauge = self._mesh, self._gauge
         carry = np.zeros((layouts, len(self.survey.points), 3, size))
-        carry[:, mesh] = -weights
-        first = size - len(self.scale) - 3 * len(gauge)
+        carry[:, mesh] = -weights[..., :size]
+        first = size - len(self.prior_sigma) - 3 * len(gauge)
         for g, t in enumerate(gauge):
             carry[:, t, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
         flat = carry.reshape(layouts, -1, size)
@@ -296,9 +322,9 @@ class Reducer:
 
 
 def _cholesky(matrices: Floats) -> Floats:
-    """Lower factors; NaN where a matrix is not positive definite."""
+    """Lower factors (B, K, K); NaN where a matrix is not positive definite beyond rounding."""
     try:
-        return np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+        roots = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
     except np.linalg.LinAlgError:
         roots = np.full(matrices.shape, np.nan)
         for i, matrix in enumerate(matrices):
@@ -306,4 +332,6 @@ def _cholesky(matrices: Floats) -> Floats:
                 roots[i] = np.linalg.cholesky(matrix)
             except np.linalg.LinAlgError:
                 continue
+    pivots = np.einsum("bii->bi", roots) ** 2 / np.einsum("bii->bi", matrices)
+    roots[~(pivots.min(axis=1, initial=1.0) > ROUNDING)] = np.nan
     return roots

@@ -36,25 +36,27 @@ def nominal_adjustment(recording: Recording, state: State, construction: Constru
         When the pointings do not determine poses and targets.
     """
     problem = NetworkProblem.of(MeasurementModel(recording, construction), state.points)
+    lost = _lost(recording)
+    if lost:
+        raise NetworkError(lost)
     system = problem.linearise(state)
     try:
         factor = Factor(system)
     except SingularSystemError:
-        raise NetworkError(_lost(recording)) from None
+        message = "the pointings do not determine all poses and targets; let stations share more targets"
+        raise NetworkError(message) from None
     solution = Solution(state, system.cost, 0, Status.CONVERGED, factor, system)
     return Adjustment(problem, solution, np.zeros(len(recording), dtype=bool))
 
 
 def _lost(recording: Recording) -> str:
-    """A sentence: what the network lacks, as far as counting tells."""
+    """A sentence: what counting alone finds missing in a network; empty where nothing is."""
     count = [len(np.unique(recording.target[recording.station == s])) for s in range(len(recording.stations))]
     few = [name for name, n in zip(recording.stations, count, strict=True) if n < 3]
     unseen = sorted(set(range(len(recording.targets))) - set(recording.target.tolist()))
     if few:
         return f"station {few[0]} sees fewer than three targets; a pose needs at least three"
-    if unseen:
-        return f"target {recording.targets[unseen[0]]} is seen from no station"
-    return "the pointings do not determine all poses and targets; let stations share more targets"
+    return f"target {recording.targets[unseen[0]]} is seen from no station" if unseen else ""
 
 
 @dataclass(frozen=True)

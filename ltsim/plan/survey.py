@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, as_floats
+from ltsim.arrays import Bools, Floats, Ints, as_floats
 from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction
@@ -37,6 +37,10 @@ class Survey:
     repeats : int
         Pointings of each target on each face.
     seconds_per_pointing, seconds_per_move : float, [s]
+    rank : (S, T) int, optional
+        Place of each target in each station's visit; default as listed.
+    face_by_face : bool
+        All targets on one face, then on the other; else both faces of each target at once.
     """
 
     setup: Setup
@@ -50,6 +54,8 @@ class Survey:
     repeats: int = 1
     seconds_per_pointing: float = 10.0
     seconds_per_move: float = 1200.0
+    rank: Ints | None = None
+    face_by_face: bool = True
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
@@ -84,25 +90,31 @@ class Survey:
     def recording(self, construction: Construction) -> Recording:
         """The recording of a perfect instrument without noise.
 
-        Station by station; there all targets on one face, then on the other, and the whole again for repeats.
+        Station by station in the order of the work, the whole visit again for repeats.
         """
         empty = self._empty()
         readings = MeasurementModel(empty, construction).predict(self.state(construction))
         return empty.with_readings(readings)
 
+    def turn(self, station: Ints, target: Ints, face: Ints) -> Ints:
+        """(n,): place of pointings in the first round of their station's visit, from 0."""
+        rank = target if self.rank is None else self.rank[station, target]
+        number = np.searchsorted(np.sort(self.faces), face)
+        if self.face_by_face:
+            return np.asarray(number * len(self.points) + rank)
+        return np.asarray(rank * len(self.faces) + number)
+
     def _empty(self) -> Recording:
-        station, repeat, face, target = (
-            axis.ravel()
-            for axis in np.meshgrid(
-                np.arange(len(self.position)),
-                np.arange(1, self.repeats + 1),
-                np.array(self.faces),
-                np.arange(len(self.points)),
-                indexing="ij",
-            )
+        axes = (
+            np.arange(len(self.position)),
+            np.arange(1, self.repeats + 1),
+            np.sort(self.faces),
+            np.arange(len(self.points)),
         )
-        keep = self.seen[station, target]
-        station, repeat, face, target = station[keep], repeat[keep], face[keep], target[keep]
+        station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        order = np.lexsort((self.turn(station, target, face), repeat, station))
+        order = order[self.seen[station[order], target[order]]]
+        station, repeat, face, target = station[order], repeat[order], face[order], target[order]
         time = np.arange(len(station)) * self.seconds_per_pointing + station * self.seconds_per_move
         return Recording(
             setup=self.setup,

@@ -9,12 +9,16 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.adjust.datum import inner_covariance
+from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.range_offset import RangeOffset
+from ltsim.effects.station_weather import StationWeather
 from ltsim.errors import NetworkError, SetupError
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import ideal, misalignment
-from ltsim.plan.fast import Reducer
+from ltsim.plan.detectability import ResidualRoom, examine
+from ltsim.plan.fast import Reducer, StationBlocks
 from ltsim.plan.information import LayoutInformation
+from ltsim.plan.objective import smallest_sizes
 from ltsim.randomness import stream
 from ltsim.recording.setup import Station
 from tests.plan.fixtures import POSITION, YAW, survey
@@ -112,12 +116,12 @@ def test_a_thousand_layouts_a_second_on_two_cores() -> None:
     position, yaw = scattered(256, 3)
 
     def once() -> float:
-        start = time.perf_counter()
+        start = time.process_time()
         for at in range(0, 256, 16):
             part = slice(at, at + 16)
             blocks = reducer.blocks(position[part].reshape(-1, 3), yaw[part].ravel())
             reducer.reduce(blocks, np.arange(80).reshape(16, 5))
-        return time.perf_counter() - start
+        return time.process_time() - start
 
     assert 256 / min(once() for _ in range(3)) > 500
 
@@ -130,7 +134,7 @@ def test_a_layout_that_determines_no_pose_has_no_information() -> None:
         LayoutInformation.of(made.replace(seen=seen))
     reducer = Reducer(made)
     out = reducer.reduce(reducer.blocks(made.position, made.yaw, seen=seen), np.arange(5)[None])
-    assert not np.isfinite(out.information).any() or np.linalg.cond(out.information[0]) > 1e12
+    assert not np.isfinite(out.information).any()
 
 
 def test_rotation_of_a_survey_is_about_the_vertical() -> None:
@@ -138,3 +142,26 @@ def test_rotation_of_a_survey_is_about_the_vertical() -> None:
     assert made.rotation == pytest.approx(from_rotation_vector(np.outer(YAW, [0, 0, 1])), abs=1e-15)
     with pytest.raises(SetupError, match="faces are"):
         survey((1, 3))
+
+
+@pytest.mark.parametrize("face_by_face", [True, False])
+def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: bool) -> None:
+    """Stations of a batch know when in the work they stand, also when only one of them is in it."""
+    rank = np.array([np.random.default_rng(s).permutation(28) for s in range(5)])
+    made = survey(rank=rank, face_by_face=face_by_face)
+    effects = [IndexDrift(law="linear"), IndexDrift(law="visit"), StationWeather(stations=("S4",))]
+    reducer = Reducer(made, effects=effects)
+    whole = reducer.blocks(made.position, made.yaw, np.arange(5))
+    alone = StationBlocks.joined(
+        [reducer.blocks(made.position[s : s + 1], made.yaw[s : s + 1], np.array([s])) for s in range(5)]
+    )
+    room = ResidualRoom(LayoutInformation.of(made).adjustment)
+    for blocks in (whole, alone):
+        information = reducer.reduce(blocks, np.arange(5)[None]).information
+        for k, effect in enumerate(effects):
+            seen = examine(room, [effect])
+            assert seen is not None
+            only = np.delete(np.delete(information, [16 + j for j in range(3) if j != k], 1), [
+                16 + j for j in range(3) if j != k], 2)
+            size = smallest_sizes(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
+            assert size == pytest.approx(seen.sizes[0][0], rel=1e-6)

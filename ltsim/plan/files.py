@@ -1,0 +1,266 @@
+"""A plan as files: plan.json for programs, tables for people, a scenario to simulate it with."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ltsim.effects import CATALOGUE
+from ltsim.plan.detectability import Detectability, detectability
+from ltsim.plan.improvement import Expected
+from ltsim.plan.planner import Evaluated, Option, Plan
+from ltsim.plan.reasons import fewest, reasons
+from ltsim.recording.files import write_texts
+from ltsim.simulate.scenario import Scenario, scenario_to_toml
+from ltsim.simulate.sections import Station, Target
+from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
+
+FORMAT = "ltsim-plan-result/1"
+
+
+def plan_json(plan: Plan, found: Detectability | None = None) -> dict[str, Any]:
+    """Everything about a plan, for a program."""
+    chosen = plan.chosen
+    sentences = reasons(plan)
+    few = fewest(plan)
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "title": plan.file.title or plan.scenario.title,
+        "summary": sentences[0],
+        "reasons": sentences[1:],
+        "frame": "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, "
+        "counter-clockwise from x",
+        **_evaluated_json(chosen),
+        "reference": None if plan.reference is None else _evaluated_json(plan.reference),
+        "fewest_stations": None if few is None else _option_json(few),
+        "tradeoff": [_option_json(option) for option in plan.options],
+        "starts": [_number(value) for value in plan.spread],
+        "settings": plan.file.model_dump(mode="json"),
+        "seed": plan.file.search.seed,
+    }
+    if found is not None:
+        content |= detectability_json(found)
+    return content
+
+
+def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
+    information = layout.information
+    sentences = information.cures()
+    return {
+        "allowed": math.isfinite(layout.value),
+        "hours": round(layout.survey.seconds / 3600, 3),
+        "pointings": layout.survey.pointings,
+        "faces": len(layout.survey.faces),
+        "repeats": layout.survey.repeats,
+        "quality": {name: _number(value) for name, value in layout.qualities.items()},
+        "stations": _stations(layout),
+        "reflectors": _reflectors(layout),
+        "parameters": information.parameters(),
+        "undetermined": [
+            {"combination": d.coefficients(information.construction.names), "gain": d.gain, "cure": cure}
+            for d, cure in zip(information.undetermined, sentences, strict=True)
+        ],
+        "expected_improvement": None if layout.expected is None else _expected(layout.expected),
+        "not_seen": layout.table.lost(layout.survey.station_names, layout.survey.target_names),
+    }
+
+
+def _expected(expected: Expected) -> dict[str, Any]:
+    def entry(before: float, after: float, percent: float) -> dict[str, float]:
+        return {
+            "before_um": before / MICROMETRE,
+            "after_um": after / MICROMETRE,
+            "improvement_percent": percent,
+        }
+
+    e = expected
+    return {
+        "distance": entry(
+            float(e.distance_before[0]), float(e.distance_after[0]), float(e.distance_improvement[0])
+        ),
+        "coordinate": entry(
+            float(e.coordinate_before[0]), float(e.coordinate_after[0]), float(e.coordinate_improvement[0])
+        ),
+    }
+
+
+def _stations(layout: Evaluated) -> list[dict[str, Any]]:
+    rows = []
+    sigma = layout.information.pose_covariance
+    for s, name in enumerate(layout.survey.station_names):
+        x, y, z = (round(float(v) / MILLIMETRE, 1) for v in layout.survey.position[s])
+        spread = [float(sigma[s, i, i]) ** 0.5 for i in range(3)]
+        rows.append(
+            {
+                "name": name,
+                "position_mm": [x, y, z],
+                "yaw_deg": round(float(layout.survey.yaw[s]) / DEGREE % 360, 2),
+                "sigma_position_um": [round(v / MICROMETRE, 2) for v in spread],
+                "reflectors_seen": int(layout.survey.seen[s].sum()),
+            }
+        )
+    return rows
+
+
+def _reflectors(layout: Evaluated) -> list[dict[str, Any]]:
+    rows = []
+    for t, name in enumerate(layout.survey.target_names):
+        place = [round(float(v) / MILLIMETRE, 1) for v in layout.survey.points[t]]
+        sigma = round(float(layout.information.target_sigma[t]) / MICROMETRE, 2)
+        rows.append(
+            {
+                "name": name,
+                "position_mm": place,
+                "sigma_um": sigma,
+                "stations_seeing": int(layout.survey.seen[:, t].sum()),
+            }
+        )
+    return rows
+
+
+def _option_json(option: Option) -> dict[str, Any]:
+    survey = option.survey
+    return {
+        "stations": len(survey.position),
+        "faces": len(survey.faces),
+        "repeats": survey.repeats,
+        "pointings": survey.pointings,
+        "hours": round(option.hours, 3),
+        "value": _number(option.value),
+        "quality": {name: _number(value) for name, value in option.qualities.items()},
+        "efficient": option.efficient,
+        "layout": [
+            {
+                "name": name,
+                "position_mm": [round(float(v) / MILLIMETRE, 1) for v in place],
+                "yaw_deg": round(float(yaw) / DEGREE % 360, 2),
+            }
+            for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
+        ],
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def detectability_json(found: Detectability) -> dict[str, Any]:
+    """Minimal detectable sizes in display units, pairs that are alike, effects that leave no trace."""
+    rows = []
+    for row in found.table():
+        unit = FACTOR[row.unit]
+        rows.append(
+            {
+                "effect": row.effect,
+                "parameter": row.parameter,
+                "unit": row.unit,
+                "best": _number(row.best / unit),
+                "typical": _number(row.typical / unit),
+                "worst": _number(row.worst / unit),
+                "worst_at": row.worst_place,
+                "plausible": row.prior_sigma / unit,
+                "visible": row.visible,
+            }
+        )
+    pairs = [{"effect": a, "taken_for": b, "share": share} for a, b, share in found.confusable()]
+    return {"detectable": rows, "alike": pairs, "silent": list(found.silent)}
+
+
+def planned_scenario(plan: Plan) -> Scenario:
+    """The scenario with the plan's stations, reflectors and way of working: what `ltsim simulate` takes."""
+    survey, gauge = plan.chosen.survey, plan.scenario.gauge
+    stations = {}
+    for row in _stations(plan.chosen):
+        kept = plan.scenario.stations.get(row["name"])
+        levelled = {} if kept is None else {"levelled": kept.levelled}
+        stations[row["name"]] = Station(position_mm=tuple(row["position_mm"]), yaw_deg=row["yaw_deg"], **levelled)
+    fixed = set(gauge.targets) if gauge else set()
+    targets = {
+        row["name"]: plan.scenario.targets.get(row["name"]) or Target(position_mm=tuple(row["position_mm"]))
+        for row in _reflectors(plan.chosen)
+        if row["name"] not in fixed
+    }
+    work = plan.scenario.work.model_copy(
+        update={
+            "faces": len(survey.faces),
+            "repeats": survey.repeats,
+            "seconds_per_pointing": survey.seconds_per_pointing,
+            "minutes_per_move": survey.seconds_per_move / 60.0,
+        }
+    )
+    return plan.scenario.model_copy(
+        update={"title": plan.file.title or plan.scenario.title, "stations": stations, "targets": targets, "work": work}
+    )
+
+
+def write_plan(plan: Plan, folder: Path) -> dict[str, Any]:
+    """Write plan.json, the tables and scenario.toml; the content of plan.json."""
+    content = plan_json(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
+    write_texts(folder, plan_texts(plan, content))
+    return content
+
+
+def plan_texts(plan: Plan, content: Mapping[str, Any]) -> dict[str, str]:
+    """The files by name."""
+    flat_stations = [
+        [s["name"], *s["position_mm"], s["yaw_deg"], *s["sigma_position_um"]] for s in content["stations"]
+    ]
+    flat_reflectors = [[r["name"], *r["position_mm"], r["sigma_um"]] for r in content["reflectors"]]
+    curve = ("stations", "faces", "repeats", "pointings", "hours", "value", "efficient")
+    effects = ("effect", "parameter", "unit", "best", "typical", "worst", "worst_at", "plausible", "visible")
+    own = {p["name"]: p["sigma"] for p in (content["reference"] or {"parameters": []})["parameters"]}
+    parameters = [
+        [p["name"], p["unit"], p["sigma"], own.get(p["name"]), p["prior_sigma"], p["gain"]]
+        for p in content["parameters"]
+    ]
+    texts = {
+        "plan.json": json.dumps(content, indent=1, allow_nan=False) + "\n",
+        "stations.csv": table_text(
+            ["station", "x_mm", "y_mm", "z_mm", "yaw_deg", "sigma_x_um", "sigma_y_um", "sigma_z_um"], flat_stations
+        ),
+        "reflectors.csv": table_text(["target", "x_mm", "y_mm", "z_mm", "sigma_um"], flat_reflectors),
+        "tradeoff.csv": table_text(curve, [[row[key] for key in curve] for row in content["tradeoff"]]),
+        "parameters.csv": table_text(
+            ["parameter", "unit", "sigma", "sigma_of_own_layout", "prior_sigma", "gain"], parameters
+        ),
+        "visibility.csv": _visibility(plan.chosen),
+        "scenario.toml": scenario_to_toml(planned_scenario(plan)),
+    }
+    if "detectable" in content:
+        rows = [[row[key] for key in effects] for row in content["detectable"]]
+        texts["effects.csv"] = table_text(effects, rows)
+    return texts
+
+
+def _visibility(layout: Evaluated) -> str:
+    words, table, survey = layout.table.words(), layout.table, layout.survey
+    rows = [
+        [
+            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
+            round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
+        ]
+        for s, station in enumerate(survey.station_names)
+        for t, target in enumerate(survey.target_names)
+    ]  # fmt: skip
+    header = ["station", "target", "sees", "why_not", "distance_mm", "elevation_deg", "incidence_deg"]
+    return table_text(header, rows)
+
+
+def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """CSV text; numbers with six digits, nothing for what does not exist."""
+
+    def cell(value: Any) -> Any:
+        if value is None:
+            return ""
+        return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
+
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([[cell(value) for value in row] for row in rows])
+    return buffer.getvalue()

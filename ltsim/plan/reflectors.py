@@ -1,0 +1,171 @@
+"""Reflectors chosen among candidate places, with the stations where they are.
+
+Seen from given stations each reflector adds its own term to the information (targets are eliminated one by one), so
+that an exchange of two places is a difference of two small matrices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import SetupError
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.construction import Construction
+from ltsim.plan.fast import Reduced, Reducer
+from ltsim.plan.objective import Objective
+from ltsim.plan.site import Site
+from ltsim.plan.survey import Survey
+from ltsim.scene.visibility import aimed_normals
+
+SWEEPS = 8
+GAIN = 1e-4
+
+
+@dataclass(frozen=True)
+class PlaceTable:
+    """Terms of the normal matrix of poses, gauge and parameters, for given stations.
+
+    Attributes
+    ----------
+    reducer : Reducer
+    base : (K, K) float
+        Targets that stay, known lengths, priors, datum.
+    terms : (P, K, K) float
+        What a reflector at each place would add.
+    """
+
+    reducer: Reducer
+    base: Floats
+    terms: Floats
+
+    @classmethod
+    def of(cls, survey: Survey, stays: Bools, places: Floats, seen: Bools, reducer: Reducer) -> PlaceTable:
+        """Terms of `places`; `reducer` has the staying targets first, then the places; `seen` (S, targets)."""
+        count, kept = len(survey.position), int(stays.sum())
+        slots = np.arange(count)
+        only = seen.copy()
+        only[:, kept:] = False
+        base = reducer.schur(reducer.blocks(survey.position, survey.yaw, slots, only), slots[None])[0]
+        t, v = reducer.rows(survey.position, survey.yaw, slots)
+        shape = (count, kept + len(places), 3 * len(survey.faces))
+        weight = np.sqrt(survey.repeats) * seen[:, kept:, None, None]
+        t, v = t.reshape(*shape, 3)[:, kept:] * weight, v.reshape(*shape, -1)[:, kept:] * weight
+        turned = t @ cross_matrix(places[None] - survey.position[:, None])
+        size = len(base)
+        x = np.zeros((len(places), count, shape[2], size))
+        for s in range(count):
+            x[:, s, :, 6 * s : 6 * s + 3], x[:, s, :, 6 * s + 3 : 6 * s + 6] = -t[s], turned[s]
+            x[:, s, :, size - v.shape[3] :] = v[s]
+        rows = x.reshape(len(places), -1, size)
+        basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
+        left = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
+        return cls(reducer, base, np.swapaxes(left, 1, 2) @ left)
+
+    def values(self, totals: Floats, objective: Objective) -> Floats:
+        """Objective (B,) of normal matrices (B, K, K)."""
+        reduced = Reduced(self.reducer.marginal(totals), np.full(len(totals), np.nan))
+        return objective.values(reduced, self.reducer.construction.size)
+
+
+def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str, ...], seen: Bools) -> Survey:
+    """The survey with the staying targets and reflectors at `places`."""
+    keep = np.flatnonzero(stays)
+    count = len(keep) + len(places)
+    rank = None if survey.rank is None else np.tile(np.arange(count), (len(survey.position), 1))
+    return survey.replace(
+        target_names=(*(survey.target_names[k] for k in keep), *names),
+        points=np.concatenate([survey.points[keep], places]),
+        seen=seen,
+        rank=rank,
+    )
+
+
+def choose_reflectors(
+    site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction
+) -> Survey:
+    """The survey with its movable reflectors at the best of the site's places (and where they are).
+
+    Parameters
+    ----------
+    stays : (T,) bool
+        Targets that stay.
+
+    Raises
+    ------
+    SetupError
+        When too few places are in sight.
+    """
+    if site.places is None:
+        return survey
+    places = np.concatenate([survey.points[~stays], site.places])
+    own = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
+    names = (*own, *(n for n in site.place_names))
+    good = _usable(site, survey, places)
+    good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], site.places)]
+    wanted = int((~stays).sum())
+    if good.sum() < wanted:
+        raise SetupError(
+            f"only {int(good.sum())} places for reflectors are in sight of the stations, {wanted} are wanted; "
+            "add places or ask for fewer"
+        )
+    places, names = places[good], tuple(n for n, g in zip(names, good, strict=True) if g)
+    seen = site.seen(survey.position, np.concatenate([survey.points[stays], places]))
+    wide = with_targets(survey, stays, places, names, np.ones_like(seen))
+    table = PlaceTable.of(survey, stays, places, seen, Reducer(wide, construction, objective.effects))
+    start = _start(places, np.arange(len(places)) < good[: len(own)].sum(), wanted, site.reflector_spacing)
+    chosen = _exchange(table, objective, places, start, site.reflector_spacing)
+    kept = np.r_[0 : stays.sum(), stays.sum() + chosen]
+    return with_targets(survey, stays, places[chosen], tuple(names[i] for i in chosen), seen[:, kept])
+
+
+def _usable(site: Site, survey: Survey, places: Floats) -> Bools:
+    """(P,): seen from enough stations; a fixed nest there can be aimed at all of them."""
+    good: Bools = site.seen(survey.position, places).sum(axis=0) >= min(site.least, len(survey.position))
+    if site.aimed.any():
+        good &= aimed_normals(survey.position, places)[1] <= site.limits.acceptance
+    return good
+
+
+def _taken(points: Floats, places: Floats) -> Bools:
+    """(P,): a place that is one of the points already."""
+    gap = np.linalg.norm(places[:, None] - points[None], axis=2)
+    return np.asarray((gap < 1e-3).any(axis=1))
+
+
+def _start(places: Floats, own: Bools, wanted: int, spacing: float) -> Ints:
+    """Indices (wanted,): the reflectors' present places, filled up by those far from all others."""
+    chosen: list[int] = np.flatnonzero(own).tolist()
+    while len(chosen) < wanted:
+        gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
+        best = int(np.argmax(gap))
+        if gap[best] < spacing:
+            raise SetupError(f"fewer than {wanted} places for reflectors lie {spacing:g} m apart; add places")
+        chosen.append(best)
+    return np.array(chosen, dtype=np.int64)
+
+
+def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: Ints, spacing: float) -> Ints:
+    """Exchange one reflector at a time for the best free place until no exchange helps (Fedorov)."""
+    chosen = chosen.copy()
+    total = table.base + table.terms[chosen].sum(axis=0)
+    value = float(table.values(total[None], objective)[0])
+    gap = np.linalg.norm(places[:, None] - places[None], axis=2)
+    for _ in range(SWEEPS):
+        before = value
+        for i in range(len(chosen)):
+            others = np.delete(chosen, i)
+            free = np.setdiff1d(np.flatnonzero((gap[:, others] >= spacing).all(axis=1)), chosen)
+            if not len(free):
+                continue
+            without = total - table.terms[chosen[i]]
+            values = table.values(without + table.terms[free], objective)
+            best = int(np.argmin(values))
+            if values[best] < value:
+                chosen[i], value = free[best], float(values[best])
+                total = without + table.terms[chosen[i]]
+        if value > before * (1 - GAIN):
+            break
+    return chosen

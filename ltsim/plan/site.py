@@ -1,0 +1,143 @@
+"""Where stations may stand and reflectors may sit: floor, heights, obstacles, sight, spacing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.plan.survey import Survey
+from ltsim.scene.visibility import Blocker, SightLimits, visibility
+
+NEST_STEPS = 60
+NEST_MARGIN = 0.004
+"""Steps of the iteration that aims fixed nests, and what is kept free for it [rad]."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """The freedom of a plan.
+
+    Attributes
+    ----------
+    survey : Survey
+        The layout to start from: targets, gauge, noise, order of work.
+    floor : (k, 2) float, [m]
+        Corners of the area where tripods may stand, in order around it.
+    heights : (float, float), [m]
+        Lowest and highest centre of the instrument.
+    limits : SightLimits
+    obstacles : Blocker or None
+    spacing : float, [m]
+        Least distance between stations.
+    least : int
+        Every target is seen from at least so many stations.
+    aimed : (T,) bool
+        Targets in fixed nests, which are aimed anew for every layout and must serve all its stations.
+    fixed : tuple of int
+        Stations that stay where they are.
+    places : (P, 3) float, [m]
+        Candidate places of reflectors; none: reflectors stay.
+    place_names : tuple of str
+    reflector_spacing : float, [m]
+    """
+
+    survey: Survey
+    floor: Floats
+    heights: tuple[float, float]
+    limits: SightLimits
+    aimed: Bools
+    obstacles: Blocker | None = None
+    spacing: float = 1.0
+    least: int = 1
+    fixed: tuple[int, ...] = ()
+    places: Floats | None = None
+    place_names: tuple[str, ...] = ()
+    reflector_spacing: float = 0.3
+
+    def replace(self, **changes: Any) -> Site:
+        """A copy with some fields changed."""
+        return replace(self, **changes)
+
+    def allowed(self, position: Floats) -> Bools:
+        """(N,): a tripod may stand there."""
+        low, high = self.heights
+        good = inside(self.floor, position[:, :2])
+        good &= (position[:, 2] > low - 1e-9) & (position[:, 2] < high + 1e-9)
+        if self.obstacles is not None and good.any():
+            good[good] = ~self.obstacles.encloses(position[good])
+        return good
+
+    def seen(self, position: Floats, points: Floats | None = None) -> Bools:
+        """(N, T): targets in sight, nests left aside (they are aimed later)."""
+        return visibility(
+            position, self.survey.points if points is None else points, self.limits, obstacles=self.obstacles
+        ).visible
+
+    def joined(self, position: Floats, seen: Bools) -> Bools:
+        """(B,): layouts (B, S, 3) that keep stations apart, targets in sight and nests served; `seen` (B, S, T)."""
+        good: Bools = (seen.sum(axis=1) >= self.least).all(axis=1)
+        good &= (seen.sum(axis=2) >= 3).all(axis=1)
+        gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
+        first, second = np.triu_indices(position.shape[1], k=1)
+        good &= (gap[:, first, second] > self.spacing - 1e-9).all(axis=1)
+        if self.aimed.any() and good.any():
+            good[good] = self._served(position[good])
+        return good
+
+    def _served(self, position: Floats) -> Bools:
+        """(B,): every fixed nest can be aimed so that all stations fall within the reflector's acceptance."""
+        back = position[:, None] - self.survey.points[self.aimed][:, None, :]
+        back /= np.linalg.norm(back, axis=3, keepdims=True)
+        centre = back.mean(axis=2)
+        for i in range(NEST_STEPS):
+            cosine = np.einsum("btsk,btk->bts", back, centre)
+            worst = np.argmin(cosine, axis=2)[:, :, None, None]
+            centre += (np.take_along_axis(back, worst, axis=2)[:, :, 0] - centre) / (i + 2)
+            centre /= np.linalg.norm(centre, axis=2, keepdims=True)
+        cosine = np.einsum("btsk,btk->bts", back, centre)
+        return np.asarray(cosine.min(axis=(1, 2)) > np.cos(self.limits.acceptance - NEST_MARGIN))
+
+    def grid(self, step: float, yaws: int, heights: int) -> tuple[Floats, Floats]:
+        """Candidate set-ups on a grid: positions (N, 3) that are allowed, each with `yaws` turns; yaw (N,)."""
+        low, high = self.floor.min(axis=0), self.floor.max(axis=0)
+        count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+        axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+        span = self.heights[1] - self.heights[0]
+        levels = np.linspace(*self.heights, heights if span > 1e-9 else 1)
+        grid = np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)
+        grid = grid[self.allowed(grid)]
+        turns = np.arange(yaws) * (2 * np.pi / yaws)
+        return np.repeat(grid, yaws, axis=0), np.tile(turns, len(grid))
+
+
+def inside(polygon: Floats, points: Floats) -> Bools:
+    """(N,): points (N, 2) inside a polygon (k, 2) or within a nanometre of its edge."""
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    x, y = points[:, 0, None], points[:, 1, None]
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
+    left = x < start[:, 0] + (y - start[:, 1]) * (end[:, 0] - start[:, 0]) / rise
+    crossings: Bools = (spans & left).sum(axis=1) % 2 == 1
+    way = end - start
+    along = np.einsum("nki,ki->nk", points[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-30)
+    foot = start + np.clip(along, 0, 1)[:, :, None] * way
+    return crossings | (np.linalg.norm(points[:, None] - foot, axis=2) < 1e-9).any(axis=1)
+
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and which share of it is done."""
+
+
+def quiet(_what: str, _share: float) -> None:
+    """No progress is shown."""
+
+
+def spread(count: int, whole: Ints) -> Ints:
+    """At most `count` of the indices, evenly spread."""
+    if len(whole) <= count:
+        return whole
+    return whole[np.unique(np.linspace(0, len(whole) - 1, count).round().astype(int))]

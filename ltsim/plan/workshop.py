@@ -1,0 +1,173 @@
+"""A plan file and its scenario as a site to search on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects import find_effect
+from ltsim.effects.effect import Effect
+from ltsim.errors import SetupError
+from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.plan.site import Site
+from ltsim.plan.spec import PlanFile, Surface
+from ltsim.plan.survey import Survey
+from ltsim.recording.recording import Recording
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.sections import Placing
+from ltsim.simulate.simulator import simulate
+from ltsim.simulate.workshop import Layout, obstacles_of, planned, sight_limits, visibility_of
+from ltsim.units import MILLIMETRE
+
+LEANING = 1e-3
+"""Cosine deficit of an instrument's axis that a plan of upright stations may neglect (2.6 deg)."""
+
+
+def survey_of(scenario: Scenario) -> Survey:
+    """The scenario as a survey: its layout as planned, its set-up, its order and its clock.
+
+    Raises
+    ------
+    SetupError
+        When a station leans: a plan knows upright ones only.
+    """
+    layout, work = planned(scenario), scenario.work
+    lean = 1.0 - layout.rotation[:, 2, 2]
+    if lean.max() > LEANING:
+        raise SetupError(f"station {layout.stations[int(lean.argmax())]} leans; a plan knows upright stations only")
+    recording, _ = simulate(scenario.model_copy(update={"placing": _EXACT}), 0)
+    return Survey(
+        setup=recording.setup,
+        station_names=layout.stations,
+        target_names=layout.targets,
+        position=layout.position,
+        yaw=np.arctan2(layout.rotation[:, 1, 0], layout.rotation[:, 0, 0]),
+        points=layout.points,
+        seen=visibility_of(scenario, layout).visible,
+        faces=tuple(range(1, work.faces + 1)),
+        repeats=work.repeats,
+        seconds_per_pointing=work.seconds_per_pointing,
+        seconds_per_move=60.0 * work.minutes_per_move,
+        rank=_rank(recording, layout),
+        face_by_face=work.face_order == "per-station",
+    )
+
+
+_EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+
+
+def _rank(recording: Recording, layout: Layout) -> Ints:
+    """(S, T): place of each target in each station's first round; targets not seen come last."""
+    count = len(layout.targets)
+    first = np.full((len(layout.stations), count), np.inf)
+    names = [layout.targets.index(name) for name in recording.targets]
+    stations = [layout.stations.index(name) for name in recording.stations]
+    np.minimum.at(
+        first,
+        (np.array(stations)[recording.station], np.array(names)[recording.target]),
+        recording.time,
+    )
+    return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
+
+
+def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> Site:
+    """The freedom of a plan with a number of stations and a way of measuring."""
+    survey = survey_of(scenario)
+    mm = MILLIMETRE
+    heights = plan.floor.height_mm
+    levels = survey.position[:, 2]
+    layout = planned(scenario)
+    wide, high, _ = scenario.workshop.size_mm
+    margin = plan.floor.margin_mm
+    if plan.floor.corners_mm is None and 2 * margin >= min(wide, high):
+        raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {high:g} mm")
+    corners = plan.floor.corners_mm or (
+        (margin, margin), (wide - margin, margin), (wide - margin, high - margin), (margin, high - margin),
+    )  # fmt: skip
+    places, names = candidate_places(plan)
+    wanted = plan.stations.seen_from
+    return Site(
+        survey=with_stations(survey, stations).replace(
+            faces=tuple(range(1, faces + 1)),
+            repeats=repeats,
+            seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
+            seconds_per_move=survey.seconds_per_move
+            if plan.budget.minutes_per_move is None
+            else 60.0 * plan.budget.minutes_per_move,
+        ),
+        floor=np.array(corners, dtype=np.float64) * mm,
+        heights=(float(levels.min()), float(levels.max())) if heights is None else (heights[0] * mm, heights[1] * mm),
+        limits=sight_limits(scenario),
+        aimed=~layout.reaimed,
+        obstacles=obstacles_of(scenario),
+        spacing=plan.stations.spacing_mm * mm,
+        least=stations if wanted == "all" else min(wanted, stations),
+        fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
+        places=places,
+        place_names=names,
+        reflector_spacing=plan.reflectors.spacing_mm * mm,
+    )
+
+
+def with_stations(survey: Survey, count: int) -> Survey:
+    """The survey with its first stations, or with more of them standing for places yet to be found."""
+    have = len(survey.position)
+    names = [*survey.station_names]
+    free = (f"S{i}" for i in range(1, have + count + 1) if f"S{i}" not in names)
+    names += [next(free) for _ in range(max(count - have, 0))]
+    index = np.arange(count) % have
+    shift = (np.arange(count) // have)[:, None] * [0.37, 0.23, 0.0]
+    rank = survey.rank
+    return survey.replace(
+        station_names=tuple(names[:count]),
+        position=survey.position[index] + shift,
+        yaw=survey.yaw[index] + np.arange(count) // have,
+        seen=survey.seen[index],
+        rank=None if rank is None else rank[index],
+    )
+
+
+def candidate_places(plan: PlanFile) -> tuple[Floats | None, tuple[str, ...]]:
+    """Candidate places (P, 3) [m] of reflectors and their names; None where they stay."""
+    points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
+    names = [p.name for p in plan.reflectors.places]
+    for surface in plan.reflectors.surfaces:
+        points.append(_on_surface(surface))
+        names += [f"{surface.name}-{r + 1}-{c + 1}" for r in range(surface.rows) for c in range(surface.columns)]
+    if not points:
+        return None, ()
+    return np.concatenate(points) * MILLIMETRE, tuple(names)
+
+
+def _on_surface(surface: Surface) -> Floats:
+    """Places (rows x columns, 3) [mm] in rows from the origin upwards."""
+    r, c = np.meshgrid(np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns), indexing="ij")
+    across, up = np.array(surface.across_mm), np.array(surface.up_mm)
+    grid: Floats = np.array(surface.origin_mm) + r.reshape(-1, 1) * up + c.reshape(-1, 1) * across
+    return grid
+
+
+def staying(plan: PlanFile, scenario: Scenario) -> Bools:
+    """(T,): targets that stay: all without candidate places; else those of the gauge and those to keep."""
+    names = scenario.target_names
+    if not (plan.reflectors.surfaces or plan.reflectors.places):
+        return np.ones(len(names), dtype=bool)
+    kept = {*plan.reflectors.keep, *(scenario.gauge.targets if scenario.gauge else ())}
+    return np.array([name in kept for name in names], dtype=bool)
+
+
+def objective_of(plan: PlanFile, survey: Survey) -> Objective:
+    """What the plan asks of a layout; an effect of one station is looked for at each of them."""
+    goal = plan.goal
+    weights = {INSTRUMENT: goal.instrument, TARGETS: goal.targets, DIAGNOSIS: goal.diagnosis}
+    effects: list[Effect] = []
+    for name in goal.effects if goal.diagnosis else ():
+        kind = find_effect(name)
+        if kind.scope == "station":
+            effects += [kind(stations=(station,)) for station in survey.station_names]
+        elif kind.scope == "all":
+            effects.append(kind())
+        else:
+            message = "acts on single targets or readings; name effects of all or of a station"
+            raise SetupError(f"goal.effects: {name} {message}")
+    return Objective(weights, goal.criterion, tuple(effects))
