@@ -104,7 +104,7 @@ class Engine:
         across = sightings.range_ * np.cos(sightings.elevation)
         return np.stack([np.ones_like(across), across, sightings.range_], axis=1)
 
-    def _suspect(self, deviation: Floats) -> Bools:
+    def suspect(self, deviation: Floats) -> Bools:
         """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
         far: Bools = np.max(np.abs(deviation) * self._reach[:, :, None], axis=(0, 1)) > SUSPECT
         for trial in np.flatnonzero(far):
@@ -117,7 +117,7 @@ class Engine:
         fit = self.network.fit(block.deviation, block.gauge_error)
         status = np.zeros(len(fit.chi2), dtype=np.int64)
         found = Calibrated(fit.values, self.network.sigma_values, fit.points, fit.chi2, status)
-        for trial in np.flatnonzero(~fit.converged | self._suspect(block.deviation)):
+        for trial in np.flatnonzero(~fit.converged | self.suspect(block.deviation)):
             self._by_full_solver(block, int(trial), found)
         return found
 

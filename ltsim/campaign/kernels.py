@@ -17,6 +17,10 @@ REACHED = 1e-9
 STEPS = 8
 
 
+Chain = tuple[Ints, Ints, Floats, Ints, Floats, Ints, Ints, Ints, Floats, Floats]
+"""`ChainProgram.arrays`."""
+
+
 @inlined
 def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
     """Cosine and sine of an angle plus a small one."""
@@ -41,20 +45,9 @@ def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tupl
 
 
 @compiled
-def _amounts(
-    i: int,
-    driven: Ints,
-    sign: Floats,
-    first: Ints,
-    fed: Ints,
-    varies: Ints,
-    basis: Floats,
-    slope: Floats,
-    deviation: Floats,
-    values: Floats,
-    out: Floats,
-) -> None:
+def _amounts(i: int, chain: Chain, deviation: Floats, values: Floats, out: Floats) -> None:
     """Deviation (M, B) of each motion's amount at pointing i for reading deviations (3, B) and values (p, B)."""
+    _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     trials = out.shape[1]
     for m in range(len(driven)):
         row = out[m]
@@ -83,8 +76,9 @@ def _amounts(
 
 
 @compiled
-def _walk(i: int, turns: Ints, axis: Ints, amount: Floats, moved: Floats, path: Floats) -> None:
+def _walk(i: int, chain: Chain, moved: Floats, path: Floats) -> None:
     """Carry the point from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
+    turns, axis, _, _, amount, _, _, _, _, _ = chain
     trials = moved.shape[1]
     last = len(turns)
     for c in range(3):
@@ -114,15 +108,7 @@ def _walk(i: int, turns: Ints, axis: Ints, amount: Floats, moved: Floats, path: 
 @compiled
 def _pull_back(
     i: int,
-    turns: Ints,
-    axis: Ints,
-    sign: Floats,
-    amount: Floats,
-    first: Ints,
-    fed: Ints,
-    varies: Ints,
-    basis: Floats,
-    slope: Floats,
+    chain: Chain,
     deviation: Floats,
     moved: Floats,
     path: Floats,
@@ -131,6 +117,7 @@ def _pull_back(
     gradient: Floats,
 ) -> None:
     """Subtract from gradient (p, B) what a force (3, B) on the point pulls each parameter by (virtual work)."""
+    turns, axis, sign, _, amount, first, fed, varies, basis, slope = chain
     trials = moved.shape[1]
     for m in range(len(turns)):
         a = axis[m]
@@ -168,28 +155,19 @@ def _pull_back(
 
 @compiled
 def points_of(
-    turns: Ints,
-    axis: Ints,
-    sign: Floats,
-    driven: Ints,
-    amount: Floats,
-    first: Ints,
-    fed: Ints,
-    varies: Ints,
-    basis: Floats,
-    slope: Floats,
+    chain: Chain,
     instrument: Ints,
     deviation: Floats,
     values: Floats,
     out: Floats,
 ) -> None:
     """Points (n, 3, B) [m] in the instruments' frames of reading deviations (n, 3, B) with values (I, p, B)."""
-    motions, trials = len(turns), deviation.shape[2]
+    motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         own = values[instrument[i]]
-        _amounts(i, driven, sign, first, fed, varies, basis, slope, deviation[i], own, moved)
-        _walk(i, turns, axis, amount, moved, path)
+        _amounts(i, chain, deviation[i], own, moved)
+        _walk(i, chain, moved, path)
         for c in range(3):
             for t in range(trials):
                 out[i, c, t] = path[0, c, t]
@@ -197,16 +175,7 @@ def points_of(
 
 @compiled
 def readings_of(
-    turns: Ints,
-    axis: Ints,
-    sign: Floats,
-    driven: Ints,
-    amount: Floats,
-    first: Ints,
-    fed: Ints,
-    varies: Ints,
-    basis: Floats,
-    slope: Floats,
+    chain: Chain,
     instrument: Ints,
     local: Floats,
     by_point: Floats,
@@ -218,14 +187,14 @@ def readings_of(
     `deviation` holds the start and receives the result; `by_point` (n, 3, 3) is the ideal derivative, so that
     each step closes the gap by a factor of the size of the instrument's errors.
     """
-    motions, trials = len(turns), deviation.shape[2]
+    motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         own = values[instrument[i]]
         x, y, z = path[0, 0], path[0, 1], path[0, 2]
         for _ in range(STEPS):
-            _amounts(i, driven, sign, first, fed, varies, basis, slope, deviation[i], own, moved)
-            _walk(i, turns, axis, amount, moved, path)
+            _amounts(i, chain, deviation[i], own, moved)
+            _walk(i, chain, moved, path)
             largest = 0.0
             for c in range(3):
                 j0, j1, j2 = by_point[i, c, 0], by_point[i, c, 1], by_point[i, c, 2]
@@ -239,17 +208,37 @@ def readings_of(
 
 
 @compiled
+def pull_points(
+    chain: Chain,
+    instrument: Ints,
+    owner: Ints,
+    target: Ints,
+    share: Floats,
+    deviation: Floats,
+    values: Floats,
+    forces: Floats,
+    by_values: Floats,
+) -> None:
+    """Subtract from by_values (I, p, B) what forces on clouds of means pull each parameter by.
+
+    A pointing belongs to the mean of its owner (n,) and target (n,) with a share (n,); forces (O, T, 3, B).
+    """
+    motions, trials = len(chain[0]), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    force, pull = np.empty((3, trials)), np.empty(trials)
+    for i in range(len(deviation)):
+        own = instrument[i]
+        _amounts(i, chain, deviation[i], values[own], moved)
+        _walk(i, chain, moved, path)
+        for c in range(3):
+            for t in range(trials):
+                force[c, t] = share[i] * forces[owner[i], target[i], c, t]
+        _pull_back(i, chain, deviation[i], moved, path, force, pull, by_values[own])
+
+
+@compiled
 def network_gradient(
-    turns: Ints,
-    axis: Ints,
-    sign: Floats,
-    driven: Ints,
-    amount: Floats,
-    first: Ints,
-    fed: Ints,
-    varies: Ints,
-    basis: Floats,
-    slope: Floats,
+    chain: Chain,
     instrument: Ints,
     station: Ints,
     target: Ints,
@@ -291,21 +280,18 @@ def network_gradient(
     by_pose, by_points, by_values, cost
         Outputs, added to.
     """
-    motions, trials = len(turns), deviation.shape[2]
+    motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     force, pull = np.empty((3, trials)), np.empty(trials)
     for i in range(len(deviation)):
         own, s = values[instrument[i]], station[i]
-        _amounts(i, driven, sign, first, fed, varies, basis, slope, predicted[i], own, moved)
-        _walk(i, turns, axis, amount, moved, path)
+        _amounts(i, chain, predicted[i], own, moved)
+        _walk(i, chain, moved, path)
         _meet(
             arm[i], rotation[s], by_point[i], weight[i], pose[s], points[target[i]], path[0], deviation[i],
             predicted[i], residual[i], force, by_pose[s], by_points[target[i]], cost,
         )  # fmt: skip
-        _pull_back(
-            i, turns, axis, sign, amount, first, fed, varies, basis, slope, predicted[i], moved, path, force, pull,
-            by_values[instrument[i]],
-        )  # fmt: skip
+        _pull_back(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
 
 
 @compiled

@@ -52,6 +52,15 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Ready:
+    """A geometry ready to work: what all its trials share."""
+
+    truth: Truth
+    bench: Bench
+    calibrators: list[Calibrator]
+
+
+@dataclass(frozen=True)
 class Prepared:
     """A cell ready to work: everything its trials share."""
 
@@ -59,27 +68,27 @@ class Prepared:
     scenario: Scenario
 
     @cached_property
-    def shared(self) -> tuple[Truth, list[Calibrator]]:
-        """Truth and calibrators of a shared geometry."""
-        return self.at(truth_of(self.scenario, self.campaign.seed, "campaign"))
+    def shared(self) -> Ready:
+        """The geometry that all trials share."""
+        return self._at("campaign")
 
-    def at(self, truth: Truth) -> tuple[Truth, list[Calibrator]]:
-        """A truth with its calibrators, in the order of the file's methods."""
-        return truth, [calibrator_of(method, truth) for method in self.campaign.methods]
+    def _at(self, *key: str | int) -> Ready:
+        """The geometry drawn by a key, with the calibrators in the order of the file's methods."""
+        truth = truth_of(self.scenario, self.campaign.seed, *key)
+        return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
 
-    def blocks(self, first: int, last: int) -> Iterator[tuple[Block, Ints, Truth, list[Calibrator]]]:
+    def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints]]:
         """Blocks that hold the trials ``first`` to ``last - 1``, with the wanted trials' places in them."""
         seed = self.campaign.seed
         if self.campaign.geometry == "shared":
-            truth, calibrators = self.shared
             for number in range(first // BLOCK, -(-last // BLOCK)):
                 places = np.arange(BLOCK * number, BLOCK * (number + 1))
                 wanted = np.flatnonzero((places >= first) & (places < last))
-                yield truth.draw(seed, number), wanted, truth, calibrators
+                yield self.shared, self.shared.truth.draw(seed, number), wanted
         else:
             for trial in range(first, last):
-                truth, calibrators = self.at(truth_of(self.scenario, seed, "campaign", trial))
-                yield truth.draw(seed, trial, 1), np.zeros(1, dtype=np.int64), truth, calibrators
+                ready = self._at("campaign", trial)
+                yield ready, ready.truth.draw(seed, trial, 1), np.zeros(1, dtype=np.int64)
 
 
 @lru_cache(maxsize=4)
@@ -103,14 +112,13 @@ def shard_rows(task: Task) -> pa.Table:
     checked = _checked_trials(campaign, task.shard, first, last)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
     start = first
-    for block, wanted, truth, calibrators in cell.blocks(first, last):
+    for ready, block, wanted in cell.blocks(first, last):
         numbers = start + np.arange(len(wanted))
         start += len(wanted)
-        bench = Bench(truth)
-        shared = bench.before(block)
-        for part, calibrator in zip(parts, calibrators, strict=True):
+        shared = ready.bench.before(block)
+        for part, calibrator in zip(parts, ready.calibrators, strict=True):
             found = calibrator.calibrate(block, wanted)
-            columns = _columns(campaign, bench, block, found, calibrator.construction, shared)
+            columns = _columns(campaign, ready.bench, block, found, calibrator.construction, shared)
             columns[CHECKED] = np.full(block.deviation.shape[2], np.nan)
             for place in wanted[np.isin(numbers, checked)]:
                 columns[CHECKED][place] = calibrator.difference(block, int(place), found)

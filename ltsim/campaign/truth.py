@@ -191,7 +191,7 @@ class Truth:
         for i, part in enumerate(linear):
             deviation[which == i] = part
         sightings = self.sightings
-        readings_of(*self.program.arrays, which, sightings.local, sightings.jacobian, values, deviation)
+        readings_of(self.program.arrays, which, sightings.local, sightings.jacobian, values, deviation)
         return deviation
 
     def _shift(self, place: int, amounts: Floats) -> Floats:

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltsim.campaign import calibrators, store
+from ltsim.campaign import single, store
 from ltsim.campaign.campaign import Workers, run_campaign
 from ltsim.campaign.rows import CHECKED, shard_rows, task_of
 from ltsim.campaign.spec import load_campaign
@@ -237,12 +237,12 @@ def test_methods_see_the_same_draws(file: Path) -> None:
     )
     campaign, scenarios = load_campaign(file)
     rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
-    batch, single = rows.slice(0, 12), rows.slice(12, 12)
-    assert set(single["method"].to_pylist()) == {"one by one"}
-    assert batch["error_raw_um"].to_pylist() == single["error_raw_um"].to_pylist()
-    gap = np.array(batch["z:beam-tilt"].to_pylist()) - np.array(single["z:beam-tilt"].to_pylist())
+    batch, alone = rows.slice(0, 12), rows.slice(12, 12)
+    assert set(alone["method"].to_pylist()) == {"one by one"}
+    assert batch["error_raw_um"].to_pylist() == alone["error_raw_um"].to_pylist()
+    gap = np.array(batch["z:beam-tilt"].to_pylist()) - np.array(alone["z:beam-tilt"].to_pylist())
     assert 0 < np.abs(gap).max() < 1e-3
-    assert single[CHECKED].null_count == 12
+    assert alone[CHECKED].null_count == 12
 
 
 def test_geometry_may_vary_per_trial(file: Path) -> None:
@@ -262,7 +262,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
         FILE.replace("trials = 600", "trials = 4").replace("[grid]", '[[methods]]\nsolver = "single"\n[grid]')
     )
     campaign, scenarios = load_campaign(file)
-    real: Callable[..., object] = calibrators.adjust
+    real: Callable[..., object] = single.adjust
     calls = [0]
 
     def sometimes(*args: object, **settings: object) -> object:
@@ -271,7 +271,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
             raise NetworkError("lost")
         return real(*args, **settings)
 
-    monkeypatch.setattr(calibrators, "adjust", sometimes)
+    monkeypatch.setattr(single, "adjust", sometimes)
     rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
     assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
     for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "share_removed", "target_error_um"):

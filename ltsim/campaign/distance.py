@@ -1,0 +1,168 @@
+"""The paper's distance objective for all trials that share a geometry.
+
+As for the network: the objective's normal matrix at the nominal network gives the steps of all trials, the gradient is
+exact at each trial's own readings and parameters, so the iteration ends at the trial's own optimum. Which
+combinations are estimated and which are left at zero is decided once, at the nominal network.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjust.problem import prior_sigmas
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.calibrate.distance_solver import Estimate, mean_rows, solve_distances
+from ltsim.calibrate.objective import DistanceProblem
+from ltsim.campaign.cloud_kernels import station_means
+from ltsim.campaign.distance_kernels import distance_forces
+from ltsim.campaign.engine import STATUSES, Calibrated, Engine
+from ltsim.campaign.kernels import points_of, pull_points
+from ltsim.campaign.network import BatchFit
+from ltsim.campaign.program import ChainProgram
+from ltsim.campaign.single import Single
+from ltsim.campaign.truth import Block, Truth
+from ltsim.evaluate.clouds import on_points
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import Construction, ideal
+
+CAP = 10
+CLOSED = 3e-5
+"""Converged when no unknown moves by more than this share of its prior sigma; what remains is a hundredth of it."""
+CLEAR = 0.01
+"""A combination whose gain is this close to the threshold may be estimated in one trial and left out in another."""
+
+
+@dataclass(frozen=True)
+class BatchDistance:
+    """Batched distance calibration.
+
+    Attributes
+    ----------
+    truth : Truth
+    construction : Construction
+    """
+
+    truth: Truth
+    construction: Construction
+
+    @cached_property
+    def single(self) -> Single:
+        """The calibrator that users have."""
+        return Single(self.truth, self.construction, (), "distance")
+
+    @cached_property
+    def problem(self) -> DistanceProblem:
+        """The objective at the nominal network."""
+        recording = self.truth.recording
+        return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """What the estimator gives at nominal readings: zero, its covariance, and what it leaves out."""
+        return solve_distances(self.problem, "squares")
+
+    @cached_property
+    def step_matrix(self) -> Floats:
+        """(q, q): a step in units of the prior sigmas from half a gradient, within what is estimated."""
+        rows = mean_rows(self.problem, self.problem.at(np.zeros(self.problem.prior_sigma.size)))
+        normal = rows.by_unknown.T @ rows.by_unknown
+        left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, len(normal))
+        kept = np.linalg.svd(np.eye(len(normal)) - left.T @ left)[0][:, : len(normal) - len(left)]
+        inverse: Floats = kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
+        return inverse
+
+    @cached_property
+    def _program(self) -> ChainProgram:
+        return ChainProgram.of(self.construction, self.truth.recording.readings)
+
+    @cached_property
+    def _network(self) -> Engine:
+        """The adjustment of corrected readings, which gives targets and chi2."""
+        return Engine(self.truth, ideal())
+
+    @cached_property
+    def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
+        """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
+        recording, gauge = self.truth.recording, self.problem.gauge
+        sets = self.problem.sets
+        seen = np.zeros((int(sets.max()) + 1, len(recording.targets)), dtype=np.bool_)
+        whole = recording.measured.all(axis=1)
+        seen[sets[whole], recording.target[whole]] = True
+        key = sets * len(recording.targets) + recording.target
+        count = np.bincount(key[whole], minlength=seen.size)[key]
+        share = np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
+        return sets, seen, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block; trials with a suspect pointing, or that do not converge, go to the single calibrator."""
+        values, moved = self._solve(block)
+        fit = self._adjusted(block, values)
+        spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
+        status = np.zeros(len(moved), dtype=np.int64)
+        found = Calibrated(values, spread, fit.points, fit.chi2, status)
+        alone = ~(moved < CLOSED) | ~fit.converged | self._network.suspect(block.deviation)
+        places = np.flatnonzero(alone & np.isin(np.arange(len(moved)), wanted))
+        if len(places):
+            one_by_one = self.single.calibrate(block, places)
+            for mine, theirs in (
+                (found.values, one_by_one.values),
+                (found.points, one_by_one.points),
+                (found.chi2, one_by_one.chi2),
+            ):
+                mine[..., places] = theirs[..., places]
+            status[places] = np.where(one_by_one.status[places] == 0, STATUSES.index("full solver"), 2)
+        return found
+
+    def _solve(self, block: Block) -> tuple[Floats, Floats]:
+        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
+        deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
+        sets, seen, share, gauge = self._membership
+        recording, trials = self.truth.recording, deviation.shape[2]
+        length = self.problem.gauge.length[:, None] + block.gauge_error
+        values = np.zeros((*self.problem.prior_sigma.shape, trials))
+        points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
+        for _ in range(CAP):
+            points_of(self._program.arrays, recording.instrument, deviation, values, points)
+            clouds = np.zeros((*seen.shape, 3, trials))
+            station_means(points, sets, recording.target, share, clouds)
+            forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
+            distance_forces(clouds, seen, gauge, length, forces, np.zeros(trials))
+            membership = (recording.instrument, sets, recording.target, share)
+            pull_points(self._program.arrays, *membership, deviation, values, forces, gradient)
+            step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
+            values += step.reshape(values.shape) * prior
+            moved = np.abs(step).max(axis=0)
+            if not np.any(moved >= CLOSED):
+                break
+        return values, moved
+
+    def _adjusted(self, block: Block, values: Floats) -> BatchFit:
+        """The network of the corrected readings."""
+        deviation = block.deviation
+        points = np.empty(deviation.shape)
+        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        flat = np.hypot(x, y)
+        back = (self.truth.recording.face == 2)[:, None]
+        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
+        raw = np.stack(
+            [np.hypot(flat, z), azimuth + np.where(back, np.pi, 0.0), np.where(back, np.pi - elevation, elevation)],
+            axis=1,
+        )
+        corrected = raw - self.truth.recording.readings[:, :, None]
+        corrected[:, 1:] = wrap(corrected[:, 1:])
+        return self._network.network.fit(corrected, block.gauge_error)
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the single calibrator, over parameters and targets."""
+        other = self.single.calibrate(block, np.array([trial]))
+        if other.status[trial] != 0:
+            return float("nan")
+        values = np.abs(other.values[:, :, trial] - found.values[:, :, trial]) / found.sigma
+        truth = self.truth.state.points
+        batch = truth + found.points[:, :, trial]
+        gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self._network.sigma_targets
+        return float(max(values.max(), gap.max()))
