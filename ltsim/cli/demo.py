@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,10 +11,13 @@ from typing import Annotated
 import typer
 
 from ltsim.calibrate import calibrate_network, write_calibration
-from ltsim.calibrate.files import TARGETS, targets_csv
+from ltsim.campaign.campaign import Workers, run_campaign
+from ltsim.campaign.statistics import Results
+from ltsim.cli.campaign import summary_csv
 from ltsim.cli.options import Json, Quiet, Seed
 from ltsim.cli.terminal import Terminal
 from ltsim.diagnose import diagnose
+from ltsim.diagnose.files import write_diagnosis
 from ltsim.randomness import stream
 from ltsim.recording import write
 from ltsim.recording.files import write_texts
@@ -32,6 +34,20 @@ HIDDEN: tuple[EffectEntry, ...] = (
     EffectEntry(name="range-cyclic", values={"cyclic-cos": 8.0}),
 )
 """What the demonstration may conceal; which one is drawn by the seed and not told to the diagnosis."""
+
+CAMPAIGN = """format = "ltsim-campaign/1"
+title = "Calibrations of drawn instruments in the paper's workshop"
+scenario = "paper-workshop"
+seed = {seed}
+trials = 500
+
+[[methods]]
+name = "network"
+
+[[methods]]
+name = "distance"
+method = "distance"
+"""
 
 
 @dataclass(frozen=True)
@@ -99,17 +115,43 @@ def diagnosed(out: Path, seed: int) -> str:
     write(recording, folder / "recording")
     write_truth(truth, folder / "truth.json")
     found = diagnose(recording, seed=seed)
-    adjusted = found.adjusted
-    table = targets_csv(adjusted.recording.targets, adjusted.state.points, adjusted.target_covariance)
-    content = json.dumps(found.to_json(), indent=1) + "\n"
-    write_texts(folder, {"diagnosis.json": content, TARGETS: table})
+    write_diagnosis(found, folder)
     place = ", ".join(entry.stations + entry.targets) or "everywhere"
-    return f"hidden was {entry.name} ({place}); the diagnosis says: {found.summary}"
+    return f"hidden was {entry.name} ({place}); the diagnosis, which was not told, says: {found.summary}"
+
+
+def repeated(out: Path, seed: int) -> str:
+    """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
+    write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
+    run_campaign(out / "campaign.toml", out / "campaign", workers=Workers(), resume=True)
+    results = Results(out / "campaign")
+    write_texts(out / "campaign", {"summary.csv": summary_csv(results.summary())})
+    parts = []
+    for column, title in (
+        ("distance_improvement_percent", "distance"),
+        ("coordinate_improvement_percent", "coordinate"),
+    ):
+        spreads = {spread.method: spread for spread in results.spread(column)}
+        figures = ", ".join(
+            f"{method} {spread.quantiles[3]:.0f} % ({spread.quantiles[1]:.0f} to {spread.quantiles[5]:.0f})"
+            for method, spread in spreads.items()
+        )
+        parts.append(f"{title} criterion: {figures}")
+    return "improvement over the trials, median and 90 % of them; " + "; ".join(parts)
+
+
+def reported(out: Path, seed: int) -> str:
+    """Put everything on one page."""
+    from ltsim.report.page import report  # matplotlib and vtk take seconds to load
+
+    return f"open {report(out)}"
 
 
 STEPS: tuple[Step, ...] = (
     Step("simulate the paper's workshop", simulated),
     Step("calibrate it", calibrated),
+    Step("repeat that on 500 drawn instruments, two methods side by side", repeated),
     Step("hide an effect in another recording, and diagnose it", diagnosed),
+    Step("write one page about it", reported),
 )
 """What the demonstration does, in order; a step is one function and one line here."""

@@ -19,8 +19,10 @@ from ltsim.cli.diagnose import diagnose
 from ltsim.cli.effects import effects
 from ltsim.cli.evaluate import evaluate
 from ltsim.cli.recover import recover
+from ltsim.cli.report import report
 from ltsim.cli.simulate import simulate
 from ltsim.cli.verify import verify
+from ltsim.cli.view import view
 from ltsim.errors import LtsimError
 
 BAD_INPUT = 2
@@ -50,6 +52,8 @@ app.command()(campaign)
 app.command()(convert)
 app.command()(effects)
 app.command()(diagnose)
+app.command()(report)
+app.command()(view)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from typing import Annotated, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import typer
 from ltsim.campaign.recovery import FALSE_ALARM, Recovery
 from ltsim.campaign.recovery import recover as trials_of
 from ltsim.cli.calibrate import Method, MethodOption
-from ltsim.cli.options import Jobs, Json, Out, Quiet, Seed
+from ltsim.cli.options import Json, Out, Quiet, Seed
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError
@@ -26,6 +27,13 @@ ConstructionChoice = Annotated[
     typer.Option("--construction", metavar="NAME", help="Of the calibrator; default that of the scenario."),
 ]
 
+RecoverJobs = Annotated[
+    int | None,
+    typer.Option("--jobs", "-j", min=1, help="Processes to work with; default all cores, one for few trials."),
+]
+FEW = 100
+"""Trials that take less time than starting further processes."""
+
 
 def recover(
     scenario: ScenarioName,
@@ -33,7 +41,7 @@ def recover(
     method: MethodOption = Method.NETWORK,
     construction: ConstructionChoice = None,
     seed: Seed = 0,
-    jobs: Jobs = 1,
+    jobs: RecoverJobs = None,
     out: Out = None,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -50,9 +58,10 @@ def recover(
     if built.instrument.construction == "dh" and construction not in (None, "dh"):
         raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
     calibrator = construction_of(built.instrument) if construction is None else construction_called(construction)
+    workers = jobs or (1 if trials < FEW else os.cpu_count() or 1)
     found = []
     with terminal.progress("trials", trials) as step:
-        for trial in trials_of(built, trials, seed=seed, jobs=jobs, method=method.value, construction=calibrator):
+        for trial in trials_of(built, trials, seed=seed, jobs=workers, method=method.value, construction=calibrator):
             found.append(trial)
             step(1)
     result = Recovery(calibrator.names, tuple(found))
