@@ -87,7 +87,16 @@ class Listing:
     kind: Literal["listing"] = "listing"
 
 
-Block = Table | Picture | Scene | Note | Listing
+@dataclass(frozen=True)
+class Points:
+    """A few sentences, one a line."""
+
+    title: str
+    lines: Sequence[str]
+    kind: Literal["points"] = "points"
+
+
+Block = Points | Table | Picture | Scene | Note | Listing
 
 
 @dataclass(frozen=True)

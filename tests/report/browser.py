@@ -19,7 +19,7 @@ OWN_HOSTS = ("google", "gvt1", "gstatic", "chromium")
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--hide-scrollbars", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--enable-logging=stderr", "--virtual-time-budget=20000",
+    "--disable-component-update", "--disable-sync", "--enable-logging=stderr", "--virtual-time-budget=6000",
 )  # fmt: skip
 
 

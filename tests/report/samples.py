@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import parquet as pq
 
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.calibrate import calibrate_network, write_calibration
 from ltsim.calibrate.files import residuals_csv
 from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
 from ltsim.recording import write
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station
+from ltsim.simulate.scenario import builtin_text, load_scenario
 from tests.networks import STATIONS, YAWS, drawn, network
 
 
@@ -84,3 +88,68 @@ DIAGNOSIS: dict[str, Any] = {
     },
     "undetectable": [{"effect": "air-gradient", "reason": "absorbed by poses and targets", "cure": "other heights"}],
 }  # fmt: skip
+
+
+def campaign_folder(folder: Path, trials: int = 60) -> Path:
+    """A campaign of two settings and two methods, own-made rows in the form of the campaign's files."""
+    manifest = {
+        "format": "ltsim-campaign-rows/1", "title": "Own-made", "seed": 11, "trials": trials,
+        "methods": ["network", "distance"],
+        "cells": [{"cell": c, "label": f"noise_factor = {c + 1}", "settings": {}} for c in range(2)],
+        "versions": {"numpy": "2.0"}, "commit": None, "settings": {"scenario": "paper-workshop"}, "scenarios": [],
+    }  # fmt: skip
+    folder.mkdir(parents=True)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    for cell in range(2):
+        parts = [_rows(cell, method, trials) for method in ("network", "distance")]
+        place = folder / "rows" / f"cell-{cell:04d}"
+        place.mkdir(parents=True)
+        pq.write_table(pa.concat_tables(parts), place / "shard-000000.parquet")
+    return folder
+
+
+def _rows(cell: int, method: str, trials: int) -> pa.Table:
+    """Rows of one cell and method."""
+    draw = stream(3, "rows", cell, method)
+    columns: dict[str, Any] = {
+        "cell": pa.array([cell] * trials, pa.int32()), "method": pa.array([method] * trials),
+        "trial": pa.array(range(trials), pa.int64()), "status": pa.array(["converged"] * trials),
+    }  # fmt: skip
+    after = {"network": 14.5, "distance": 17.0}[method]
+    for name, mean in (("before_mean", 29.0), ("before_max", 60.0), ("after_mean", after), ("after_max", 39.0)):
+        columns[f"distance_{name}_um"] = pa.array(mean * (1 + 0.1 * draw.standard_normal(trials)), pa.float32())
+    for name in ("beam-tilt", "range-offset"):
+        columns[f"z:{name}"] = pa.array(draw.standard_normal(trials), pa.float32())
+    columns["full_difference_sigma"] = pa.array([1e-5] + [None] * (trials - 1), pa.float32())
+    return pa.table(columns)
+
+
+def plan_folder(folder: Path) -> Path:
+    """A plan in the form of the planner's files, own-made, with the paper's workshop as its scenario."""
+    scenario = load_scenario("paper-workshop")
+    own = {
+        "allowed": True, "hours": 2.25, "pointings": 140, "quality": {"instrument": 0.2},
+        "stations": [
+            {"name": name, "position_mm": s.position_mm, "yaw_deg": s.yaw_deg, "sigma_position_um": [1, 2, 3]}
+            for name, s in scenario.stations.items()
+        ],
+        "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 3.2, "prior_sigma": 9.7}],
+    }  # fmt: skip
+    ways = [(3, 1, 1.35, 0.14, True), (4, 1, 1.8, 0.12, True), (5, 1, 2.25, 0.1, True), (3, 2, 2.0, 0.13, False)]
+    content = own | {
+        "format": "ltsim-plan-result/1", "title": "Own-made plan",
+        "summary": "5 stations determine the instrument twice as well as the scenario's own.",
+        "reasons": ["S1 at (1.78, 1.02) m: without it the quality is 14 % worse."], "quality": {"instrument": 0.1},
+        "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 1.1, "prior_sigma": 9.7}],
+        "reference": own,
+        "tradeoff": [
+            {"stations": n, "faces": f, "repeats": 1, "pointings": 28 * n * f, "hours": h, "value": q,
+             "quality": {"instrument": q}, "efficient": best}
+            for n, f, h, q, best in ways
+        ],
+        "silent": ["dead-path"], "settings": {}, "seed": 5,
+    }  # fmt: skip
+    folder.mkdir(parents=True)
+    (folder / "plan.json").write_text(json.dumps(content))
+    (folder / "scenario.toml").write_text(builtin_text("paper-workshop"))
+    return folder

@@ -30,6 +30,20 @@ def correlation() -> Figure:
     return figures.correlation(samples.after().construction.names, covariance / np.outer(sigma, sigma))
 
 
+def by_setting() -> Figure:
+    rows = [
+        figures.Mean(f"noise {s} {MARKUP}", method, 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
+        for s in range(3)
+        for method in ("network", "distance")
+    ]
+    return figures.by_setting(rows, label="improvement [%]", published=40.1)
+
+
+def sigmas() -> Figure:
+    rows = [figures.SigmaRow(f"parameter-{i}", "urad", 1.0 + i, 15.0, 2.0 + i) for i in range(6)]
+    return figures.sigmas([*rows, figures.SigmaRow("alone", "um", 3.0, 20.0)])
+
+
 def criteria() -> Figure:
     rows = [figures.Criterion("distance", 29, 17, 60, 39, 40.1), figures.Criterion("worse", 17, 29, 39, 60, -70.6)]
     return figures.criteria(rows)
@@ -115,8 +129,8 @@ def coverage() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        correlation, coverage, criteria, distributions, evidence, floor_plan, parameters, power, residuals_by_covariate,
-        residuals_by_station, signature, sky, trade_off, visibility, z_scores,
+        by_setting, correlation, coverage, criteria, distributions, evidence, floor_plan, parameters, power,
+        residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
     )
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """One figure a file: each a function from data to a matplotlib Figure."""
 
+from ltsim.report.figures.by_setting import Mean, by_setting
 from ltsim.report.figures.correlation import correlation
 from ltsim.report.figures.criteria import Criterion, criteria
 from ltsim.report.figures.distributions import Distribution, distributions
@@ -9,6 +10,7 @@ from ltsim.report.figures.parameters import ParameterRow, parameters
 from ltsim.report.figures.power import PowerCurve, power
 from ltsim.report.figures.residuals_by_covariate import residuals_by_covariate
 from ltsim.report.figures.residuals_by_station import residuals_by_station
+from ltsim.report.figures.sigmas import SigmaRow, sigmas
 from ltsim.report.figures.signature import signature
 from ltsim.report.figures.sky import sky
 from ltsim.report.figures.trade_off import Layout, trade_off
@@ -20,9 +22,12 @@ __all__ = [
     "Criterion",
     "Distribution",
     "Layout",
+    "Mean",
     "ParameterRow",
     "PowerCurve",
+    "SigmaRow",
     "ZScores",
+    "by_setting",
     "correlation",
     "coverage",
     "criteria",
@@ -33,6 +38,7 @@ __all__ = [
     "power",
     "residuals_by_covariate",
     "residuals_by_station",
+    "sigmas",
     "signature",
     "sky",
     "trade_off",

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Floats, Ints
-from ltsim.report.style import BLUE, GREEN, INK, ORANGE, RED, SKY, new_figure, quiet_axis, shorten, styled
+from ltsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, new_figure, quiet_axis, shorten, styled
 from ltsim.report.workshop import Workshop
 from ltsim.units import DEGREE
 
@@ -20,8 +20,15 @@ MOST_LABELS = 60
 
 
 @styled
-def floor_plan(workshop: Workshop) -> Figure:
-    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero."""
+def floor_plan(workshop: Workshop, *, reference: Floats | None = None) -> Figure:
+    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
+
+    Parameters
+    ----------
+    workshop : Workshop
+    reference : (k, 3) float, optional, [m]
+        Stations of another layout, to compare with.
+    """
     figure = new_figure(5.4, layout="compressed")
     ax = figure.subplots()
     ax.set_aspect("equal")
@@ -35,6 +42,11 @@ def floor_plan(workshop: Workshop) -> Figure:
     _shadows(ax, workshop)
     _gauge(ax, workshop)
     _targets(ax, workshop)
+    if reference is not None and len(reference):
+        ax.scatter(
+            reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=GREY, linewidths=1.4, zorder=5,
+            label="station of the reference",
+        )  # fmt: skip
     _stations(ax, workshop)
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")

@@ -12,7 +12,7 @@ from ltsim.report.style import BLUE, GREEN, GREY, RED, new_figure, quiet_axis, s
 
 COLOUR = {"tried": GREY, "best": BLUE, "chosen": RED, "reference": GREEN}
 MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
-SIZE = {"tried": 14, "best": 30, "chosen": 150, "reference": 46}
+SIZE = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
 WORD = {"tried": "tried", "best": "best at its cost", "chosen": "the plan", "reference": "reference"}
 
 
@@ -55,15 +55,15 @@ def trade_off(
                 zorder=4 if kind != "tried" else 2,
                 linewidths=0,
             )
-    front = sorted((x for x in layouts if x.kind in ("best", "chosen")), key=lambda x: x.cost)
+    front = sorted((x for x in layouts if x.kind == "best"), key=lambda x: x.cost)
     ax.plot([x.cost for x in front], [x.quality for x in front], color=BLUE, linewidth=1.0, zorder=3)
     named = [x for x in layouts if x.kind != "tried"]
     if len(named) <= 14:
-        for layout in named:
+        for i, layout in enumerate(named):
             ax.annotate(
                 shorten(layout.name, 26),
                 (layout.cost, layout.quality),
-                xytext=(6, 5),
+                xytext=(6, 5 if i % 2 else -11),
                 textcoords="offset points",
                 fontsize=7.5,
             )

@@ -1,0 +1,202 @@
+"""What a report says of a plan: where the tripods go, what it is worth, what it costs, what it cannot see."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.report import figures, style
+from ltsim.report.document import Block, Detail, Fact, Listing, Points, Section, Table, mood, picture
+from ltsim.report.files import read_json
+from ltsim.report.plan_file import LayoutEntry, OptionEntry, PlanResult
+from ltsim.report.planned import from_scenario
+from ltsim.report.sections.network import scene
+from ltsim.report.words import count, duration
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.workshop import planned, visibility_of
+from ltsim.units import MILLIMETRE
+
+FORMAT = "ltsim-plan-result/1"
+QUALITY = {
+    "instrument": ("instrument: σ / prior σ", 1.0),
+    "targets": ("targets: rms σ [µm]", 1e6),
+    "diagnosis": ("effects: found / plausible size", 1.0),
+}
+
+
+def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
+    """The section of a folder with `plan.json` (and `scenario.toml`, for the pictures).
+
+    Raises
+    ------
+    RecordError, SetupError
+        When a file is malformed.
+    """
+    content = read_json(folder / "plan.json", PlanResult, FORMAT)
+    blocks: list[Block] = [_stations(content)]
+    blocks += _pictures(folder, content, detail)
+    if content.reasons:
+        blocks.append(Points("Why this plan", content.reasons))
+    blocks += _curve(content) + _parameters(content) + _expected(content) + _undetermined(content)
+    blocks += _effects(content)
+    if content.reflectors:
+        rows = [[r.name, *(style.fixed(v, 1) for v in r.position_mm), style.number(r.sigma_um, 2),
+                 str(r.stations_seeing)] for r in content.reflectors]  # fmt: skip
+        header = ["reflector", "x [mm]", "y [mm]", "z [mm]", "σ [µm]", "seen by stations"]
+        blocks.append(Table("Reflectors", header, rows))
+    blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
+    return Section(
+        title=content.title or folder.name, kind="Plan", answer=content.summary, mood=mood(content.allowed),
+        facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
+    )  # fmt: skip
+
+
+def _facts(content: PlanResult) -> list[Fact]:
+    """Figures at a glance."""
+    facts = [
+        Fact("stations", str(len(content.stations))),
+        Fact("pointings", str(content.pointings)),
+        Fact("work", duration(3600.0 * content.hours)),
+        Fact("rules kept", "yes" if content.allowed else "no", mood(content.allowed)),
+    ]
+    for name, value in content.quality.items():
+        if value is not None:
+            _, factor = QUALITY.get(name, (name, 1.0))
+            other = content.reference.quality.get(name) if content.reference else None
+            better = "plain" if other is None else mood(value <= other)
+            text = style.number(factor * value) + (f" (was {style.number(factor * other)})" if other else "")
+            facts.append(Fact(name, text, better))
+    return facts
+
+
+def _stations(content: PlanResult) -> Table:
+    """Where the tripods go."""
+    rows = [
+        [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
+         " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
+        for s in content.stations
+    ]  # fmt: skip
+    header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero looks to [°]", "σ x y z [µm]", "reflectors seen"]
+    frame = content.frame[:1].upper() + content.frame[1:]
+    return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
+
+
+def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
+    """Floor plan, 3D view and who sees whom, from the plan's own scenario."""
+    file = folder / "scenario.toml"
+    if not file.is_file():
+        return []
+    scenario = load_scenario(file)
+    workshop = from_scenario(scenario)
+    reference = content.reference.stations if content.reference else ()
+    places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+    text = "Seen from above. Inside the circles the elevation limit hides the floor." + (
+        " Hollow: the stations of the reference layout." if len(places) else ""
+    )
+    blocks: list[Block] = [picture("Floor plan", figures.floor_plan(workshop, reference=places), text)]
+    if detail != "none":
+        blocks.append(scene(workshop, interactive=detail == "turn"))
+    layout = planned(scenario)
+    table = visibility_of(scenario, layout)
+    figure = figures.visibility(layout.stations, layout.targets, table.words())
+    blocks.append(picture("Who sees whom", figure, "A coloured cell with a letter says why a station misses a target."))
+    return blocks
+
+
+def _curve(content: PlanResult) -> list[Block]:
+    """What a better layout costs."""
+    blocks: list[Block] = []
+    for name in content.quality:
+        label, factor = QUALITY.get(name, (name, 1.0))
+        layouts = [
+            figures.Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
+            for o in content.tradeoff
+            if (q := o.quality.get(name)) is not None
+        ]
+        own = content.quality[name]
+        if len(layouts) < 2 or own is None:
+            continue
+        layouts.append(figures.Layout("the plan", content.hours, factor * own, "chosen"))
+        reference = content.reference
+        if reference is not None and reference.quality.get(name) is not None:
+            layouts.append(
+                figures.Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference")
+            )
+        figure = figures.trade_off(layouts, cost="time on the floor [h]", quality=label)
+        text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
+        blocks.append(picture(f"Cost against quality: {name}", figure, text))
+    rows = [
+        [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
+         "–" if o.value is None else style.number(o.value), "yes" if o.efficient else ""]
+        for o in content.tradeoff
+    ]  # fmt: skip
+    if rows:
+        header = ["layout", "faces", "rounds", "pointings", "hours", "objective", "best at its cost"]
+        blocks.append(Table("Ways of working", header, rows, note="A smaller objective is better."))
+    return blocks
+
+
+def _way(option: OptionEntry) -> str:
+    """A way of working in a few letters."""
+    return f"{option.stations}s {option.faces}f {option.repeats}r"
+
+
+def _parameters(content: PlanResult) -> list[Block]:
+    """How well the instrument becomes known."""
+    other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    rows = [
+        figures.SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
+        for p in content.parameters
+        if p.prior_sigma and p.sigma > 0
+    ]
+    text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
+    return [picture("What will be known of the instrument", figures.sigmas(rows), text)] if rows else []
+
+
+def _expected(content: PlanResult) -> list[Block]:
+    """Expected improvement by the paper's criteria."""
+    named: list[tuple[str, LayoutEntry | None]] = [("this plan", content), ("reference layout", content.reference)]
+    rows = [
+        [layout, name, style.number(e.before_um), style.number(e.after_um), f"{e.improvement_percent:.1f} %"]
+        for layout, entry in named
+        if entry is not None and entry.expected_improvement
+        for name, e in entry.expected_improvement.items()
+    ]
+    header = ["layout", "criterion", "before [µm]", "after [µm]", "improvement"]
+    return [Table("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
+
+
+def _undetermined(content: PlanResult) -> list[Block]:
+    """What this layout would not tell."""
+    rows = [
+        [
+            " ".join(f"{'+' if c >= 0 else '−'} {abs(c):.2f} {name}" for name, c in u.combination.items()),
+            u.cure or "–", "–" if u.gain is None else f"{100 * u.gain:.0f} %",
+        ]
+        for u in content.undetermined
+    ]  # fmt: skip
+    header = ["combination, in units of the prior σ", "what would determine it", "told"]
+    return [Table("Not determined by this layout", header, rows, text_columns=2)] if rows else []
+
+
+def _effects(content: PlanResult) -> list[Block]:
+    """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
+    blocks: list[Block] = []
+    if content.detectable:
+        rows = [
+            [d.effect, d.parameter, *("–" if v is None else style.number(v, 2) for v in (d.best, d.typical, d.worst)),
+             d.worst_at or "", style.number(d.plausible, 2), style.unit_text(d.unit)]
+            for d in content.detectable
+        ]  # fmt: skip
+        header = ["effect", "parameter", "best", "typical", "worst", "worst at", "plausible", "unit"]
+        note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
+        blocks.append(Table("Smallest effects that would be found", header, rows, 2, note))
+    if content.alike:
+        rows = [[a.effect, a.taken_for, f"{100 * a.share:.0f} %"] for a in content.alike]
+        note = "Share of the first effect's trace that the second one explains."
+        blocks.append(Table("Effects that look alike here", ["effect", "taken for", "alike"], rows, 2, note))
+    if content.silent:
+        blocks.append(Points("Effects that would leave no trace", content.silent))
+    return blocks
