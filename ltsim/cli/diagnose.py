@@ -13,6 +13,7 @@ from ltsim.diagnose import Diagnosis
 from ltsim.diagnose import diagnose as diagnosis_of
 from ltsim.diagnose.files import write_diagnosis
 from ltsim.diagnose.words import percent, place
+from ltsim.recording import write
 
 FailOnMismatch = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
@@ -35,7 +36,7 @@ def diagnose(
 ) -> int:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
 
-    Writes diagnosis.json, targets.csv (adjusted with the findings modelled) and residuals to --out.
+    Writes diagnosis.json, targets.csv (adjusted with the findings modelled), residuals and the recording to --out.
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
@@ -47,6 +48,7 @@ def diagnose(
         found = diagnosis_of(recording, seed=seed, level=level)
     if out is not None:
         write_diagnosis(found, out)
+        write(recording, out / "recording")
     terminal.answer(found.to_json())
     show(terminal, found)
     if out is not None:

@@ -27,6 +27,7 @@ from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.diagnose.search import EffectSet, Searcher
 from ltsim.diagnose.separate import separating_measurement
+from ltsim.diagnose.stations import mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import NoiseEffect
@@ -95,8 +96,10 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
         Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
     """
     construction = misalignment()
-    first = adjust(recording, construction)
+    converted, wrong = mend_stations(recording)
+    first = adjust(converted, construction)
     mended, use, gross = explain_gross(first)
+    gross = [*wrong, *gross]
     case = _Case(mended, construction, use, mended.sigma(), first.state, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state

@@ -156,20 +156,37 @@ class NoiseBank:
         residual : (m,) float
             The whitened residuals they belong to.
         """
-        evidence = self.family_evidence(ratio) + prior
-        weight = np.exp(evidence - evidence.max())
-        weight /= weight.sum()
+        rows = []
+        for family in np.argsort(-(self.family_evidence(ratio) + prior))[:PROFILED]:
+            members = np.flatnonzero(self.family == family)
+            chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
+            values, drop = _most_likely(space, chosen, residual)
+            spent = len(values) * np.log(max(_acting(space, chosen.effect, values), 2.0))
+            cost = np.log(len({h.effect for h in self._of(int(family))}))
+            evidence = 0.5 * (drop - spent) - cost + float(prior[family])
+            rows.append((evidence, replace(chosen, values=values, drop=drop)))
+        rows.sort(key=lambda row: -row[0])
+        weight = np.exp(np.array([row[0] for row in rows]) - rows[0][0])
         total: dict[str, float] = {}
-        for name, w in zip(self.families, weight, strict=True):
-            name = "unknown" if name.startswith("unknown") else name
-            total[name] = total.get(name, 0.0) + float(w)
-        family = int(np.argmax(evidence))
-        members = np.flatnonzero(self.family == family)
-        chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
-        name = chosen.effect.name if chosen.known else "unknown"
+        for (_, found), w in zip(rows, weight / weight.sum(), strict=True):
+            total[found.effect.name] = total.get(found.effect.name, 0.0) + float(w)
+        best = rows[0][1]
+        name = best.effect.name
         others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
-        values, drop = _most_likely(space, chosen, residual)
-        return replace(chosen, values=values, drop=drop, probability=total[name], equivalents=tuple(others[:3]))
+        return replace(best, probability=total[name], equivalents=tuple(others[:3]))
+
+    def _of(self, family: int) -> list[NoiseHypothesis]:
+        return [h for h, f in zip(self.hypotheses, self.family, strict=True) if f == family]
+
+
+PROFILED = 8
+"""Families whose sizes are profiled before they are compared."""
+
+
+def _acting(space: ResidualSpace, effect: NoiseEffect, values: tuple[float, ...]) -> float:
+    """Number of readings whose variance an effect changes."""
+    variance = effect.variance(space.sightings, space.sigma, np.array(values))
+    return float(np.sum((np.abs(variance / space.sigma**2 - 1.0) > 1e-3) & space.use))
 
 
 SMALLEST, LARGEST = -0.9, 400.0

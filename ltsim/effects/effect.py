@@ -207,7 +207,7 @@ class NoiseEffect(Effect):
         count = len(self.parameters)
         subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
         prior = np.array([p.prior_sigma for p in self.parameters])
-        return [tuple(size * subset * prior) for subset in subsets for size in (0.25, 0.6, 1.5, 4.0, 12.0)]
+        return [tuple(size * subset * prior) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)]
 
     def design(self, sightings: Sightings) -> Floats:
         """No mean shift: zeros (n, 3, p)."""

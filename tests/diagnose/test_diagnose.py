@@ -165,3 +165,31 @@ def test_the_same_seed_gives_the_same_diagnosis():
     recording, _ = workshop(2)
     one, two = diagnose(recording, seed=3), diagnose(recording, seed=3)
     assert one.to_json() == two.to_json()
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "cause"), [(0, 1e-3, "metres"), (1, 10 / 9, "gon"), (0, 1 / 25.4, "inches")]
+)
+def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
+    recording, _ = workshop(13)
+    readings = recording.readings.copy()
+    columns = [0] if column == 0 else [1, 2]
+    for k in columns:
+        readings[recording.station == 2, k] *= factor
+    found = diagnose(recording.with_readings(readings))
+    first = found.findings[0]
+    assert (first.effect, first.where.stations) == ("wrong-unit", ("S3",))
+    assert cause in first.sentence
+    assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+
+
+def test_turbulence_is_told_from_a_higher_noise_level():
+    recording, state = workshop(17)
+    sightings = sightings_of(recording, state)
+    effect = find_effect("turbulence")()
+    grown = np.sqrt(
+        effect.variance(sightings, recording.sigma(), np.array([1.2e-12, 0.6e-12])) - recording.sigma() ** 2
+    )
+    extra = grown * stream(17, "air").standard_normal(grown.shape)
+    found = diagnose(recording.with_readings(recording.readings + extra))
+    assert found.findings[0].effect == "turbulence"
