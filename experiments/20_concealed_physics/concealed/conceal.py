@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from concealed.hidden import Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
+from concealed.hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
 from concealed.plan import Case
-from concealed.workshop import Scene, draw_scene
+from concealed.workshop import GAUGE_SIGMA, Scene, draw_scene
 from ltsim.adjust.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Bank
@@ -20,15 +20,21 @@ from ltsim.diagnose.diagnose import catalogue_hypotheses
 from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
+from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.range_step import RangeStep
+from ltsim.effects.station_bump import StationBump
+from ltsim.effects.target_swap import TargetSwap
+from ltsim.effects.wrong_unit import MISTAKES as WRONG_UNITS
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import LtsimError
 from ltsim.geometry.alignment import align
-from ltsim.geometry.polar import wrap
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, sightings_of
 from ltsim.randomness import stream
 from ltsim.recording import Recording, write
 from ltsim.recording.files import write_text
 from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, MILLIMETRE
 
 
@@ -92,22 +98,54 @@ def _silent_adjustment(scene: Scene) -> Any:
 
 
 def measured(scene: Scene, hidden: Sequence[Hidden], rng: np.random.Generator) -> Recording:
-    """The recording: exact chain with all errors of the axes, effects in the order of the light's way, noise."""
+    """The recording: exact chain with all errors of the axes, effects in the order of the light's way, noise.
+
+    Blunders are made by doing the wrong thing, not by adding its consequence: another target or face is measured, and
+    finished readings are written down in another unit.
+    """
     in_chain = [h for h in hidden if isinstance(h.effect, SlotEffect)]
     slots = [h.effect for h in in_chain if isinstance(h.effect, SlotEffect)]
     construction = misalignment([*BASELINE, *slots])
     instrument = np.concatenate([scene.state.instrument[0], *(h.values for h in in_chain)])
-    sightings = sightings_of(scene.recording, scene.state)
+    sightings = sightings_of(_as_done(scene, hidden), scene.state)
     readings = construction.readings(sightings.local, sightings.face, instrument)
     lengths = scene.lengths.copy()
-    for h in sorted((h for h in hidden if h not in in_chain), key=lambda h: h.effect.stage):
+    added = [h for h in hidden if not isinstance(h.effect, (SlotEffect, *MISTAKES))]
+    for h in sorted(added, key=lambda h: h.effect.stage):
         readings = readings + h.shift(sightings)
         lengths = lengths + h.effect.gauge_design(scene.first, scene.second, scene.state.points) @ h.values
-    sigma = true_sigma(scene, hidden)
-    readings = readings + sigma * rng.standard_normal(readings.shape)
-    readings[:, 1] = wrap(readings[:, 1])
-    lengths = lengths + 1.8 * MICROMETRE * rng.standard_normal(len(lengths))
-    return _with_gauge(scene, lengths).with_readings(readings)
+    readings = readings + true_sigma(scene, hidden) * rng.standard_normal(readings.shape)
+    lengths = lengths + GAUGE_SIGMA * MILLIMETRE * rng.standard_normal(len(lengths))
+    return _with_gauge(scene, lengths).with_readings(_as_written(readings, sightings, hidden))
+
+
+def _as_done(scene: Scene, hidden: Sequence[Hidden]) -> Recording:
+    """The pointings that were made, where the rows say otherwise: reflectors exchanged, faces confused."""
+    recording = scene.recording
+    for h in hidden:
+        acts = h.effect.mask(sightings_of(scene.recording, scene.state)) > 0
+        if isinstance(h.effect, TargetSwap):
+            a, b = (recording.targets.index(name) for name in h.effect.targets)
+            other = np.where(recording.target == a, b, a)
+            recording = recording.replace(target=np.where(acts, other, recording.target))
+        if isinstance(h.effect, FaceConfusion):
+            wrong = acts & (recording.face == h.effect.face)
+            recording = recording.replace(face=np.where(wrong, 3 - recording.face, recording.face))
+    return recording
+
+
+def _as_written(readings: Floats, sightings: Sightings, hidden: Sequence[Hidden]) -> Floats:
+    """The readings as they were written down, some perhaps in another unit."""
+    written = readings.copy()
+    for h in hidden:
+        if isinstance(h.effect, WrongUnit):
+            rows = h.effect.mask(sightings) > 0
+            columns, factor = WRONG_UNITS[h.effect.mistake]
+            for c in columns:
+                written[rows, c] *= factor
+            if h.effect.mistake == "zenith":
+                written[rows, 2] += np.pi / 2
+    return written
 
 
 def true_sigma(scene: Scene, hidden: Sequence[Hidden]) -> Floats:
@@ -184,5 +222,7 @@ def _entry(hidden: Hidden, space: ResidualSpace) -> dict[str, Any]:
 
 
 def _constants(effect: Effect) -> dict[str, float]:
-    """Continuous shape constants in the unit a person reads them in."""
-    return {s.name: float(getattr(effect, s.name)) / FACTOR[s.unit] for s in type(effect).shape}
+    """Continuous shape constants, and the time of a change, in the unit a person reads them in."""
+    changes = isinstance(effect, RangeStep | StationBump) or getattr(effect, "kind", "") == "step"
+    when = {"time": float(effect.time)} if changes and hasattr(effect, "time") else {}
+    return when | {s.name: float(getattr(effect, s.name)) / FACTOR[s.unit] for s in type(effect).shape}

@@ -67,8 +67,8 @@ def _named(effect: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     first = finding["effect"] == effect["effect"]
     named = first or any(e["effect"] == effect["effect"] for e in finding["equivalents"][:3])
     where = finding["where"]
-    stations = set(where["stations"]) == set(effect["stations"])
-    targets = _same_targets(set(where["targets"]), set(effect["targets"]))
+    stations = _same_place(set(where["stations"]), set(effect["stations"]), first)
+    targets = _same_place(set(where["targets"]), set(effect["targets"]), first)
     observables = _same_observables(set(where["observables"]), set(effect["observables"]), first)
     row: Row = {"named_first": first, "named": named, "right_stations": stations, "right_targets": targets}
     row.update(right_observables=observables, right_place=stations and targets and observables)
@@ -77,7 +77,10 @@ def _named(effect: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     return row
 
 
-def _same_targets(found: set[str], true: set[str]) -> bool:
+def _same_place(found: set[str], true: set[str], first: bool) -> bool:
+    """Equal, of several names half; an effect named as an equivalent only may be less confined than the finding."""
+    if not first and (not found or not true):
+        return True
     if len(true) < 2:
         return found == true
     return len(found & true) >= OVERLAP * len(found | true)
