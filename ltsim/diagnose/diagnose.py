@@ -12,7 +12,7 @@ from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
 from ltsim.diagnose.detect import Detection, detect, noise_prior
-from ltsim.diagnose.diagnosis import Diagnosis, Fit
+from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Fit
 from ltsim.diagnose.findings import equivalents_of, gross_finding, mean_finding, noise_finding
 from ltsim.diagnose.flexible import flexible_hypotheses
 from ltsim.diagnose.gross import GrossFinding, explain_gross
@@ -148,6 +148,12 @@ def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detec
     return found, searcher
 
 
+def _change(searcher: Searcher, hypothesis: Hypothesis, others: EffectSet) -> tuple[Estimate, ...]:
+    """The time of a sudden change as an estimate."""
+    found = searcher.change_time(hypothesis, others)
+    return () if found is None else (Estimate("time", found[0], found[1], "s"),)
+
+
 def _fit(adjustment: Adjustment, dof: int) -> Fit:
     space = ResidualSpace.of(adjustment)
     held_out = {
@@ -196,7 +202,7 @@ def _assemble(
         findings.append(
             mean_finding(
                 replace(member.hypothesis, effect=effect),
-                fitted.estimates[i],
+                (*fitted.estimates[i], *_change(searcher, member.hypothesis, others)),
                 others,
                 found,
                 ranking,
@@ -204,7 +210,7 @@ def _assemble(
                 advice,
             )
         )
-    findings += [noise_finding(h, searcher, detection) for h in case.noise]
+    findings += [noise_finding(h, detection) for h in case.noise]
     findings.sort(key=lambda f: -f.evidence.chi2_drop)
     spent = found.extension.shape[1]
     before = _fit(baseline, baseline.dof)

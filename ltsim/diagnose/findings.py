@@ -12,7 +12,7 @@ from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.diagnosis import Estimate, Evidence, Finding, Where
 from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.noise import NoiseHypothesis
-from ltsim.diagnose.search import EffectSet, Ranking, Searcher
+from ltsim.diagnose.search import EffectSet, Ranking
 from ltsim.diagnose.words import finding_sentence
 from ltsim.effects.effect import Effect
 from ltsim.recording.recording import OBSERVABLES
@@ -73,15 +73,14 @@ def mean_finding(
     )
 
 
-def noise_finding(hypothesis: NoiseHypothesis, searcher: Searcher, detection: Detection) -> Finding:
+def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
     """The finding of a change of the noise."""
     effect = hypothesis.effect
     name = effect.name if hypothesis.known else "unknown"
     where = where_of(effect)
-    acting = max(float(effect.mask(searcher.space.sightings).sum()), 1.0)
     rows = [
-        Estimate(p.name, v / p.factor, abs(v + 1.0) * np.sqrt(2.0 / acting) / p.factor, p.unit)
-        for p, v in zip(effect.parameters, hypothesis.values, strict=True)
+        Estimate(p.name, v / p.factor, s / p.factor, p.unit)
+        for p, v, s in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
     ]
     return Finding(
         effect=name,

@@ -70,6 +70,7 @@ class NoiseHypothesis:
     effect: NoiseEffect
     values: tuple[float, ...]
     known: bool = True
+    sigma: tuple[float, ...] = ()
     drop: float = 0.0
     probability: float = 0.0
     equivalents: tuple[tuple[str, float], ...] = ()
@@ -160,11 +161,11 @@ class NoiseBank:
         for family in np.argsort(-(self.family_evidence(ratio) + prior))[:PROFILED]:
             members = np.flatnonzero(self.family == family)
             chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
-            values, drop = _most_likely(space, chosen, residual)
+            values, drop, sigma = _most_likely(space, chosen, residual)
             spent = len(values) * np.log(max(_acting(space, chosen.effect, values), 2.0))
             cost = np.log(len({h.effect for h in self._of(int(family))}))
             evidence = 0.5 * (drop - spent) - cost + float(prior[family])
-            rows.append((evidence, replace(chosen, values=values, drop=drop)))
+            rows.append((evidence, replace(chosen, values=values, sigma=sigma, drop=drop)))
         rows.sort(key=lambda row: -row[0])
         weight = np.exp(np.array([row[0] for row in rows]) - rows[0][0])
         total: dict[str, float] = {}
@@ -195,8 +196,8 @@ SMALLEST, LARGEST = -0.9, 400.0
 
 def _most_likely(
     space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats
-) -> tuple[tuple[float, ...], float]:
-    """Sizes at the maximum of the restricted likelihood, and twice the log likelihood ratio there.
+) -> tuple[tuple[float, ...], float, tuple[float, ...]]:
+    """Sizes at the maximum of the restricted likelihood, twice its log ratio there, standard deviations.
 
     Starts from the hypothesis, then every parameter of the effect is moved in turn.
     """
@@ -225,4 +226,11 @@ def _most_likely(
             found = minimize_scalar(lost, bounds=bounds, method="bounded")
             if -found.fun > gain(values):
                 values[k] = scale[k] * (np.exp(found.x) - 1.0)
-    return tuple(float(v) for v in values), gain(values)
+    sigma = []
+    for k, step in enumerate(0.05 * np.maximum(np.abs(values), 0.2 * scale)):
+        ahead, behind = values.copy(), values.copy()
+        ahead[k] += step
+        behind[k] -= step
+        curvature = (2 * gain(values) - gain(ahead) - gain(behind)) / step**2
+        sigma.append(float(np.sqrt(2.0 / curvature)) if 0 < curvature < np.inf else float(scale[k]))
+    return tuple(float(v) for v in values), gain(values), tuple(sigma)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, adjust
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.diagnosis import Estimate
 from ltsim.effects.effect import Effect, Parameter, Stage
 from ltsim.model.construction import Construction
@@ -49,6 +49,32 @@ class ShapeDirection(Effect):
         )
         change: Floats = ((up - down) / (2 * SHAPE_STEP))[:, :, None]
         return change
+
+
+@dataclass(frozen=True)
+class FirstOrder(Effect):
+    """An effect held to its first-order form, where its exact one keeps a refit from converging."""
+
+    base: Effect | None = None
+
+    @classmethod
+    def of(cls, effect: Effect) -> FirstOrder:
+        """The first-order form of an effect."""
+        return cls(effect.stations, effect.targets, effect)
+
+    def __post_init__(self) -> None:
+        for name in ("name", "number", "stage", "parameters", "observables", "covariates"):
+            object.__setattr__(self, name, getattr(self.base, name))
+
+    def design(self, sightings: Sightings) -> Floats:
+        """The design of the effect."""
+        assert self.base is not None
+        return self.base.design(sightings)
+
+    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+        """The gauge design of the effect."""
+        assert self.base is not None
+        return self.base.gauge_design(first, second, points)
 
 
 def _directions(effect: Effect, values: Floats, sightings: Sightings) -> list[ShapeDirection]:
@@ -97,6 +123,9 @@ def refit(
     current = list(effects)
     plain = replace(start, extra=np.zeros(0))
     found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=plain)
+    if not found.solution.converged:
+        current = [FirstOrder.of(effect) for effect in current]
+        found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     joint, best = found, (found, list(current))
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
@@ -160,22 +189,8 @@ def _estimates(
             now = float(getattr(effect, shape.name))
             row.append(_shape_estimate(shape.name, shape.unit, now, float(sigma[shape_at]) * abs(now)))
             shape_at += 1
-        row += _change_time(effect, found)
         rows.append(tuple(row))
     return tuple(rows)
-
-
-def _change_time(effect: Effect, found: Adjustment) -> list[Estimate]:
-    """When a sudden change happened: anywhere in the gap between two pointings, hence its uncertainty."""
-    times = getattr(effect, "time", None)
-    if not isinstance(times, float) or not effect.finer(found.sightings):
-        return []
-    acting = found.sightings.time[effect.mask(found.sightings) > 0]
-    before, after = acting[acting < times], acting[acting >= times]
-    if not len(before) or not len(after):
-        return [Estimate("time", times, 0.0, "s")]
-    gap = float(after.min() - before.max())
-    return [Estimate("time", 0.5 * float(after.min() + before.max()), gap / np.sqrt(12.0), "s")]
 
 
 def _shape_estimate(name: str, unit: str, value: float, sigma: float) -> Estimate:

@@ -148,6 +148,22 @@ class Searcher:
                 value = -float(found.fun)
         return best, value - evidence
 
+    def change_time(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, float] | None:
+        """When a sudden change happened and its standard deviation [s], from the evidence of all gaps around it.
+
+        None for effects that do not change suddenly. Within a gap between two pointings any time is as good.
+        """
+        effects = hypothesis.effect.finer(self.space.sightings)
+        if not effects:
+            return None
+        times = np.array([float(vars(effect)["time"]) for effect in effects])
+        drops = np.array([self._drop(replace(hypothesis, effect=effect), base)[0] for effect in effects])
+        weight = np.exp(0.5 * (drops - drops.max()))
+        weight /= weight.sum()
+        mean = float(weight @ times)
+        gap = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        return mean, float(np.sqrt(weight @ (times - mean) ** 2 + gap**2 / 12.0))
+
     def _sizes(self, hypothesis: Hypothesis, base: EffectSet) -> Floats:
         """Estimated parameters over their prior sigma."""
         if not hypothesis.known:
