@@ -10,12 +10,12 @@ import numpy as np
 from scipy import stats
 
 from ltsim.adjust.problem import NetworkProblem
-from ltsim.adjust.screening import gross_pointings
+from ltsim.adjust.screening import screened
 from ltsim.adjust.start import start_network
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor
@@ -101,7 +101,7 @@ class Adjustment:
     @cached_property
     def sightings(self) -> Sightings:
         """Geometry of the pointings at the adjusted network."""
-        return sightings_of(self.recording, self.state)
+        return self.problem.model.sightings(self.state)
 
     @cached_property
     def residuals(self) -> Floats:
@@ -151,21 +151,18 @@ class Adjustment:
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) of one instrument's parameters [SI]."""
-        at = self.problem.layout.instrument[instrument]
-        return self.kept_covariance[np.ix_(at, at)]
+        return self.factor.kept_sets(self.problem.layout.instrument[[instrument]])[0]
 
     @property
     def extra_covariance(self) -> Floats:
         """Covariance (q, q) of the further effects' parameters [SI]."""
-        at = self.problem.layout.extra
-        return self.kept_covariance[np.ix_(at, at)]
+        return self.factor.kept_sets(self.problem.layout.extra[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
         """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame."""
         at = self.problem.layout.pose
-        covariance: Floats = self.kept_covariance[at[:, :, None], at[:, None, :]]
-        return covariance
+        return self.factor.kept_sets(at)
 
     @cached_property
     def target_covariance(self) -> Floats:
@@ -173,8 +170,7 @@ class Adjustment:
         layout = self.problem.layout
         covariance = np.empty((len(layout.target), 3, 3))
         kept = layout.target[:, 0] < layout.kept
-        at = layout.target[kept]
-        covariance[kept] = self.kept_covariance[at[:, :, None], at[:, None, :]]
+        covariance[kept] = self.factor.kept_sets(layout.target[kept])
         blocks = self.factor.block_covariance()
         covariance[~kept] = blocks[(layout.target[~kept][:, 0] - layout.kept) // 3]
         return covariance
@@ -220,15 +216,14 @@ def adjust(
     model = MeasurementModel(recording, built, tuple(effects))
     gross = np.zeros(len(recording), dtype=bool)
     if start is None:
-        position, rotation, points = start_network(recording)
-        gross = gross_pointings(recording, position, rotation, points)
+        (position, rotation, points), gross = screened(recording, *start_network(recording))
         parameters = np.zeros((len(recording.instruments), built.size))
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
         start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
     keep = np.broadcast_to(~gross[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
-    problem = NetworkProblem.of(model, start.points, sigma=sigma, use=chosen)
+    problem = NetworkProblem.of(model, sigma=sigma, use=chosen)
     return Adjustment(problem, solve(problem, start), gross)
 
 

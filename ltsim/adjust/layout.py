@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ltsim.adjust.marks import Marks
 from ltsim.arrays import Floats, Ints
 from ltsim.model.measurement import MeasurementModel, State
 
@@ -14,12 +15,14 @@ from ltsim.model.measurement import MeasurementModel, State
 class Layout:
     """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
 
+    Set-ups over one mark share the columns of their position, with the target where that mark is one.
+
     Attributes
     ----------
     pose : (S, 6) int
         Translation, then rotation.
     target : (T, 3) int
-        Gauge targets are kept, all others are eliminated block by block.
+        Gauge targets and those under a set-up are kept, all others are eliminated block by block.
     instrument : (I, p) int
     extra : (q,) int
     kept : int
@@ -36,14 +39,19 @@ class Layout:
     size: int
 
     @classmethod
-    def of(cls, model: MeasurementModel, kept_targets: set[int]) -> Layout:
+    def of(cls, model: MeasurementModel, kept_targets: set[int], marks: Marks) -> Layout:
         """Lay out the unknowns of a model; `kept_targets` are not eliminated."""
         recording = model.recording
         stations, targets = len(recording.stations), len(recording.targets)
         instruments, p = len(recording.instruments), model.construction.size
-        pose = np.arange(6 * stations).reshape(stations, 6)
-        at = 6 * stations
-        keep = np.array([t in kept_targets for t in range(targets)])
+        alone = (marks.target < 0) & (marks.first == np.arange(stations))
+        own = np.repeat(alone[:, None], 6, axis=1)
+        own[:, 3:] = True
+        pose = np.full((stations, 6), -1)
+        pose[own] = np.arange(own.sum())
+        at = int(own.sum())
+        keep = np.zeros(targets, dtype=bool)
+        keep[[*kept_targets, *marks.target[marks.target >= 0]]] = True
         target = np.empty((targets, 3), dtype=np.int64)
         target[keep] = at + np.arange(3 * keep.sum()).reshape(-1, 3)
         at += 3 * int(keep.sum())
@@ -52,6 +60,9 @@ class Layout:
         extra = at + np.arange(model.extra_size)
         at += model.extra_size
         target[~keep] = at + np.arange(3 * (~keep).sum()).reshape(-1, 3)
+        shared = marks.target >= 0
+        pose[shared, :3] = target[marks.target[shared]]
+        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
         return cls(pose, target, instrument, extra, at, at + 3 * int((~keep).sum()))
 
     def retract(self, state: State, step: Floats) -> State:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjust.layout import Layout
-from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
+from ltsim.adjust.marks import Marks
+from ltsim.adjust.rows import VERTICAL, ControlRows, GaugeRows, LevelRows, free_motions
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
@@ -26,8 +28,9 @@ WEAK = 300.0
 class NetworkProblem:
     """Unknown poses, targets, instrument parameters and further effects of a recording.
 
-    Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths,
-    control points, levels, priors of the instrument parameters, datum.
+    Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
+    points, known marks under stations, levels, what no reading determines (held where it is), priors of the instrument
+    parameters, weak priors of the further effects, datum.
 
     Attributes
     ----------
@@ -40,6 +43,8 @@ class NetworkProblem:
         Of the further effects' parameters; infinite for none.
     free : (6, f) float
         Rigid motions that only the datum holds.
+    use : (n, 3) bool
+        Readings in use.
     """
 
     model: MeasurementModel
@@ -51,31 +56,35 @@ class NetworkProblem:
     gauge: GaugeRows
     control: ControlRows
     levels: LevelRows
-    layout: Layout = field(init=False)
-
-    def __post_init__(self) -> None:
-        kept = set(self.gauge.first.tolist()) | set(self.gauge.second.tolist())
-        object.__setattr__(self, "layout", Layout.of(self.model, kept))
+    marks: Marks
+    known_marks: ControlRows
 
     @classmethod
-    def of(
-        cls, model: MeasurementModel, points: Floats, *, sigma: Floats | None = None, use: Bools | None = None
-    ) -> NetworkProblem:
-        """The problem of a model; `points` (T, 3) are rough targets, `use` (n, 3) leaves readings out."""
+    def of(cls, model: MeasurementModel, *, sigma: Floats | None = None, use: Bools | None = None) -> NetworkProblem:
+        """The problem of a model; `use` (n, 3) leaves readings out."""
         recording = model.recording
+        marks = Marks.of(recording)
         control, levels = ControlRows.of(recording), LevelRows.of(recording)
-        measured = recording.measured if use is None else recording.measured & use
+        known_marks = ControlRows.of_stations(recording, marks)
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior_sigma=prior_sigmas(recording, model.construction),
             extra_sigma=_weak_priors(model),
-            free=free_motions(points, control, levels),
-            use=measured,
+            free=free_motions(control, known_marks, levels),
+            use=recording.measured if use is None else recording.measured & use,
             gauge=GaugeRows.of(recording),
             control=control,
             levels=levels,
+            marks=marks,
+            known_marks=known_marks,
         )
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Places of the unknowns."""
+        kept = set(self.gauge.first.tolist()) | set(self.gauge.second.tolist())
+        return Layout.of(self.model, kept, self.marks)
 
     def residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
@@ -83,22 +92,22 @@ class NetworkProblem:
         gap[:, 1:] = wrap(gap[:, 1:])
         return gap
 
+    def residual(self, state: State) -> Floats:
+        """Whitened residual (m,) of all rows at a state."""
+        return self._residual_rows(state, self.model.predict(state))
+
     def _residual_rows(self, state: State, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
         stated = self.gauge.predict(state.points) + self._gauge_by_extra(state) @ state.extra
         gauge = (self.gauge.length - stated) / self.gauge.sigma
-        control = (self.control.points - state.points[self.control.target]) / self.control.sigma[:, None]
+        control = self.control.residual(state.points)
+        marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
+        held = np.zeros(len(self._held_columns))
         prior = -(state.instrument / self.prior_sigma)[np.isfinite(self.prior_sigma)]
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
-        parts = [pointings, gauge, control.ravel(), levels.ravel(), prior, extra, datum]
-        return np.concatenate(parts)
-
-    def cost(self, state: State) -> float:
-        """Weighted sum of squares at a state."""
-        rows = self._residual_rows(state, self.model.predict(state))
-        return float(rows @ rows)
+        return np.concatenate([pointings, gauge, control, marks, levels.ravel(), held, prior, extra, datum])
 
     def retract(self, state: State, step: Floats) -> State:
         """The state after a step."""
@@ -107,70 +116,61 @@ class NetworkProblem:
     def linearise(self, state: State) -> BlockSystem:
         """The whitened system at a state."""
         prediction = self.model.linearised(state)
-        design = sp.vstack([self._pointing_design(prediction), self._other_design(state)], format="csr")
-        rows = self._residual_rows(state, prediction.readings)
-        return BlockSystem(sp.csr_array(design), rows, self.layout.kept)
+        data = np.concatenate([values.ravel() for values in self._values(state, prediction)])
+        indices, pointers = self._pattern
+        design = sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, self.layout.size))
+        if len(self.layout.extra):  # Effects on one station or target are zero in most rows.
+            design = design.copy()
+            design.eliminate_zeros()
+        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.layout.kept)
 
-    def _pointing_design(self, prediction: Prediction) -> sp.csr_array:
-        """Design of the measured readings: every row has 6 + 3 + p + q entries."""
+    @cached_property
+    def _pattern(self) -> tuple[Ints, Ints]:
+        """Column of every entry and where each row begins: the same at every state."""
+        columns = self._columns()
+        widths = np.concatenate([np.full(len(block), block.shape[1]) for block in columns])
+        pointers = np.concatenate([[0], np.cumsum(widths)])
+        kind = np.int32 if pointers[-1] < 2**31 else np.int64
+        return np.concatenate([block.ravel() for block in columns]).astype(kind), pointers.astype(kind)
+
+    def _columns(self) -> list[Ints]:
+        """Columns (rows, width) of each kind of row, in the order of the system."""
         recording, layout = self.model.recording, self.layout
-        n = len(recording)
-        blocks = np.concatenate(
-            [prediction.by_pose, prediction.by_target, prediction.by_instrument, prediction.by_extra],
-            axis=2,
-        )
-        columns = np.concatenate(
-            [
-                layout.pose[recording.station],
-                layout.target[recording.target],
-                layout.instrument[recording.instrument],
-                np.broadcast_to(layout.extra, (n, len(layout.extra))),
-            ],
-            axis=1,
-        )
-        weighted = (blocks / self.sigma[:, :, None])[self.use]
-        where = np.repeat(columns[:, None, :], 3, axis=1)[self.use]
-        count, width = weighted.shape
-        pointers = np.arange(0, (count + 1) * width, width)
-        design = sp.csr_array((weighted.ravel(), where.ravel(), pointers), shape=(count, layout.size))
-        design.eliminate_zeros()
-        design.sort_indices()
-        return design
+        at = [layout.pose[recording.station], layout.target[recording.target], layout.instrument[recording.instrument]]
+        everywhere = np.broadcast_to(layout.extra, (len(recording), len(layout.extra)))
+        pointings = np.repeat(np.concatenate([*at, everywhere], axis=1)[:, None, :], 3, axis=1)[self.use]
+        ends = [layout.target[self.gauge.first], layout.target[self.gauge.second]]
+        gauge = np.concatenate([*ends, np.broadcast_to(layout.extra, (len(self.gauge), len(layout.extra)))], axis=1)
+        anchors = layout.pose[self._anchors[0]].ravel()
+        return [
+            pointings,
+            gauge,
+            layout.target[self.control.target][self.control.axes][:, None],
+            layout.pose[self.known_marks.target, :3][self.known_marks.axes][:, None],
+            np.repeat(layout.pose[self.levels.station, 3:], 2, axis=0),
+            self._held_columns,
+            layout.instrument[np.isfinite(self.prior_sigma)][:, None],
+            layout.extra[np.isfinite(self.extra_sigma)][:, None],
+            np.broadcast_to(anchors, (self.free.shape[1], len(anchors))),
+        ]
 
-    def _other_design(self, state: State) -> sp.csr_array:
-        """Design of gauge, control, level, prior and datum rows."""
-        layout, size = self.layout, self.layout.size
-        gauge = sp.lil_array((len(self.gauge), size))
-        directions = self.gauge.directions(state.points) / self.gauge.sigma[:, None]
-        for i in range(len(self.gauge)):
-            gauge[[i] * 3, layout.target[self.gauge.first[i]]] = directions[i]
-            gauge[[i] * 3, layout.target[self.gauge.second[i]]] = -directions[i]
-        gauge[:, layout.extra] = self._gauge_by_extra(state) / self.gauge.sigma[:, None]
-        known = len(self.control)
-        control = sp.coo_array(
-            (
-                np.repeat(1 / self.control.sigma, 3),
-                (np.arange(3 * known), layout.target[self.control.target].ravel()),
-            ),
-            shape=(3 * known, size),
-        )
-        tilts = self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None]
-        turn = layout.pose[self.levels.station][:, None, 3:].repeat(2, axis=1)
-        levels = sp.coo_array(
-            (tilts.ravel(), (np.repeat(np.arange(2 * len(self.levels)), 3), turn.ravel())),
-            shape=(2 * len(self.levels), size),
-        )
-        return sp.vstack(
-            [
-                sp.csr_array(gauge),
-                control,
-                levels,
-                _diagonal_rows(self.prior_sigma, layout.instrument, size),
-                _diagonal_rows(self.extra_sigma, layout.extra, size),
-                self._datum_rows(state),
-            ],
-            format="csr",
-        )
+    def _values(self, state: State, prediction: Prediction) -> list[Floats]:
+        """Whitened derivatives (rows, width) that belong to `_columns`."""
+        by = [prediction.by_pose, prediction.by_target, prediction.by_instrument, prediction.by_extra]
+        pointings = np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None]
+        direction = self.gauge.directions(state.points)
+        gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
+        return [
+            pointings,
+            gauge / self.gauge.sigma[:, None],
+            self.control.weights(),
+            self.known_marks.weights(),
+            self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
+            self._held_values(state),
+            1.0 / self.prior_sigma[np.isfinite(self.prior_sigma)],
+            1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
+            self._datum_values(state),
+        ]
 
     def _gauge_by_extra(self, state: State) -> Floats:
         """Change (g, q) of the known lengths per unit of the further effects' parameters."""
@@ -178,21 +178,74 @@ class NetworkProblem:
         columns = [effect.gauge_design(*ends, state.points) for effect in self.model.effects]
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
-    def _datum_rows(self, state: State) -> sp.csr_array:
-        """Rows that hold the first station against the free rigid motions."""
+    @cached_property
+    def unseen_stations(self) -> Bools:
+        """(S,) True where no reading of a station is in use."""
+        seen = np.bincount(self.model.recording.station, self.use.any(axis=1), len(self.model.recording.stations))
+        return seen == 0
+
+    @cached_property
+    def unseen_targets(self) -> Bools:
+        """(T,) True where no reading to a target is in use and no set-up stands on it."""
+        seen = np.bincount(self.model.recording.target, self.use.any(axis=1), len(self.model.recording.targets))
+        seen[self.control.target] += 1
+        seen[self.marks.target[self.marks.target >= 0]] += 1
+        return seen == 0
+
+    @cached_property
+    def _unturned(self) -> tuple[Ints, Ints]:
+        """Stations whose yaw no azimuth determines, and those whose tilt nothing determines."""
+        station, count = self.model.recording.station, len(self.model.recording.stations)
+        azimuth, elevation = (np.bincount(station, self.use[:, i], count) > 0 for i in (1, 2))
+        level = np.zeros(count, dtype=bool)
+        level[self.levels.station] = True
+        return np.flatnonzero(~azimuth), np.flatnonzero(~azimuth & ~elevation & ~level)
+
+    @cached_property
+    def _held_columns(self) -> Ints:
+        """Columns (h, 3) of what no reading determines: turns of stations, unseen targets and stations."""
+        layout = self.layout
+        yaw, tilt = self._unturned
+        alone = self.unseen_stations & (self.marks.target < 0) & (self.marks.first == np.arange(len(layout.pose)))
+        alone[self.known_marks.target] = False
+        single = [layout.target[self.unseen_targets].ravel(), layout.pose[alone, :3].ravel()]
+        turns = [layout.pose[yaw, 3:], np.repeat(layout.pose[tilt, 3:], 2, axis=0)]
+        return np.concatenate([*turns, *(np.repeat(columns[:, None], 3, axis=1) for columns in single)])
+
+    def _held_values(self, state: State) -> Floats:
+        yaw, tilt = self._unturned
+        axes = state.rotation[yaw] @ VERTICAL
+        tilts = np.swapaxes(state.rotation[tilt], 1, 2)[:, :2].reshape(-1, 3)
+        rest = len(self._held_columns) - len(axes) - len(tilts)
+        single = np.broadcast_to([1.0, 0.0, 0.0], (rest, 3))
+        return np.concatenate([axes, tilts, single]) / DATUM_SIGMA[0]
+
+    @cached_property
+    def _anchors(self) -> tuple[Ints, bool]:
+        """Stations that the datum rows hold, and whether their turns too.
+
+        The first whose yaw is known; where no station has any (distances alone), the positions of all.
+        """
+        everywhere = np.arange(len(self.model.recording.stations))
+        turned = np.setdiff1d(everywhere, self._unturned[0])
+        return (turned[:1], True) if len(turned) else (everywhere, False)
+
+    def _datum_values(self, state: State) -> Floats:
+        """Rows (f, 6 a) that hold the anchors against the free rigid motions."""
+        anchors, turned = self._anchors
         motion = self.free / np.linalg.norm(self.free, axis=0)
-        shifted = motion.copy()
-        shifted[:3] += np.cross(motion[3:].T, state.position[0]).T
-        rows = np.zeros((self.free.shape[1], self.layout.size))
-        rows[:, self.layout.pose[0]] = (shifted / DATUM_SIGMA[:, None]).T
-        return sp.csr_array(rows)
+        turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
+        shift = motion[:3].T[:, None, :] + np.cross(turn, state.position[anchors][None])
+        rows = np.concatenate([shift, turn if turned else np.zeros_like(shift)], axis=2)
+        return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
     @property
     def dof(self) -> int:
         """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
         priors = int(np.isfinite(self.prior_sigma).sum())
-        known = len(self.gauge) + 3 * len(self.control) + 2 * len(self.levels) + priors
-        return int(self.use.sum()) + known - self.layout.size + self.free.shape[1]
+        known = len(self.gauge) + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
+        unknown = self.layout.size - self.free.shape[1] - len(self._held_columns)
+        return int(self.use.sum()) + known - unknown
 
 
 def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
@@ -207,9 +260,3 @@ def _weak_priors(model: MeasurementModel) -> Floats:
     """Sigmas (q,) far beyond any plausible size: they only keep what the readings do not determine from diverging."""
     sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
     return WEAK * np.array(sizes, dtype=np.float64)
-
-
-def _diagonal_rows(sigma: Floats, columns: Ints, size: int) -> sp.csr_array:
-    finite = np.isfinite(sigma)
-    count = int(finite.sum())
-    return sp.csr_array(sp.coo_array((1 / sigma[finite], (np.arange(count), columns[finite])), shape=(count, size)))

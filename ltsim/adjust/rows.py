@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.adjust.marks import Marks
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.measurement import verticals
 from ltsim.recording.recording import Recording
 from ltsim.units import ARCSECOND, MILLIMETRE
 
@@ -54,81 +56,136 @@ class GaugeRows:
 
 @dataclass(frozen=True)
 class ControlRows:
-    """Targets with known coordinates."""
+    """Places with known coordinates: targets, or stations over marks that are no targets.
+
+    Attributes
+    ----------
+    target : (k,) int
+        Index of the target, or of the station.
+    points : (k, 3) float, [m]
+    axes : (k, 3) bool
+        Coordinates that are known.
+    sigma : (k,) float, [m]
+    """
 
     target: Ints
     points: Floats
+    axes: Bools
     sigma: Floats
 
     @classmethod
     def of(cls, recording: Recording) -> ControlRows:
         """The control points of a recording."""
-        known = [(i, recording.target_setup(name)) for i, name in enumerate(recording.targets)]
+        return cls._known(recording, list(enumerate(recording.targets)))
+
+    @classmethod
+    def of_stations(cls, recording: Recording, marks: Marks) -> ControlRows:
+        """The known marks under stations that are no targets themselves; `points` are those of the instruments."""
+        places = [(i, n) for i, n in enumerate(marks.names) if n and marks.target[i] < 0 and marks.first[i] == i]
+        rows = cls._known(recording, places)
+        return replace(rows, points=rows.points + marks.offset[rows.target])
+
+    @classmethod
+    def _known(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
+        known = [(i, recording.target_setup(name)) for i, name in places]
         rows = [(i, t) for i, t in known if t.known_mm is not None]
         return cls(
             np.array([i for i, _ in rows], dtype=np.int64),
             np.array([t.known_mm for _, t in rows], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
+            np.array([[axis in t.known_axes for axis in "xyz"] for _, t in rows], dtype=bool).reshape(-1, 3),
             np.array([t.known_sigma_mm for _, t in rows], dtype=np.float64) * MILLIMETRE,
         )
 
     def __len__(self) -> int:
         return len(self.target)
 
+    @property
+    def count(self) -> int:
+        """Number of known coordinates."""
+        return int(self.axes.sum())
+
+    def residual(self, points: Floats) -> Floats:
+        """Whitened residuals (count,) where the places are at `points` (T or S, 3)."""
+        rows: Floats = ((self.points - points[self.target]) / self.sigma[:, None])[self.axes]
+        return rows
+
+    def weights(self) -> Floats:
+        """One over sigma (count, 1) of each known coordinate."""
+        rows: Floats = np.repeat(1.0 / self.sigma[:, None], 3, axis=1)[self.axes]
+        return rows[:, None]
+
+    def equations(self, centre: Floats, reach: float) -> Floats:
+        """Rows (count, 6): what a rigid motion about `centre`, rotation in units of 1 / `reach`, does to them."""
+        turned = -cross_matrix((self.points - centre) / reach)
+        whole = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
+        rows: Floats = whole[self.axes]
+        return rows
+
 
 @dataclass(frozen=True)
 class LevelRows:
-    """Stations whose vertical axis follows a level: two tilts each."""
+    """Stations whose vertical axis follows a level: two tilts each against the direction of plumb."""
 
     station: Ints
     sigma: Floats
+    vertical: Floats
+    across: Floats
 
     @classmethod
     def of(cls, recording: Recording) -> LevelRows:
         """The levelled stations of a recording."""
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         rows = [(i, s) for i, s in setups if s.levelled]
-        return cls(
-            np.array([i for i, _ in rows], dtype=np.int64),
-            np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND,
-        )
+        station = np.array([i for i, _ in rows], dtype=np.int64)
+        vertical = verticals(recording)[station]
+        first = np.array([1.0, 0.0, 0.0]) - vertical[:, :1] * vertical
+        flat = np.linalg.norm(first, axis=1) < 1e-3
+        first[flat] = np.array([0.0, 1.0, 0.0]) - vertical[flat, 1:2] * vertical[flat]
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
+        return cls(station, sigma, vertical, np.stack([first, np.cross(vertical, first)], axis=1))
 
     def __len__(self) -> int:
         return len(self.station)
 
     def predict(self, rotation: Floats) -> Floats:
-        """Horizontal components (l, 2) of the stations' vertical axes."""
-        axis: Floats = rotation[self.station] @ VERTICAL
-        return axis[:, :2]
+        """Components (l, 2) of the stations' vertical axes across the plumb line."""
+        axis = rotation[self.station] @ VERTICAL
+        tilt: Floats = np.einsum("lij,lj->li", self.across, axis)
+        return tilt
 
     def derivative(self, rotation: Floats) -> Floats:
         """Derivative (l, 2, 3) of these by the rotation vector in the network frame."""
-        turned: Floats = -cross_matrix(rotation[self.station] @ VERTICAL)
-        return turned[:, :2]
+        turned: Floats = -self.across @ cross_matrix(rotation[self.station] @ VERTICAL)
+        return turned
 
 
-def free_motions(points: Floats, control: ControlRows, levels: LevelRows) -> Floats:
+PARALLEL = 1e-2
+"""Plumb lines that differ by less do not tell the network's yaw (1e-2 rad are 64 km on the earth)."""
+
+
+def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) -> Floats:
     """Rigid motions (6, f) that no control point and no level fixes, as columns of (translation, rotation).
 
     Their number is decided by structure: none with three control points off one line, the four that keep the
     vertical with levels alone, all six without either.
     """
-    basis = np.eye(6)
-    rows = [np.zeros((0, 6))]
+    known = [one for one in (control, marks) if len(one)]
+    points = np.concatenate([one.points for one in known]) if known else np.zeros((1, 3))
+    centre = points.mean(axis=0)
+    reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
+    rows = [one.equations(centre, reach) for one in known]
     if len(levels):
-        rows.append(np.hstack([np.zeros((2, 3)), np.eye(2, 3)]))
-    if len(control):
-        centre = points[control.target].mean(axis=0)
-        arms = points[control.target] - centre
-        reach = max(float(np.abs(arms).max()), 1e-9) if len(control) > 1 else 1.0
-        turned = -cross_matrix(arms / reach)
-        rows.append(np.concatenate([np.tile(np.eye(3), (len(arms), 1, 1)), turned], axis=2).reshape(-1, 6))
-    stack = np.vstack(rows)
-    if not len(stack):
-        return basis
-    _, singular, right = np.linalg.svd(stack)
+        mean = levels.vertical.mean(axis=0)
+        alike = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL
+        across = levels.across[:1] if alike else levels.across
+        rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
+    if not rows:
+        return np.eye(6)
+    _, singular, right = np.linalg.svd(np.vstack(rows))
     rank = int(np.sum(singular > 1e-6 * singular.max(initial=0.0)))
     free = right[rank:].T
-    if len(control) and free.shape[1]:
-        centre = points[control.target].mean(axis=0)
-        free[:3] -= np.cross(free[3:].T, centre).T
+    free[3:] /= reach
+    free /= np.linalg.norm(free, axis=0, keepdims=True)
+    free[:3] -= np.cross(free[3:].T, centre).T
     return free

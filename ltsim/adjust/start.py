@@ -1,16 +1,16 @@
-"""Start values from the recording alone: stations joined one by one by closed-form alignment."""
+"""Start values from the recording alone: stations joined one by one, in closed form wherever that is possible."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ltsim.adjust.frame import Frame
+from ltsim.adjust.growth import BEGINNINGS, Growth
 from ltsim.arrays import Bools, Floats
-from ltsim.errors import NetworkError
-from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
 
-ROBUST_PASSES = 8
+__all__ = ["start_network", "station_clouds"]
 
 
 def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[Floats, Bools]:
@@ -22,60 +22,49 @@ def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[
     size = (len(recording.stations), len(recording.targets))
     measured = from_polar(recording.readings) if points is None else points
     cloud = np.full((*size, 3), np.nan)
-    whole = np.isfinite(measured).all(axis=1)
-    for s in range(size[0]):
-        here = np.flatnonzero((recording.station == s) & whole)
-        for t in np.unique(recording.target[here]):
-            cloud[s, t] = np.median(measured[here[recording.target[here] == t]], axis=0)
+    rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
+    pair = recording.station[rows] * size[1] + recording.target[rows]
+    order = np.argsort(pair, kind="stable")
+    where, first, count = np.unique(pair[order], return_index=True, return_counts=True)
+    for repeats in np.unique(count):
+        group = np.flatnonzero(count == repeats)
+        members = measured[rows[order[first[group][:, None] + np.arange(repeats)]]]
+        cloud.reshape(-1, 3)[where[group]] = np.median(members, axis=1)
     return cloud, np.isfinite(cloud[:, :, 0])
-
-
-def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
-    """Rigid alignment by least absolute deviations (reweighted), so that a swapped target does not tilt it."""
-    rotation, translation = align(source, goal)
-    if len(source) < 4:
-        return rotation, translation
-    for _ in range(ROBUST_PASSES):
-        miss = np.linalg.norm(source @ rotation.T + translation - goal, axis=1)
-        floor = max(1e-5, 0.5 * float(np.median(miss)))
-        rotation, translation = align(source, goal, 1.0 / np.maximum(miss, floor))
-    return rotation, translation
 
 
 def start_network(recording: Recording) -> tuple[Floats, Floats, Floats]:
     """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m] in the first station's frame.
 
-    The station that shares most targets with what is known already is joined next.
+    Levels and known points define the frame where there are any. The station that shares most targets with what is
+    known already is joined next; where too few were measured with range and both angles, single beams are
+    intersected, stations resected, and a network of beams or of ranges alone begins by algebra.
 
     Raises
     ------
     NetworkError
-        When a station shares fewer than three targets with all others together.
+        When the readings do not tie a station or a target to the rest.
     """
-    cloud, seen = station_clouds(recording)
-    count = len(recording.stations)
-    position, rotation = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-    placed = np.full_like(cloud, np.nan)
-    placed[0] = cloud[0]
-    have, joined = seen[0].copy(), np.zeros(count, dtype=bool)
-    joined[0] = True
-    while not joined.all():
-        shared = np.where(joined, -1, np.sum(seen & have, axis=1))
-        best = int(np.argmax(shared))
-        if shared[best] < 3:
-            lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~joined))
-            raise NetworkError(
-                f"station {lost}: shares only {max(shared)} targets with the rest of the network; "
-                "at least three are needed"
-            )
-        common = seen[best] & have
-        known = np.nanmedian(placed[joined][:, common], axis=0)
-        rotation[best], position[best] = robust_align(cloud[best][common], known)
-        placed[best] = cloud[best] @ rotation[best].T + position[best]
-        joined[best] = True
-        have |= seen[best]
-    unseen = ~seen.any(axis=0)
-    if unseen.any():
-        name = recording.targets[int(np.argmax(unseen))]
-        raise NetworkError(f"target {name}: has no pointing with range and both angles")
-    return position, rotation, np.nanmedian(placed, axis=0)
+    cloud, seen = station_clouds(recording, _flat_points(recording))
+    frame = Frame.of(recording)
+    farthest: Growth | None = None
+    for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:
+        growth = Growth(recording, cloud, seen, frame)
+        growth.run(beginning)
+        if growth.is_complete:
+            return growth.result()
+        if farthest is None or growth.reach > farthest.reach:
+            farthest = growth
+    assert farthest is not None
+    farthest.require_everything()
+    return farthest.result()
+
+
+def _flat_points(recording: Recording) -> Floats | None:
+    """Measured points (n, 3) with horizontal distances turned into slope ones; None where there is none."""
+    flat = recording.is_horizontal
+    if not flat.any():
+        return None
+    readings = recording.readings.copy()
+    readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
+    return from_polar(readings)

@@ -46,7 +46,7 @@ class Network:
     def covariance(self, construction: Construction) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of the instrument parameters, and their prior sigmas (I, p)."""
         model = MeasurementModel(self.recording, construction)
-        problem = NetworkProblem.of(model, self.state.points)
+        problem = NetworkProblem.of(model)
         kept = Factor(problem.linearise(self.state)).kept_covariance()
         at = problem.layout.instrument
         return kept[at[:, :, None], at[:, None, :]], problem.prior_sigma

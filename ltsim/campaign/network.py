@@ -89,7 +89,7 @@ class BatchNetwork:
     def problem(self) -> NetworkProblem:
         """The problem at the nominal state; the same rows that a single adjustment has."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
-        return NetworkProblem.of(model, self.state.points)
+        return NetworkProblem.of(model)
 
     @cached_property
     def nominal(self) -> State:

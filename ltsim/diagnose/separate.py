@@ -133,7 +133,7 @@ def planned_space(adjustment: Adjustment, extension: Extension) -> ResidualSpace
     plain = replace(state, extra=np.zeros(0))
     model = MeasurementModel(recording, adjustment.construction)
     planned = model.recording.with_readings(model.predict(plain))
-    problem = NetworkProblem.of(MeasurementModel(planned, adjustment.construction), plain.points)
+    problem = NetworkProblem.of(MeasurementModel(planned, adjustment.construction))
     system = problem.linearise(plain)
     solution = Solution(plain, 0.0, 0, Status.CONVERGED, Factor(system), system)
     return ResidualSpace.of(Adjustment(problem, solution, np.zeros(len(planned), dtype=bool)))

@@ -117,15 +117,19 @@ class Construction:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact.
 
         Newton's method with the ideal tracker's derivative: each step closes the gap by a factor of the size
-        of the errors (1e-5), so that four steps reach rounding.
+        of the errors (1e-5), so that three steps reach rounding. The next step is as much smaller than the last
+        as that was than the one before; where it would be rounding it is not taken.
         """
         polar = to_polar(points)
         raw, by_point = to_face(polar, face), polar_jacobian(polar, face)
+        before = np.inf
         for _ in range(NEWTON_STEPS if self.terms else 0):
             step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, values))
             raw = raw + step
-            if not np.max(np.abs(step), initial=0.0) > CLOSED:
+            size = float(np.max(np.abs(step), initial=0.0))
+            if not (size > CLOSED and (before == np.inf or size * size > CLOSED * before)):
                 break
+            before = size
         raw[:, 1] = wrap(raw[:, 1])
         return raw
 

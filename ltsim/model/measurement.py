@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.effects.effect import Effect
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.model.construction import Construction
 from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.units import MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -67,11 +69,7 @@ def sightings_of(recording: Recording, state: State) -> Sightings:
 
     Nest normals are turned from the floor plan into the network's frame (`floor_plan.plan_rotation`).
     """
-    known = [recording.target_setup(name) for name in recording.targets]
-    missing = (np.nan, np.nan, np.nan)
-    normal = np.array([t.nest_normal or missing for t in known], dtype=np.float64).reshape(-1, 3)
-    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = normal @ plan_rotation(recording, state.position, state.rotation).T
+    turn = plan_rotation(recording, state.position, state.rotation)
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -82,12 +80,42 @@ def sightings_of(recording: Recording, state: State) -> Sightings:
         position=state.position,
         rotation=state.rotation,
         points=state.points,
-        nest_normal=normal,
-        reaimed=np.array([t.reaimed for t in known], dtype=bool),
+        nest_normal=_nest_normals(recording) @ turn.T,
+        reaimed=np.array([recording.target_setup(name).reaimed for name in recording.targets], dtype=bool),
         station_names=recording.stations,
         target_names=recording.targets,
         covariates=recording.covariates,
+        lift=lift_of(recording),
     )
+
+
+def _nest_normals(recording: Recording) -> Floats:
+    """Stated normals (T, 3) of the nests, floor plan; NaN where unknown."""
+    missing = (np.nan, np.nan, np.nan)
+    stated = [recording.target_setup(name).nest_normal or missing for name in recording.targets]
+    normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
+    unit: Floats = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return unit
+
+
+def verticals(recording: Recording) -> Floats:
+    """Direction of plumb (S, 3) at each station, a unit vector of the network frame."""
+    up = (0.0, 0.0, 1.0)
+    stated = np.array([recording.station_setup(name).vertical or up for name in recording.stations], dtype=np.float64)
+    unit: Floats = stated / np.linalg.norm(stated, axis=1, keepdims=True)
+    return unit
+
+
+def lift_of(recording: Recording) -> Floats | None:
+    """Lift (n, 3) [m] of each pointing's reflector over the target's mark; None where all stand on it.
+
+    An instrument height stated for single pointings counts here, less the one of the set-up, which is part of the
+    station's position.
+    """
+    instrument, target = recording.heights()
+    usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
+    height = target - (instrument - np.array(usual)[recording.station])
+    return height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
 
 
 @dataclass(frozen=True)
@@ -113,6 +141,30 @@ class MeasurementModel:
         values: Floats = state.instrument[self.recording.instrument]
         return values
 
+    @cached_property
+    def _nowhere(self) -> Sightings:
+        """The pointings without their geometry, gathered once; nest normals of the floor plan."""
+        stations, targets = len(self.recording.stations), len(self.recording.targets)
+        none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
+        found = sightings_of(self.recording, State(*none, np.zeros((0, 0))))
+        return replace(found, nest_normal=_nest_normals(self.recording))
+
+    @cached_property
+    def _horizontal(self) -> Bools | None:
+        """Which distances are horizontal ones; None where none is."""
+        flat = self.recording.is_horizontal
+        return flat if flat.any() else None
+
+    def sightings(self, state: State) -> Sightings:
+        """The sightings of the pointings with stations and targets at `state`."""
+        found = self._geometry(state)
+        turn = plan_rotation(self.recording, state.position, state.rotation)
+        return replace(found, nest_normal=found.nest_normal @ turn.T)
+
+    def _geometry(self, state: State) -> Sightings:
+        """The same as far as no effect is concerned."""
+        return self._nowhere.at(state.position, state.rotation, state.points)
+
     def _extra_design(self, sightings: Sightings) -> Floats:
         if not self.effects:
             return np.zeros((len(sightings), 3, 0))
@@ -120,11 +172,13 @@ class MeasurementModel:
 
     def predict(self, state: State) -> Floats:
         """Predicted raw readings (n, 3)."""
-        sightings = sightings_of(self.recording, state)
-        ideal = self.construction.readings(sightings.local, sightings.face, self._instrument_values(state))
+        sightings = self.sightings(state) if self.effects else self._geometry(state)
+        raw = self.construction.readings(sightings.local, sightings.face, self._instrument_values(state))
         for effect, values in zip(self.effects, self._split(state.extra), strict=True):
-            ideal = ideal + effect.shift(sightings, values)
-        return ideal
+            raw = raw + effect.shift(sightings, values)
+        if self._horizontal is not None:
+            raw[self._horizontal, 0] *= np.abs(np.cos(raw[self._horizontal, 2]))
+        return raw
 
     def _split(self, extra: Floats) -> list[Floats]:
         sizes = [len(effect.parameters) for effect in self.effects]
@@ -132,14 +186,26 @@ class MeasurementModel:
 
     def linearised(self, state: State) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and further effects."""
-        sightings = sightings_of(self.recording, state)
+        sightings = self.sightings(state) if self.effects else self._geometry(state)
         values = self._instrument_values(state)
         raw = self.construction.readings(sightings.local, sightings.face, values)
         by_point, by_instrument = self.construction.reading_design(raw, values)
-        by_target = by_point @ np.swapaxes(state.rotation[sightings.station], 1, 2)
-        arm = state.points[sightings.target] - state.position[sightings.station]
-        by_pose = np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
+        by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
+        by_pose = np.concatenate([-by_target, by_target @ cross_matrix(sightings.arm)], axis=2)
         by_extra = self._extra_design(sightings)
         for effect, extra in zip(self.effects, self._split(state.extra), strict=True):
             raw = raw + effect.shift(sightings, extra)
-        return Prediction(raw, by_pose, by_target, by_instrument, by_extra)
+        derivatives = by_pose, by_target, by_instrument, by_extra
+        if self._horizontal is not None:
+            _reduce_to_horizontal(raw, derivatives, self._horizontal)
+        return Prediction(raw, *derivatives)
+
+
+def _reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
+    """Turn the slope distances `flat` (n,) of readings (n, 3) and their derivatives into horizontal ones, in place."""
+    range_, level = raw[flat, 0], raw[flat, 2]
+    cosine = np.cos(level)
+    sign = np.sign(cosine)
+    for by in derivatives:
+        by[flat, 0] = (sign * cosine)[:, None] * by[flat, 0] - (sign * range_ * np.sin(level))[:, None] * by[flat, 2]
+    raw[flat, 0] = range_ * np.abs(cosine)

@@ -35,7 +35,7 @@ def nominal_adjustment(recording: Recording, state: State, construction: Constru
     NetworkError
         When the pointings do not determine poses and targets.
     """
-    problem = NetworkProblem.of(MeasurementModel(recording, construction), state.points)
+    problem = NetworkProblem.of(MeasurementModel(recording, construction))
     lost = _lost(recording)
     if lost:
         raise NetworkError(lost)

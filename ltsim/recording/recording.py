@@ -23,6 +23,7 @@ BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
 KIND_COLUMN = "distance_kind"
 """Label ``slope`` (or empty) or ``horizontal`` of each distance."""
+_PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Recording:
         return np.array(of_station, dtype=np.int64)[self.station]
 
     def _instrument_name(self, station: str) -> str:
-        name = self.setup.stations.get(station, Station()).instrument
+        name = self.setup.stations.get(station, _PLAIN_STATION).instrument
         return name if name is not None and name in self.setup.instruments else ""
 
     def instrument_of(self, station: str) -> Instrument:
@@ -97,11 +98,11 @@ class Recording:
 
     def station_setup(self, station: str) -> Station:
         """What the set-up says of a station (defaults where it says nothing)."""
-        return self.setup.stations.get(station, Station())
+        return self.setup.stations.get(station, _PLAIN_STATION)
 
     def target_setup(self, target: str) -> Target:
         """What the set-up says of a target (defaults where it says nothing)."""
-        return self.setup.targets.get(target, Target())
+        return self.setup.targets.get(target, _PLAIN_TARGET)
 
     @property
     def gauge(self) -> Gauge:

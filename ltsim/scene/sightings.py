@@ -36,6 +36,8 @@ class Sightings:
         The reflector is turned toward the station before each pointing.
     station_names, target_names : tuple of str
     covariates : mapping of str to (n,) float
+    lift : (n, 3) float or None, [m]
+        From the target's mark to the reflector, less what the instrument stood higher than `position`.
     """
 
     station: Ints
@@ -52,6 +54,7 @@ class Sightings:
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
+    lift: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.station)
@@ -61,10 +64,15 @@ class Sightings:
         return replace(self, position=position, rotation=rotation, points=points)
 
     @cached_property
+    def arm(self) -> Floats:
+        """(n, 3) [m]: from the instrument to the reflector, network frame."""
+        arm: Floats = self.points[self.target] - self.position[self.station]
+        return arm if self.lift is None else arm + self.lift
+
+    @cached_property
     def local(self) -> Floats:
         """(n, 3) [m]: the target in the instrument's frame."""
-        offset = self.points[self.target] - self.position[self.station]
-        local: Floats = np.einsum("nji,nj->ni", self.rotation[self.station], offset)
+        local: Floats = np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
         return local
 
     @cached_property

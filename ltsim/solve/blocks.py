@@ -1,9 +1,8 @@
 """One linear least-squares step with most unknowns eliminated block by block.
 
-Unknowns come in two kinds: *kept* ones (a dense block of K columns) and *eliminated* ones, in blocks of three that
-no row
-shares with another such block. Normal equations then have a block-diagonal part that is inverted block by
-block, and what remains is the Schur complement of size K: cost is linear in the number of blocks.
+Unknowns come in two kinds: *kept* ones (K columns) and *eliminated* ones, in blocks of three that no row shares with
+another such block. Normal equations then have a block-diagonal part that is inverted block by block, and what remains
+is the Schur complement of size K: cost is linear in the number of blocks.
 
 Columns are scaled to unit norm before anything is factorised, so no rank is ever decided by an absolute number.
 """
@@ -14,13 +13,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
+from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
 
-ROUNDING = 1e-13
-"""Squared share of a unit column that the other columns leave, below which it is rounding error."""
+SUSPECT = 1e-8
+"""Pivots of unit columns below this may be rounding error; then the weakest direction is looked at itself."""
+ROUNDING = 1e-18
+"""Squared length of the image of a unit vector under unit columns, below which it is rounding error."""
+DENSE = 600_000
+"""Designs with fewer entries are worked on as dense ones: sparse bookkeeping would cost more than the zeros."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class BlockSystem:
 
 
 class SingularSystemError(Exception):
-    """The reduced normal matrix is not positive definite; `direction` (K + 3 E,) spans what is missing."""
+    """The normal matrix is not positive definite."""
 
 
 class Factor:
@@ -69,105 +72,68 @@ class Factor:
     def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
         self._system = system
         self._scale = column_scale(system.design)
-        self._design = sp.csr_array(system.design @ sp.diags_array(self._scale))
-        k = system.kept
-        normal = sp.csr_array(self._design.T @ self._design)
-        corner = normal[k:, k:]
-        blocks = _diagonal_blocks(corner) + damping * np.eye(3)
-        kept = normal[:k, :k].toarray() + damping * np.eye(k)
+        design = system.design
+        scaled = sp.csr_array((design.data * self._scale[design.indices], design.indices, design.indptr), design.shape)
+        self._elimination: Elimination
         try:
-            self._inverse = _block_inverse(blocks)
-            inverse = _block_diagonal(self._inverse)
-            self._carry = sp.csr_array(normal[:k, k:] @ inverse)
-            schur = kept - (self._carry @ normal[k:, :k]).toarray()
-            self._schur = scipy.linalg.cho_factor(schur, lower=True, check_finite=False)
-            if float(np.min(np.diag(self._schur[0]) ** 2, initial=1.0)) < ROUNDING:
-                raise np.linalg.LinAlgError("a pivot is rounding error")
+            if design.shape[0] * design.shape[1] <= DENSE:
+                self._elimination = DenseElimination(scaled.toarray(), system.kept, damping)
+            else:
+                self._elimination = SparseElimination(scaled, system.kept, damping)
         except np.linalg.LinAlgError as error:
             raise SingularSystemError("the normal matrix is not positive definite") from error
+        if self._elimination.smallest_pivot < SUSPECT and damping + self._weakest(scaled) < ROUNDING:
+            raise SingularSystemError("the observations leave a direction undetermined")
 
-    def step(self) -> Floats:
-        """The damped Gauss-Newton step (K + 3 E,)."""
-        k = self._system.kept
-        gradient = self._design.T @ self._system.residual
-        front = gradient[:k] - self._carry @ gradient[k:]
-        kept = scipy.linalg.cho_solve(self._schur, front, check_finite=False)
-        back = gradient[k:].reshape(-1, 3, 1)
-        rest = (self._inverse @ back).ravel() - self._carry.T @ kept
-        step: Floats = self._scale * np.concatenate([kept, rest])
-        return step
+    def _weakest(self, scaled: sp.csr_array) -> float:
+        """Squared length of the image of the weakest direction, by inverse iteration; accurate however small."""
+        vector = np.cos(np.arange(scaled.shape[1], dtype=np.float64))[:, None]
+        for _ in range(3):
+            vector = self._elimination.solve(vector / np.linalg.norm(vector))
+        image = scaled @ (vector[:, 0] / np.linalg.norm(vector))
+        return float(image @ image)
+
+    def step(self, residual: Floats | None = None) -> Floats:
+        """The damped Gauss-Newton step (K + 3 E,) for the system's residual, or another (m,) of the same design."""
+        right = self._system.design.T @ (self._system.residual if residual is None else residual)
+        return self.covariance_columns(right[:, None])[:, 0]
 
     @cached_property
-    def _kept_covariance(self) -> Floats:
-        size = self._system.kept
-        inverse: Floats = scipy.linalg.cho_solve(self._schur, np.eye(size), check_finite=False)
-        return 0.5 * (inverse + inverse.T)
+    def _kept_inverse(self) -> Floats:
+        return self._elimination.kept_inverse()
+
+    @cached_property
+    def _local(self) -> tuple[Floats, Floats]:
+        return self._elimination.blocks_and_leverage()
 
     def kept_covariance(self) -> Floats:
         """Covariance (K, K) of the kept unknowns."""
         scale = self._scale[: self._system.kept]
-        return self._kept_covariance * np.outer(scale, scale)
+        return self._kept_inverse * np.outer(scale, scale)
+
+    def kept_sets(self, columns: Ints) -> Floats:
+        """Covariance (c, k, k) of sets (c, k) of kept unknowns; cheap where each set meets in one row of the design."""
+        scale = self._scale[columns]
+        covariance: Floats = self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
+        return covariance
 
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
-        carry = self._carry.toarray()
-        spread = self._kept_covariance @ carry
-        k, count = self._system.kept, len(self._inverse)
-        inner = np.einsum("kei,kej->eij", carry.reshape(k, count, 3), spread.reshape(k, count, 3), optimize=True)
-        scale = self._scale[k:].reshape(-1, 3)
-        covariance: Floats = (self._inverse + inner) * scale[:, :, None] * scale[:, None, :]
+        scale = self._scale[self._system.kept :].reshape(-1, 3)
+        covariance: Floats = self._local[0] * scale[:, :, None] * scale[:, None, :]
         return covariance
 
     def covariance_columns(self, rows: Floats) -> Floats:
         """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
-        k = self._system.kept
-        scaled = self._scale[:, None] * rows
-        kept = self._kept_covariance @ (scaled[:k] - self._carry @ scaled[k:])
-        blocks = scaled[k:].reshape(-1, 3, scaled.shape[1])
-        rest = (self._inverse @ blocks).reshape(-1, scaled.shape[1]) - self._carry.T @ kept
-        columns: Floats = self._scale[:, None] * np.concatenate([kept, rest])
+        columns: Floats = self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
         return columns
 
-    def leverage(self, chunk: int = 4096) -> Floats:
+    def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
-        k = self._system.kept
-        front, back = self._design[:, :k], self._design[:, k:]
-        reduced = sp.csr_array(front - back @ self._carry.T)
-        own = (back @ _block_diagonal(self._inverse)).multiply(back).sum(axis=1)
-        shared = np.empty(len(own))
-        for start in range(0, len(own), chunk):
-            rows = reduced[start : start + chunk]
-            shared[start : start + chunk] = rows.multiply(rows @ self._kept_covariance).sum(axis=1)
-        total: Floats = np.asarray(own).ravel() + shared
-        return total
+        return self._local[1]
 
 
 def column_scale(design: sp.csr_array) -> Floats:
     """One over the norm of each column; 1 for an empty column."""
-    squares = np.asarray(design.multiply(design).sum(axis=0)).ravel()
+    squares = np.bincount(design.indices, design.data**2, design.shape[1])
     return np.where(squares > 0, 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0)), 1.0)
-
-
-def _diagonal_blocks(corner: sp.csr_array) -> Floats:
-    """The 3 x 3 blocks (E, 3, 3) on the diagonal; other entries must not exist."""
-    entries = corner.tocoo()
-    blocks = np.zeros((corner.shape[0] // 3, 3, 3))
-    np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
-    return blocks
-
-
-def _block_inverse(blocks: Floats) -> Floats:
-    if not len(blocks):
-        return blocks
-    root = np.linalg.cholesky(blocks)
-    inverse_root = np.linalg.inv(root)
-    inverse: Floats = np.swapaxes(inverse_root, 1, 2) @ inverse_root
-    return inverse
-
-
-def _block_diagonal(blocks: Floats) -> sp.csr_array:
-    count = len(blocks)
-    if not count:
-        return sp.csr_array((0, 0))
-    at = np.arange(count)
-    return sp.csr_array(sp.bsr_array((blocks, at, np.arange(count + 1)), shape=(3 * count, 3 * count)))

@@ -11,6 +11,8 @@ from ltsim.errors import ConvergenceError
 from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
 
 X = TypeVar("X")
+NEAR = 1.0
+"""Squared length [standard deviations] of a step after which the last design is tried once more."""
 
 
 class Problem(Protocol[X]):
@@ -20,8 +22,8 @@ class Problem(Protocol[X]):
         """The whitened linear system at x."""
         ...
 
-    def cost(self, x: X) -> float:
-        """Sum of squares at x."""
+    def residual(self, x: X) -> Floats:
+        """The whitened residual of that system alone."""
         ...
 
     def retract(self, x: X, step: Floats) -> X:
@@ -90,21 +92,46 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
         step, factor, damping = _damped_step(system, damping)
         if step is None or factor is None:
             return Solution(x, system.cost, iteration, Status.SINGULAR, None, system)
-        moved = system.design @ step
-        length = float(moved @ moved)
+        length = _length(system, step)
         trial = problem.retract(x, step)
-        cost = problem.cost(trial)
-        small = length < tolerance
-        if cost <= system.cost * (1 + 1e-12) + tolerance or small:
-            x, system = trial, problem.linearise(trial)
+        if length < NEAR and not damping:
+            final = _last_step(problem, trial, system, factor, tolerance)
+            if final is not None:
+                x, system = final
+                return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
+        ahead = problem.linearise(trial)
+        if ahead.cost <= system.cost * (1 + 1e-12) + tolerance:
+            x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
-            if small:
+            if length < tolerance:
                 return _finish(x, system, iteration, Status.CONVERGED)
-        elif damping > 1e8:
-            return _finish(x, system, iteration, Status.STALLED)
+        elif damping > 1e8 or length < tolerance:
+            return _finish(x, system, iteration, Status.STALLED if damping > 1e-6 else Status.CONVERGED)
         else:
             damping = max(10 * damping, 1e-6)
     return _finish(x, system, cap, Status.CAPPED)
+
+
+def _length(system: BlockSystem, step: Floats) -> float:
+    """Squared length of a step in standard deviations."""
+    moved = system.design @ step
+    return float(moved @ moved)
+
+
+def _last_step(
+    problem: Problem[X], x: X, system: BlockSystem, factor: Factor, tolerance: float
+) -> tuple[X, BlockSystem] | None:
+    """The end of the iteration with the design of the step before, which led to x; None where that is not the end.
+
+    After a step of a standard deviation the design is the same to five digits: one more step with it, for the residual
+    found there, ends below the tolerance.
+    """
+    residual = problem.residual(x)
+    step = factor.step(residual)
+    if not _length(system, step) < tolerance:
+        return None
+    x = problem.retract(x, step)
+    return x, BlockSystem(system.design, residual - system.design @ step, system.kept)
 
 
 def _damped_step(system: BlockSystem, damping: float) -> tuple[Floats | None, Factor | None, float]:

@@ -51,15 +51,14 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         out = by_reading == fold
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
         rest = adjust(recording, misalignment(), use=use, start=space.adjustment.state)
-        predicted = rest.problem.model.linearised(rest.state)
-        design = rest.problem._pointing_design(predicted)
-        full = rest.problem.__class__.of(rest.problem.model, rest.state.points)
-        rows = full._pointing_design(predicted)[np.repeat(out, 3)]
+        full = rest.problem.__class__.of(rest.problem.model)
+        system = full.linearise(rest.state)
+        held = np.flatnonzero(np.repeat(out, 3))
+        rows, gap = system.design[held], system.residual[held]
         spread = rows @ rest.factor.covariance_columns(rows.T.toarray())
-        gap = (full.residuals(predicted.readings) / full.sigma)[out].ravel()
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))
         count += len(gap)
-        assert design.shape[0] == full.use.sum() - len(gap)
+        assert rest.problem.use.sum() == full.use.sum() - len(gap)
     marked = np.where(np.isin(folds, chosen), folds, -1)
     assert held_out_rms(space, marked) == pytest.approx(np.sqrt(square / count), rel=1e-3)
 

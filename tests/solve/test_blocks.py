@@ -33,7 +33,7 @@ def test_step_covariance_and_leverage_equal_dense_ones(seed):
         at = slice(7 + 3 * e, 10 + 3 * e)
         np.testing.assert_allclose(block, inverse[at, at], rtol=1e-8)
     hat = np.einsum("mi,ij,mj->m", dense, inverse, dense)
-    np.testing.assert_allclose(factor.leverage(chunk=7), hat, rtol=1e-8)
+    np.testing.assert_allclose(factor.leverage(), hat, rtol=1e-8)
     directions = np.eye(len(inverse))[:, [0, 9]]
     np.testing.assert_allclose(factor.covariance_columns(directions), inverse[:, [0, 9]], rtol=1e-8)
 
@@ -58,9 +58,6 @@ class Valley:
     def linearise(self, x):
         design = np.array([[1.0, 0.0], [2 * self.stiffness * x[0], -self.stiffness]])
         return BlockSystem(sp.csr_array(design), self.residual(x), 2)
-
-    def cost(self, x):
-        return float(self.residual(x) @ self.residual(x))
 
     def retract(self, x, step):
         return x + step

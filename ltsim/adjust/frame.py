@@ -1,0 +1,128 @@
+"""Turning a network that was put together in its own frame into the one that levels and known points define."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjust.marks import Marks
+from ltsim.arrays import Bools, Floats
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.recording.recording import Recording
+from ltsim.units import MILLIMETRE
+
+VERTICAL = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What is known of the network's frame beforehand.
+
+    Attributes
+    ----------
+    points : (T, 3) float, [m]
+        Targets that define it: known ones, and approximate ones that were chosen for the datum; NaN elsewhere.
+    stations : (S, 3) float, [m]
+        The same for instruments over marks that are no targets.
+    level : (S,) bool
+    marks : Marks
+    """
+
+    points: Floats
+    stations: Floats
+    level: Bools
+    marks: Marks
+
+    @classmethod
+    def of(cls, recording: Recording) -> Frame:
+        """The frame of a recording."""
+        marks = Marks.of(recording)
+        alone = [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)]
+        return cls(
+            np.array([_stated(recording, name) for name in recording.targets]).reshape(-1, 3),
+            np.array([_stated(recording, name) for name in alone]).reshape(-1, 3) + marks.offset,
+            np.array([recording.station_setup(name).levelled for name in recording.stations], dtype=bool),
+            marks,
+        )
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether any place is known."""
+        return bool(np.isfinite(self.points).any() or np.isfinite(self.stations).any())
+
+    def common(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
+        """Places (k, 3) of a network that the frame states too, and where it states them."""
+        here, there = np.concatenate([position, points]), np.concatenate([self.stations, self.points])
+        both = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+        return here[both], there[both]
+
+    def motion(self, position: Floats, points: Floats, turn: Floats) -> tuple[Floats, Floats] | None:
+        """Rotation and translation into the frame; None where the frame does not say.
+
+        `turn` (3, 3) has turned the levels of the network upright already.
+        """
+        here, there = self.common(position, points)
+        if len(here) >= 3 and not _on_a_line(there):
+            return align(here, there)
+        if self.level.any() and len(here) >= 2:
+            return upright_alignment(here @ turn.T, there, turn)
+        return None
+
+    def upright(self, rotation: Floats, joined: Bools) -> Floats:
+        """The smallest turn (3, 3) that brings the axes of levelled stations to their plumb lines."""
+        chosen = self.level & joined
+        if not chosen.any():
+            return np.eye(3)
+        axis = (rotation[chosen] @ VERTICAL).mean(axis=0)
+        goal = self.marks.vertical[chosen].mean(axis=0)
+        return smallest_turn(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
+
+
+def _stated(recording: Recording, name: str) -> tuple[float, float, float]:
+    target = recording.target_setup(name)
+    nothing = (np.nan, np.nan, np.nan)
+    if not name:
+        return nothing
+    if target.known_mm is not None and target.known_axes == "xyz":
+        place = target.known_mm
+    elif target.datum and target.approximate_mm is not None:
+        place = target.approximate_mm
+    else:
+        return nothing
+    return place[0] * MILLIMETRE, place[1] * MILLIMETRE, place[2] * MILLIMETRE
+
+
+def _on_a_line(points: Floats) -> bool:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] <= 1e-3 * spread[0])
+
+
+def upright_alignment(source: Floats, goal: Floats, before: Floats | None = None) -> tuple[Floats, Floats]:
+    """Rotation and translation of points (k >= 2, 3) about the vertical alone; rotation after `before` if given.
+
+    Raises
+    ------
+    NetworkError
+        When the points lie above one another.
+    """
+    a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
+    if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
+        raise NetworkError("an alignment about the vertical needs points that are not above one another")
+    yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    rotation = about_z(float(yaw))
+    translation: Floats = goal.mean(axis=0) - rotation @ source.mean(axis=0)
+    return rotation if before is None else rotation @ before, translation
+
+
+def smallest_turn(axis: Floats, goal: Floats) -> Floats:
+    """The smallest rotation (3, 3) that turns a unit vector into another."""
+    across, cosine = np.cross(axis, goal), float(axis @ goal)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12 and cosine > 0:
+        return np.eye(3)
+    if sine < 1e-12:
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return from_rotation_vector(across / np.linalg.norm(across) * np.arctan2(sine, cosine))

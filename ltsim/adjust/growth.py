@@ -1,0 +1,385 @@
+"""A network put together station by station from what is known already."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ltsim.adjust.fitting import Sight, fit_point, fit_pose
+from ltsim.adjust.frame import VERTICAL, Frame, smallest_turn, upright_alignment
+from ltsim.adjust.rows import GaugeRows
+from ltsim.adjust.seeds import LEAST_BEAMS, multilaterate, relative_orientation
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import from_polar, to_face
+from ltsim.model.measurement import lift_of
+from ltsim.recording.recording import Recording
+
+BEGINNINGS = ("frame", "cloud", "beams", "ranges")
+"""How a network can begin: with known points, with what one station measured whole, with two stations' beams alone,
+with ranges alone."""
+ROBUST_PASSES = 8
+OUTLYING = 8.0
+"""Misses up to four times the median are noise: nothing to reweight."""
+PARALLEL = 1e-5
+"""Mean squared sine below which beams do not meet in a point."""
+
+
+def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    """Rigid alignment by least absolute deviations (reweighted), so that a swapped target does not tilt it."""
+    rotation, translation = align(source, goal)
+    if len(source) < 4:
+        return rotation, translation
+    for _ in range(ROBUST_PASSES):
+        miss = np.linalg.norm(source @ rotation.T + translation - goal, axis=1)
+        floor = max(1e-5, 0.5 * float(np.median(miss)))
+        if miss.max() < OUTLYING * floor:
+            break
+        rotation, translation = align(source, goal, 1.0 / np.maximum(miss, floor))
+    return rotation, translation
+
+
+class Growth:
+    """Stations and targets that have a place so far, in a frame of their own until the stated one is reached.
+
+    Parameters
+    ----------
+    recording : Recording
+    cloud : (S, T, 3) float, [m]
+        Each station's targets in its own frame, NaN where not measured whole.
+    seen : (S, T) bool
+    frame : Frame
+    """
+
+    def __init__(self, recording: Recording, cloud: Floats, seen: Bools, frame: Frame) -> None:
+        self._recording, self._cloud, self._seen, self._frame = recording, cloud, seen, frame
+        stations, targets = seen.shape
+        self._front = to_face(recording.readings, recording.face)
+        self._flat = recording.is_horizontal
+        lift = lift_of(recording)
+        self._lift = np.zeros((len(recording), 3)) if lift is None else lift
+        self._pair_lift = None if lift is None else self._by_pair(lift)
+        self._position = np.full((stations, 3), np.nan)
+        self._rotation = np.tile(np.eye(3), (stations, 1, 1))
+        self._joined = np.zeros(stations, dtype=bool)
+        self._placed = np.full_like(cloud, np.nan)
+        self._located = np.full((targets, 3), np.nan)
+        self._upright = self._anchored = self._unscaled = False
+        self._tried: dict[int, int] = {}
+
+    def _by_pair(self, lift: Floats) -> Floats:
+        whole = np.zeros_like(self._cloud)
+        whole[self._recording.station, self._recording.target] = lift
+        return whole
+
+    def run(self, beginning: str) -> None:
+        """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
+        getattr(self, f"_begin_with_{beginning}")()
+        while not self.is_complete:
+            if not (self._join_by_cloud() or self._locate() or self._join_by_fit() or self._anchor()):
+                break
+        self._settle()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every station and target has a place."""
+        return bool(self._joined.all() and self._have.all())
+
+    @property
+    def reach(self) -> int:
+        """How many stations and targets have a place."""
+        return int(self._joined.sum() + self._have.sum())
+
+    # --- what is known ---------------------------------------------------------------------------------------------
+
+    def _known(self) -> Floats:
+        """Targets (T, 3) so far: the median of where stations place them, or where they were located."""
+        known = self._located.copy()
+        whole = np.flatnonzero((self._seen & self._joined[:, None]).any(axis=0))
+        known[whole] = nan_median(self._placed[:, whole])
+        return known
+
+    @property
+    def _have(self) -> Bools:
+        have: Bools = np.logical_or((self._seen & self._joined[:, None]).any(axis=0), np.isfinite(self._located[:, 0]))
+        return have
+
+    def _stand(self, station: int) -> Floats | None:
+        """Where an unjoined station stands, if its mark has a place already."""
+        marks = self._frame.marks
+        if marks.target[station] >= 0:
+            place = self._known()[marks.target[station]] + marks.offset[station]
+        else:
+            same = (marks.first == marks.first[station]) & np.isfinite(self._position[:, 0])
+            if not same.any():
+                return None
+            one = int(np.argmax(same))
+            place = self._position[one] - marks.offset[one] + marks.offset[station]
+        return place if np.isfinite(place).all() else None
+
+    # --- steps -----------------------------------------------------------------------------------------------------
+
+    def _place(self, station: int, position: Floats, rotation: Floats) -> None:
+        self._position[station], self._rotation[station] = position, rotation
+        self._joined[station] = True
+        self._placed[station] = self._cloud[station] @ rotation.T + position
+        if self._pair_lift is not None:
+            self._placed[station] -= self._pair_lift[station]
+        mark = self._frame.marks.target[station]
+        if mark >= 0 and np.isnan(self._located[mark]).any():
+            self._located[mark] = position - self._frame.marks.offset[station]
+
+    def _join_by_cloud(self) -> bool:
+        """Join the station that shares most targets with what is known; two will do for levelled stations."""
+        have = self._have
+        shared = np.where(self._joined, -1, np.sum(self._seen & have, axis=1))
+        for station in np.argsort(-shared, kind="stable"):
+            count = shared[station]
+            if count < 2:
+                return False
+            common = np.flatnonzero(self._seen[station] & have)
+            goal = self._targets(common)
+            source = self._cloud[station][common]
+            if self._pair_lift is not None:
+                goal = goal + self._pair_lift[station][common]
+            level = self._upright and bool(self._frame.level[station])
+            try:
+                if count >= 3:
+                    rotation, position = robust_align(source, goal)
+                elif level:
+                    rotation, position = upright_alignment(source, goal)
+                else:
+                    continue
+            except NetworkError:
+                continue
+            self._place(int(station), position, rotation)
+            return True
+        return False
+
+    def _targets(self, which: Ints) -> Floats:
+        """Known places (k, 3) of some targets."""
+        rows = self._joined & self._seen[:, which].any(axis=1)
+        placed = nan_median(self._placed[rows][:, which])
+        return np.where(np.isnan(placed), self._located[which], placed)
+
+    def _locate(self) -> bool:
+        """Place targets that joined stations only saw in part, and marks under joined stations."""
+        recording = self._recording
+        missing = ~self._have
+        usable = self._joined[recording.station] & missing[recording.target]
+        found = False
+        for target, rows in _groups(recording.target, np.flatnonzero(usable)):
+            key = -1 - target
+            if self._tried.get(key) == len(rows):
+                continue
+            self._tried[key] = len(rows)
+            point = self._located_by(rows)
+            if point is not None:
+                self._located[target] = point
+                found = True
+        return found
+
+    def _located_by(self, rows: Ints) -> Floats | None:
+        station = self._recording.station[rows]
+        position, rotation = self._position[station], self._rotation[station]
+        front = self._front[rows]
+        beams = np.isfinite(front[:, 1:]).all(axis=1)
+        if beams.sum() >= 2:
+            rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
+            point = meeting_point(
+                position[beams] - self._lift[rows][beams], np.einsum("nij,nj->ni", rotation[beams], rays)
+            )
+            if point is not None:
+                return point
+        return fit_point(self._sight(rows), position, rotation)
+
+    def _sight(self, rows: Ints) -> Sight:
+        return Sight(self._front[rows], self._flat[rows], self._lift[rows])
+
+    def _join_by_fit(self) -> bool:
+        """Join a station by a fit of whatever it read to known targets."""
+        known = self._known()
+        recording = self._recording
+        usable = ~self._joined[recording.station] & np.isfinite(known[recording.target, 0])
+        groups = _groups(recording.station, np.flatnonzero(usable))
+        for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front[group[1]]).sum()):
+            stand = self._stand(station)
+            effort = 2 * len(rows) + (stand is not None)
+            if self._tried.get(station) == effort:
+                continue
+            self._tried[station] = effort
+            level = self._upright and bool(self._frame.level[station])
+            pose = fit_pose(self._sight(rows), known[recording.target[rows]], level=level, position=stand)
+            if pose is not None:
+                self._place(station, *pose)
+                return True
+        return False
+
+    # --- frame -----------------------------------------------------------------------------------------------------
+
+    def _move(self, rotation: Floats, translation: Floats) -> None:
+        self._position = self._position @ rotation.T + translation
+        self._rotation = rotation @ self._rotation
+        self._placed = self._placed @ rotation.T + translation
+        self._located = self._located @ rotation.T + translation
+
+    def _anchor(self) -> bool:
+        """Go to the stated frame as soon as the network reaches enough of it."""
+        if self._anchored or not self._frame.is_stated or self._unscaled:
+            return False
+        known = self._known()
+        turn = self._frame.upright(self._rotation, self._joined)
+        motion = self._frame.motion(self._position, known, turn)
+        if motion is None:
+            return False
+        self._move(*motion)
+        self._anchored = self._upright = True
+        fresh = ~self._have & np.isfinite(self._frame.points[:, 0])
+        self._located[fresh] = self._frame.points[fresh]
+        return True
+
+    def _settle(self) -> None:
+        """Scale and frame of the finished network."""
+        if self._unscaled:
+            self._rescale()
+            self._unscaled = False
+        if self._anchored or not self._joined.any() or self._anchor():
+            return
+        first = int(np.argmax(self._joined))
+        self._move(self._rotation[first].T.copy(), -self._rotation[first].T @ self._position[first])
+        turn = self._frame.upright(self._rotation, self._joined)
+        if not np.array_equal(turn, np.eye(3)):
+            self._move(turn, np.zeros(3))
+        here, there = self._frame.common(self._position, self._known())
+        if len(here):
+            self._move(np.eye(3), (there - here).mean(axis=0))
+
+    def _rescale(self) -> None:
+        """Bring a network of beams to scale by ranges, known lengths or known points."""
+        known, recording = self._known(), self._recording
+        length = np.linalg.norm(known[recording.target] + self._lift - self._position[recording.station], axis=1)
+        ratio = (self._front[:, 0] / length)[np.isfinite(self._front[:, 0])]
+        gauge = GaugeRows.of(recording)
+        ratio = np.concatenate([ratio, gauge.length / gauge.predict(known)])
+        here, there = self._frame.common(self._position, known)
+        if len(here) > 1:
+            spread = [np.sqrt(np.sum((x - x.mean(axis=0)) ** 2)) for x in (there, here)]
+            ratio = np.append(ratio, spread[0] / spread[1])
+        ratio = ratio[np.isfinite(ratio)]
+        if not len(ratio):
+            raise NetworkError("no range, no known length and no two known points give the network a scale")
+        scale = float(np.median(ratio))
+        self._position, self._placed, self._located = (
+            scale * x for x in (self._position, self._placed, self._located)
+        )
+
+    # --- beginnings ------------------------------------------------------------------------------------------------
+
+    def _begin_with_frame(self) -> None:
+        """Begin with the known points."""
+        self._located = self._frame.points.copy()
+        self._position = self._frame.stations.copy()
+        self._anchored = self._upright = self._frame.is_stated
+
+    def _begin_with_cloud(self) -> None:
+        """Begin with a station that measured targets whole."""
+        counts = self._seen.sum(axis=1)
+        if not counts.any():
+            return
+        first = 0 if counts[0] >= 3 else int(np.argmax(counts))
+        rotation = np.eye(3)
+        if self._frame.level[first]:
+            rotation = smallest_turn(VERTICAL, self._frame.marks.vertical[first])
+            self._upright = True
+        self._place(first, np.zeros(3), rotation)
+
+    def _begin_with_beams(self) -> None:
+        """The two stations that read most directions in common, at distance 1."""
+        size = self._seen.shape
+        beams = np.full((*size, 3), np.nan)
+        rows = np.flatnonzero(np.isfinite(self._front[:, 1:]).all(axis=1))
+        ones = np.column_stack([np.ones(len(rows)), self._front[rows, 1:]])
+        beams[self._recording.station[rows], self._recording.target[rows]] = from_polar(ones)
+        has = np.isfinite(beams[:, :, 0])
+        common = np.triu(has.astype(np.int64) @ has.T.astype(np.int64), 1)
+        for pair in np.argsort(-common, axis=None)[:10]:
+            a, b = np.unravel_index(pair, common.shape)
+            if common[a, b] < LEAST_BEAMS:
+                return
+            both = has[a] & has[b]
+            found = relative_orientation(beams[a, both], beams[b, both])
+            if found is not None:
+                self._unscaled = True
+                self._place(int(a), np.zeros(3), np.eye(3))
+                self._place(int(b), *found)
+                return
+
+    def _begin_with_ranges(self) -> None:
+        """All stations that read the ranges of the same targets."""
+        ranges = np.full(self._seen.shape, np.nan)
+        ranges[self._recording.station, self._recording.target] = self._front[:, 0]
+        stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
+        targets = np.flatnonzero(np.isfinite(ranges[stations]).all(axis=0))
+        found = multilaterate(ranges[np.ix_(stations, targets)])
+        if found is not None:
+            self._located[targets] = found[1]
+
+    # --- the end ---------------------------------------------------------------------------------------------------
+
+    def require_everything(self) -> None:
+        """NetworkError with the names of what has no place."""
+        recording = self._recording
+        if not self._joined.all():
+            lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~self._joined))
+            most = int(np.max(np.sum(self._seen & self._have, axis=1)[~self._joined]))
+            raise NetworkError(
+                f"station {lost}: shares only {most} targets with the rest of the network; "
+                "at least three are needed (two between levelled stations, more where ranges or angles are missing)"
+            )
+        missing = ~self._have
+        if missing.any():
+            lost = ", ".join(recording.targets[t] for t in np.flatnonzero(missing)[:10])
+            raise NetworkError(
+                f"target {lost}: no station measured range and both angles, and what was read from different "
+                "stations does not meet in one point"
+            )
+
+    def result(self) -> tuple[Floats, Floats, Floats]:
+        """Positions, rotations and targets."""
+        known = self._known()
+        marks = self._frame.marks
+        over = np.flatnonzero(marks.target >= 0)
+        position = self._position[marks.first] - marks.offset[marks.first] + marks.offset
+        position[over] = known[marks.target[over]] + marks.offset[over]
+        return position, self._rotation, known
+
+
+def _groups(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
+    """Rows by key, in the order of the keys."""
+    order = rows[np.argsort(keys[rows], kind="stable")]
+    values, first = np.unique(keys[order], return_index=True)
+    for key, group in zip(values, np.split(order, first[1:]), strict=False):
+        yield int(key), group
+
+
+def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
+    """The point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None where they are parallel."""
+    across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
+    normal = across.sum(axis=0)
+    if np.linalg.eigvalsh(normal)[0] < PARALLEL * len(beam):
+        return None
+    point: Floats = np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))
+    return point
+
+
+def nan_median(values: Floats) -> Floats:
+    """Median over the first axis of (k, t, 3), leaving out rows that are NaN; NaN where all are."""
+    if not len(values):
+        return np.full(values.shape[1:], np.nan)
+    ordered = np.sort(values, axis=0)
+    count = np.isfinite(values[:, :, 0]).sum(axis=0)
+    at = np.arange(values.shape[1])
+    middle: Floats = 0.5 * (ordered[(count - 1) // 2, at] + ordered[count // 2, at])
+    return middle

@@ -1,0 +1,50 @@
+"""Set-ups on marks: instruments that share a position with each other or with a target, a height above it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.model.measurement import verticals
+from ltsim.recording.recording import Recording
+from ltsim.units import MILLIMETRE
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Where the set-ups of a recording stand.
+
+    Attributes
+    ----------
+    target : (S,) int
+        The target whose mark a set-up stands on, -1 for none.
+    first : (S,) int
+        The first set-up on the same mark that is no target; itself where it stands alone.
+    names : tuple of str
+        Name of the mark of each set-up, '' where it has none.
+    vertical : (S, 3) float
+        Direction of plumb, unit.
+    offset : (S, 3) float, [m]
+        From the mark to the instrument.
+    """
+
+    target: Ints
+    first: Ints
+    names: tuple[str, ...]
+    vertical: Floats
+    offset: Floats
+
+    @classmethod
+    def of(cls, recording: Recording) -> Marks:
+        """The marks of a recording."""
+        places = {name: i for i, name in enumerate(recording.targets)}
+        setups = [recording.station_setup(name) for name in recording.stations]
+        names = tuple(s.over or "" for s in setups)
+        target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
+        seen: dict[str, int] = {}
+        first = [seen.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
+        vertical = verticals(recording)
+        height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
+        return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])

@@ -1,0 +1,199 @@
+"""Cholesky factor of a sparse symmetric matrix that falls into a chain of blocks, and the inverse where it counts.
+
+Stations along a tunnel or round a ring are coupled to their neighbours only. Ordered by reverse Cuthill-McKee their
+normal matrix is block tridiagonal, with a dense border of the unknowns that everything shares (instrument
+parameters). Factor and selected inverse then cost what the chain is long, not its cube. A matrix without such an
+order is one block, and everything below is ordinary dense algebra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from ltsim.arrays import Floats, Ints
+
+SMALL = 240
+"""Matrices up to this size are one block: ordering them would cost more than it saves."""
+SHARED = 0.6
+"""A column coupled to more than this share of all others belongs to the border."""
+LEAST_BLOCK = 48
+
+
+def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
+    """Order (K,) of the columns, and the edges (b + 2,) of b blocks in it; the border lies after the last block."""
+    size = matrix.shape[0]
+    whole = np.arange(size), np.array([0, size, size])
+    if size <= SMALL:
+        return whole
+    shared = np.diff(matrix.indptr) > SHARED * size
+    inner = np.flatnonzero(~shared)
+    if len(inner) <= SMALL:
+        return whole
+    part = sp.csr_array(matrix[inner][:, inner])
+    order = reverse_cuthill_mckee(part, symmetric_mode=True)
+    place = np.argsort(order)
+    rows = np.repeat(place, np.diff(part.indptr))
+    width = max(int(np.max(np.abs(rows - place[part.indices]), initial=0)), LEAST_BLOCK)
+    if 3 * width >= len(inner):
+        return whole
+    edges = np.append(np.arange(0, len(inner) - width + 1, width), [len(inner), size])
+    return np.concatenate([inner[order], np.flatnonzero(shared)]), edges
+
+
+@dataclass(frozen=True)
+class Window:
+    """The inverse (w, w) over two neighbouring blocks and the border; `place` (K,) of a column in it, -1 for none."""
+
+    place: Ints
+    inverse: Floats
+
+
+class Chain:
+    """Factor of a positive definite sparse matrix.
+
+    Parameters
+    ----------
+    matrix : (K, K) sparse
+        Symmetric.
+
+    Attributes
+    ----------
+    block_of : (K,) int
+        The block each column lies in; the number of blocks for the border.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When it is not positive definite.
+    """
+
+    def __init__(self, matrix: sp.csr_array) -> None:
+        self._order, self._edges = arrange(matrix)
+        place = np.argsort(self._order)
+        self.block_of = np.searchsorted(self._edges[1:-1], place, side="right")
+        border = matrix.shape[0] - self._edges[-2]
+        rest = matrix[self._order[-border:]][:, self._order[-border:]].toarray() if border else np.zeros((0, 0))
+        self._root: list[Floats] = []
+        self._next: list[Floats] = []
+        carried = np.zeros((border, border))
+        for i, panel in enumerate(self._panels(matrix, place)):
+            low, high, far = self._span(i)
+            mine = high - low
+            panel[:mine] -= carried[:mine, :mine] if i else 0.0
+            panel[far - low :] -= carried[mine:, :mine] if i else 0.0
+            root = scipy.linalg.cholesky(panel[:mine], lower=True, check_finite=False)
+            after = scipy.linalg.solve_triangular(root, panel[mine:].T, lower=True, check_finite=False).T
+            carried = after @ after.T
+            rest -= carried[far - high :, far - high :]
+            self._root.append(root)
+            self._next.append(after)
+        self._corner = scipy.linalg.cholesky(rest, lower=True, check_finite=False) if border else rest
+
+    def _panels(self, matrix: sp.csr_array, place: Ints) -> Iterator[Floats]:
+        """Columns of each block, dense: its own rows, those of the next block, those of the border."""
+        count, border = len(self._edges) - 2, self._edges[-2]
+        if count == 1 and border == len(place):
+            yield matrix.toarray()
+            return
+        entries = matrix.tocoo()
+        row, column = place[entries.row], place[entries.col]
+        by_block = np.argsort(self.block_of[entries.col], kind="stable")
+        ends = np.searchsorted(self.block_of[entries.col][by_block], np.arange(count + 1))
+        for i in range(count):
+            low, high, far = self._span(i)
+            mine = by_block[ends[i] : ends[i + 1]]
+            mine = mine[row[mine] >= low]
+            panel = np.zeros((far - low + len(place) - border, high - low))
+            at = np.where(row[mine] < border, row[mine] - low, row[mine] - border + far - low)
+            panel[at, column[mine] - low] = entries.data[mine]
+            yield panel
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return len(self._root)
+
+    @property
+    def smallest_pivot(self) -> float:
+        """The smallest pivot."""
+        pivots = [np.diag(root).min(initial=1.0) ** 2 for root in (*self._root, self._corner)]
+        return float(min(pivots))
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (K, c)."""
+        x = right[self._order]
+        border = self._edges[-2]
+        for i, (root, after) in enumerate(zip(self._root, self._next, strict=True)):
+            low, high, far = self._span(i)
+            x[low:high] = scipy.linalg.solve_triangular(root, x[low:high], lower=True, check_finite=False)
+            carried = after @ x[low:high]
+            x[high:far] -= carried[: far - high]
+            x[border:] -= carried[far - high :]
+        if border < len(x):
+            x[border:] = scipy.linalg.cho_solve((self._corner, True), x[border:], check_finite=False)
+        for i in reversed(range(len(self._root))):
+            low, high, far = self._span(i)
+            later = np.concatenate([x[high:far], x[border:]])
+            mine = x[low:high] - self._next[i].T @ later
+            x[low:high] = scipy.linalg.solve_triangular(self._root[i], mine, lower=True, trans=1, check_finite=False)
+        solved = np.zeros_like(x)
+        solved[self._order] = x
+        return solved
+
+    def inverse(self) -> Floats:
+        """The whole inverse (K, K)."""
+        if self.count == 1:
+            return self.windows[0].inverse
+        inverse = self.solve(np.eye(len(self._order)))
+        return 0.5 * (inverse + inverse.T)
+
+    @cached_property
+    def windows(self) -> list[Window]:
+        """The inverse on every pair of neighbouring blocks with the border, from the last pair to the first.
+
+        References
+        ----------
+        Takahashi, Fagan, Chin, Formation of a sparse bus impedance matrix (PICA 1973), in blocks.
+        """
+        border, size = self._edges[-2], len(self._order)
+        later = inverse_of(self._corner)
+        windows = []
+        for i in reversed(range(len(self._root))):
+            low, high, far = self._span(i)
+            own = high - low
+            whole = np.zeros((own + len(later), own + len(later)))
+            whole[:own, :own] = inverse_of(self._root[i])
+            if len(later):
+                reach = scipy.linalg.solve_triangular(
+                    self._root[i], self._next[i].T, lower=True, trans=1, check_finite=False
+                ).T
+                across = later @ reach
+                whole[own:, own:], whole[own:, :own], whole[:own, own:] = later, -across, -across.T
+                whole[:own, :own] += reach.T @ across
+            place = np.full(size, -1)
+            place[np.concatenate([self._order[low:far], self._order[border:]])] = np.arange(len(whole))
+            windows.append(Window(place, whole))
+            stay = np.concatenate([np.arange(own), np.arange(own + far - high, len(whole))])
+            later = whole[np.ix_(stay, stay)]
+        return windows
+
+    def _span(self, i: int) -> tuple[int, int, int]:
+        """Begin and end of a block, and the end of the next."""
+        last = len(self._edges) - 2
+        return int(self._edges[i]), int(self._edges[i + 1]), int(self._edges[min(i + 2, last)])
+
+
+def inverse_of(root: Floats) -> Floats:
+    """Inverse of a matrix from its lower Cholesky factor."""
+    if not len(root):
+        return root
+    lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
+    inverse: Floats = np.tril(lower) + np.tril(lower, -1).T
+    return inverse

@@ -1,0 +1,239 @@
+"""Elimination of blocks of three from normal equations: a dense way for small systems, a sparse one for large.
+
+Both answer the same questions (solution, inverse where rows of the design need it, leverage) and are compared with
+each other in the tests. Everything here is in units of scaled columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from ltsim.arrays import Floats, Ints
+from ltsim.solve.chain import Chain, Window, inverse_of
+
+
+class Elimination(Protocol):
+    """What `Factor` asks of a factorisation of K kept unknowns and E blocks of three."""
+
+    @property
+    def smallest_pivot(self) -> float:
+        """The smallest pivot of the Schur complement."""
+        ...
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (K + 3 E, c)."""
+        ...
+
+    def kept_inverse(self) -> Floats:
+        """The inverse (K, K) on the kept unknowns."""
+        ...
+
+    def kept_sets(self, columns: Ints) -> Floats:
+        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
+        ...
+
+    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
+        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
+        ...
+
+
+class DenseElimination:
+    """Everything as dense matrices; design (m, K + 3 E) with scaled columns."""
+
+    def __init__(self, design: Floats, kept: int, damping: float) -> None:
+        self._design, self._kept = design, kept
+        normal = design.T @ design
+        normal[np.diag_indices_from(normal)] += damping
+        count = (len(normal) - kept) // 3
+        at = kept + np.arange(3 * count).reshape(count, 3)
+        self._inverse = block_inverse(normal[at[:, :, None], at[:, None, :]])
+        across = normal[:kept, kept:].reshape(kept, count, 3)
+        self._carry = np.einsum("kei,eij->kej", across, self._inverse).reshape(kept, 3 * count)
+        schur = normal[:kept, :kept] - self._carry @ normal[kept:, :kept]
+        self._root = scipy.linalg.cholesky(schur, lower=True, check_finite=False)
+
+    @property
+    def smallest_pivot(self) -> float:
+        """The smallest pivot of the Schur complement."""
+        return float(np.diag(self._root).min(initial=1.0) ** 2)
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (K + 3 E, c)."""
+        front, back = right[: self._kept], right[self._kept :]
+        kept = scipy.linalg.cho_solve((self._root, True), front - self._carry @ back, check_finite=False)
+        blocks = back.reshape(-1, 3, right.shape[1])
+        return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
+
+    @cached_property
+    def _kept_inverse(self) -> Floats:
+        return inverse_of(self._root)
+
+    def kept_inverse(self) -> Floats:
+        """The inverse (K, K) on the kept unknowns."""
+        return self._kept_inverse
+
+    def kept_sets(self, columns: Ints) -> Floats:
+        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
+        inverse: Floats = self._kept_inverse[columns[:, :, None], columns[:, None, :]]
+        return inverse
+
+    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
+        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
+        kept, count = self._kept, len(self._inverse)
+        spread = (self._kept_inverse @ self._carry).reshape(kept, count, 3)
+        blocks = self._inverse + np.einsum("kei,kej->eij", self._carry.reshape(kept, count, 3), spread, optimize=True)
+        back = self._design[:, kept:]
+        reduced = self._design[:, :kept] - back @ self._carry.T
+        shared = np.sum((reduced @ self._kept_inverse) * reduced, axis=1)
+        triples = back.reshape(-1, count, 3)
+        own = np.sum((np.swapaxes(triples, 0, 1) @ self._inverse) * np.swapaxes(triples, 0, 1), axis=(0, 2))
+        return blocks, shared + own
+
+
+class SparseElimination:
+    """Sparse elimination; the Schur complement is a chain of blocks where its structure allows."""
+
+    def __init__(self, design: sp.csr_array, kept: int, damping: float) -> None:
+        self._design, self._kept = design, kept
+        normal = sp.csr_array(design.T @ design)
+        count = (normal.shape[0] - kept) // 3
+        self._inverse = block_inverse(_diagonal_blocks(normal[kept:, kept:], count) + damping * np.eye(3))
+        across = normal[:kept, kept:]
+        self._carry = sp.csc_array(across @ _block_diagonal(self._inverse))
+        schur = normal[:kept, :kept] - self._carry @ across.T
+        if damping:
+            schur = schur + damping * sp.eye_array(kept)
+        self._chain = Chain(sp.csr_array(schur))
+
+    @property
+    def smallest_pivot(self) -> float:
+        """The smallest pivot of the Schur complement."""
+        return self._chain.smallest_pivot
+
+    def solve(self, right: Floats) -> Floats:
+        """Solve for a right-hand side (K + 3 E, c)."""
+        front, back = right[: self._kept], right[self._kept :]
+        kept = self._chain.solve(front - self._carry @ back)
+        blocks = back.reshape(-1, 3, right.shape[1])
+        return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
+
+    def kept_inverse(self) -> Floats:
+        """The inverse (K, K) on the kept unknowns."""
+        return self._chain.inverse()
+
+    def kept_sets(self, columns: Ints) -> Floats:
+        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
+        found = np.full((*columns.shape, columns.shape[1]), np.nan)
+        lowest = self._chain.block_of[columns].min(axis=1, initial=self._chain.count - 1)
+        for i, window in self._windows():
+            mine = np.flatnonzero(lowest == i)
+            places = window.place[columns[mine]]
+            found[mine] = window.inverse[places[:, :, None], places[:, None, :]]
+            apart = mine[np.any(places < 0, axis=1)]
+            found[apart] = np.nan
+        if np.isnan(found).any():
+            inverse = self.kept_inverse()
+            return inverse[columns[:, :, None], columns[:, None, :]]
+        return found
+
+    def _windows(self) -> Iterator[tuple[int, Window]]:
+        return zip(reversed(range(self._chain.count)), self._chain.windows, strict=True)
+
+    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
+        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
+        blocks = np.empty_like(self._inverse)
+        leverage = np.zeros(self._design.shape[0])
+        groups = _Groups(self._design, self._kept, self._carry)
+        lowest = np.array([self._chain.block_of[g].min(initial=self._chain.count - 1) for g in groups.columns])
+        for i, window in self._windows():
+            for g in np.flatnonzero(lowest == i):
+                rows, front, back, carry = groups.of(int(g))
+                at = window.place[groups.columns[g]]
+                kept = window.inverse[at[:, None], at]
+                reduced = front - back @ carry.T
+                leverage[rows] = np.sum((reduced @ kept) * reduced, axis=1)
+                if g < len(blocks):
+                    blocks[g] = self._inverse[g] + carry.T @ kept @ carry
+                    leverage[rows] += np.sum((back @ self._inverse[g]) * back, axis=1)
+        return blocks, leverage
+
+
+class _Groups:
+    """Rows of a design by the block they touch (E groups), then those without a block by their columns.
+
+    columns : one (k,) int a group: the kept unknowns that the inverse is needed on.
+    """
+
+    def __init__(self, design: sp.csr_array, kept: int, carry: sp.csc_array) -> None:
+        self._kept, self._carry = kept, carry
+        blocks = carry.shape[1] // 3
+        rows = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr))
+        front = design.indices < kept
+        block = np.full(design.shape[0], -1)
+        block[rows[~front]] = (design.indices[~front] - kept) // 3
+        alone = np.flatnonzero(block < 0)
+        block[alone] = blocks + np.arange(len(alone))
+        self._back = np.zeros((design.shape[0], 3))
+        np.add.at(self._back, (rows[~front], (design.indices[~front] - kept) % 3), design.data[~front])
+        self._rows = np.argsort(block, kind="stable")
+        self._edges = np.searchsorted(block[self._rows], np.arange(blocks + len(alone) + 1))
+        sorted_design = design[self._rows][:, :kept]
+        self._pointers, self._indices = sorted_design.indptr, sorted_design.indices
+        self._data = sorted_design.data
+        ends = carry.indptr
+        self.columns = [np.unique(carry.indices[ends[3 * e] : ends[3 * e + 3]]) for e in range(blocks)]
+        own = self._pointers[self._edges[blocks:]]
+        self.columns += [np.unique(self._indices[a:b]) for a, b in pairwise(own)]
+        self._place = np.zeros(kept, dtype=np.int64)
+
+    def of(self, group: int) -> tuple[Ints, Floats, Floats, Floats]:
+        """Rows (r,), their part on the group's columns (r, k) and on its block (r, 3), the block's carry (k, 3)."""
+        columns = self.columns[group]
+        self._place[columns] = np.arange(len(columns))
+        low, high = self._edges[group], self._edges[group + 1]
+        a, b = self._pointers[low], self._pointers[high]
+        front = np.zeros((high - low, len(columns)))
+        row = np.repeat(np.arange(high - low), np.diff(self._pointers[low : high + 1]))
+        np.add.at(front, (row, self._place[self._indices[a:b]]), self._data[a:b])
+        carry = np.zeros((len(columns), 3))
+        if 3 * group < self._carry.shape[1]:
+            ends = self._carry.indptr[3 * group : 3 * group + 4]
+            entries = slice(ends[0], ends[3])
+            carry[self._place[self._carry.indices[entries]], np.repeat(np.arange(3), np.diff(ends))] = self._carry.data[
+                entries
+            ]
+        rows = self._rows[low:high]
+        return rows, front, self._back[rows], carry
+
+
+def block_inverse(blocks: Floats) -> Floats:
+    """Inverse of positive definite blocks (E, 3, 3); LinAlgError where one is not."""
+    if not len(blocks):
+        return blocks
+    root = np.linalg.cholesky(blocks)
+    inverse_root = np.linalg.inv(root)
+    inverse: Floats = np.swapaxes(inverse_root, 1, 2) @ inverse_root
+    return inverse
+
+
+def _diagonal_blocks(corner: sp.csr_array, count: int) -> Floats:
+    """The 3 x 3 blocks (E, 3, 3) on the diagonal; other entries must not exist."""
+    entries = corner.tocoo()
+    blocks = np.zeros((count, 3, 3))
+    np.add.at(blocks, (entries.row // 3, entries.row % 3, entries.col % 3), entries.data)
+    return blocks
+
+
+def _block_diagonal(blocks: Floats) -> sp.csr_array:
+    count = len(blocks)
+    if not count:
+        return sp.csr_array((0, 0))
+    at = np.arange(count)
+    return sp.csr_array(sp.bsr_array((blocks, at, np.arange(count + 1)), shape=(3 * count, 3 * count)))

@@ -1,0 +1,86 @@
+"""Sparse elimination and the chain of blocks against dense algebra."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ltsim.randomness import stream
+from ltsim.solve.chain import SMALL, Chain, arrange
+from ltsim.solve.elimination import DenseElimination, SparseElimination
+
+
+def ring(stations: int, shared: int, *, closed: bool = True, seed: int = 0) -> tuple[np.ndarray, int]:
+    """Rows of stations (six unknowns) that see the targets (three) near them, and a few unknowns of all rows."""
+    rng = stream(seed, "ring")
+    targets = 2 * stations
+    kept = 6 * stations + shared
+    rows = []
+    for s in range(stations):
+        for t in range(2 * s - 5, 2 * s + 7):
+            if not closed and not 0 <= t < targets:
+                continue
+            for _ in range(3):
+                row = np.zeros(kept + 3 * targets)
+                row[6 * s : 6 * s + 6] = rng.standard_normal(6)
+                row[6 * stations : kept] = rng.standard_normal(shared)
+                at = kept + 3 * (t % targets)
+                row[at : at + 3] = rng.standard_normal(3)
+                rows.append(row)
+    alone = np.zeros((6 + shared, kept + 3 * targets))
+    alone[np.arange(6), np.arange(6)] = 3.0
+    alone[6 + np.arange(shared), 6 * stations + np.arange(shared)] = 1.0
+    design = np.vstack([*rows, alone])
+    shuffled = rng.permutation(6 * stations)
+    design[:, : 6 * stations] = design[:, shuffled]
+    return design / np.linalg.norm(design, axis=0), kept
+
+
+@pytest.mark.parametrize("shared", [0, 5])
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, closed):
+    design, kept = ring(90, shared, closed=closed)
+    dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
+    assert sparse._chain.count > 2
+    right = stream(1, "right").standard_normal((design.shape[1], 2))
+    np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.kept_inverse(), dense.kept_inverse(), rtol=1e-7, atol=1e-9)
+    for ours, theirs in zip(sparse.blocks_and_leverage(), dense.blocks_and_leverage(), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9)
+    columns = np.array([[0, 1], [5, 5]]) if not shared else np.array([[kept - 1, kept - 2], [3, kept - 1]])
+    np.testing.assert_allclose(sparse.kept_sets(columns), dense.kept_sets(columns), rtol=1e-7, atol=1e-9)
+
+
+def test_sets_that_are_far_apart_are_answered_too():
+    design, kept = ring(90, 0)
+    dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
+    block_of = sparse._chain.block_of
+    far = np.array([[int(np.argmin(block_of)), int(np.argmax(block_of))]])
+    np.testing.assert_allclose(sparse.kept_sets(far), dense.kept_sets(far), rtol=1e-7, atol=1e-9)
+
+
+def test_damping_is_that_of_the_unit_diagonal():
+    design, kept = ring(60, 2)
+    right = stream(1, "right").standard_normal((design.shape[1], 1))
+    expected = np.linalg.solve(design.T @ design + 0.3 * np.eye(design.shape[1]), right)
+    for elimination in (DenseElimination(design, kept, 0.3), SparseElimination(sp.csr_array(design), kept, 0.3)):
+        np.testing.assert_allclose(elimination.solve(right), expected, atol=1e-9)
+
+
+def test_a_matrix_without_a_narrow_order_is_one_block():
+    rng = stream(2, "matrix")
+    size = SMALL + 60
+    root = rng.standard_normal((size, size)) + size * np.eye(size)
+    matrix = root @ root.T
+    chain = Chain(sp.csr_array(matrix))
+    assert chain.count == 1
+    np.testing.assert_allclose(chain.inverse(), np.linalg.inv(matrix), rtol=1e-8, atol=1e-12)
+
+
+def test_the_order_of_a_shuffled_band_is_narrow_again():
+    rng = stream(3, "band")
+    size = 1000
+    band = sp.diags_array([np.ones(size - abs(k)) for k in range(-4, 5)], offsets=range(-4, 5)).tocsr()
+    shuffle = rng.permutation(size)
+    order, edges = arrange(sp.csr_array(band[shuffle][:, shuffle]))
+    assert len(edges) > 15
+    assert sorted(order.tolist()) == list(range(size))
