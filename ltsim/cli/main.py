@@ -18,6 +18,8 @@ from ltsim.cli.demo import demo
 from ltsim.cli.diagnose import diagnose
 from ltsim.cli.effects import effects
 from ltsim.cli.evaluate import evaluate
+from ltsim.cli.plan import plan
+from ltsim.cli.history import history
 from ltsim.cli.recover import recover
 from ltsim.cli.report import report
 from ltsim.cli.simulate import simulate
@@ -52,6 +54,8 @@ app.command()(campaign)
 app.command()(convert)
 app.command()(effects)
 app.command()(diagnose)
+app.command()(history)
+app.command()(plan)
 app.command()(report)
 app.command()(view)
 

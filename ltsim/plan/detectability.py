@@ -79,6 +79,11 @@ class ResidualRoom:
         design = adjustment.solution.system.design
         self.basis = np.linalg.qr(design.toarray() * column_scale(design))[0]
 
+    @cached_property
+    def residual(self) -> Floats:
+        """(m,): whitened residuals of the adjustment."""
+        return self.left(self.adjustment.solution.system.residual)
+
     def signature(self, effect: Effect) -> Floats:
         """Whitened signature (m, q): readings first, then known lengths; zero in all other rows."""
         problem, sightings = self.adjustment.problem, self.adjustment.sightings

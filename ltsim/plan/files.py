@@ -13,6 +13,7 @@ from typing import Any
 from ltsim.effects import CATALOGUE
 from ltsim.plan.detectability import Detectability, detectability
 from ltsim.plan.improvement import Expected
+from ltsim.plan.next_measurement import NextMeasurement
 from ltsim.plan.planner import Evaluated, Option, Plan
 from ltsim.plan.reasons import fewest, reasons
 from ltsim.recording.files import write_texts
@@ -198,11 +199,39 @@ def planned_scenario(plan: Plan) -> Scenario:
     )
 
 
-def write_plan(plan: Plan, folder: Path) -> dict[str, Any]:
-    """Write plan.json, the tables and scenario.toml; the content of plan.json."""
+def write_plan(plan: Plan, folder: Path | None) -> dict[str, Any]:
+    """Write plan.json, the tables and scenario.toml, where a folder is given; the content of plan.json."""
     content = plan_json(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
-    write_texts(folder, plan_texts(plan, content))
+    if folder is not None:
+        write_texts(folder, plan_texts(plan, content))
     return content
+
+
+def next_json(made: NextMeasurement, summary: str = "") -> dict[str, Any]:
+    """Proposals of further measurements, for a program."""
+    return {
+        "format": "ltsim-next/1",
+        "diagnosis": summary,
+        "between": None if made.between is None else list(made.between),
+        "evidence_now": made.evidence_now,
+        "proposals": [
+            {
+                "do": p.extension.words,
+                "kind": p.extension.kind,
+                "minutes": round(p.extension.seconds / 60, 2),
+                "sharper": p.sharper,
+                "serves": p.serves,
+                "serves_factor": p.serves_factor,
+                "evidence": p.evidence,
+                "decides": p.decides,
+                "position_mm": None
+                if p.extension.place is None
+                else [round(float(v) / MILLIMETRE, 1) for v in p.extension.place],
+                "yaw_deg": None if p.extension.yaw is None else round(p.extension.yaw / DEGREE % 360, 2),
+            }
+            for p in made.proposals
+        ],
+    }
 
 
 def plan_texts(plan: Plan, content: Mapping[str, Any]) -> dict[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.plan.files import plan_json, planned_scenario, write_plan
 from ltsim.plan.information import LayoutInformation
@@ -178,3 +179,22 @@ def test_no_such_file_and_no_floor(tmp_path: Path) -> None:
     file = PlanFile.model_validate({"floor": {"margin_mm": 3000}})
     with pytest.raises(SetupError, match="leaves no floor"):
         make_plan(file.model_copy(update={"search": Search(starts=1)}), load_scenario("paper-workshop"))
+
+
+def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = small("[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n", tmp_path)
+    assert run(["plan", str(path), "--out", str(tmp_path / "out"), "--jobs", "1", "--seed", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "Where the tripod goes" in said
+    written = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"floor.png", "tradeoff.png", "stations.csv", "plan.json", "scenario.toml"} <= written
+    assert (tmp_path / "out" / "floor.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))["seed"] == 3
+    assert run(["plan", "paper-workshop", "--show"]) == 0
+    assert capsys.readouterr().out == plan_text("paper-workshop")
+
+
+@pytest.mark.parametrize("arguments", [["plan"], ["plan", "nothing"], ["plan", "paper-workshop", "--between", "a,b"]])
+def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -1,0 +1,231 @@
+"""`ltsim plan`: where to put the tripod, and what to measure next."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ltsim.cli.options import FormatName, HintList, Jobs, Json, Quiet, recording_of
+from ltsim.cli.summary import recording_line
+from ltsim.cli.terminal import Terminal, table
+from ltsim.diagnose import diagnose as diagnosis_of
+from ltsim.errors import SetupError
+from ltsim.plan.files import next_json, table_text, write_plan
+from ltsim.plan.next_measurement import NextMeasurement, next_measurement
+from ltsim.plan.planner import Plan, make_plan
+from ltsim.plan.spec import load_plan, plan_names, plan_text
+from ltsim.recording import Recording
+from ltsim.recording.files import write_texts
+from ltsim.report.output import write_bytes
+
+PlanSource = Annotated[
+    str | None,
+    typer.Argument(metavar="FILE", help="A plan file, a scenario file, or the name of a built-in one."),
+]
+PlanOut = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json.")
+]
+PlanSeed = Annotated[int | None, typer.Option("--seed", min=0, help="Root of the search; default as the file says.")]
+Starts = Annotated[int | None, typer.Option("--starts", min=1, help="Independent searches; default as the file says.")]
+Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and do nothing else.")]
+After = Annotated[
+    Path | None, typer.Option("--after", metavar="REC", help="Rank further measurements after this recording.")
+]
+Between = Annotated[
+    str | None,
+    typer.Option(
+        "--between", metavar="A,B", help="With --after: two effects to decide between; default as a diagnosis says."
+    ),
+]
+MOST_SHOWN = 6
+
+
+def plan(
+    source: PlanSource = None,
+    out: PlanOut = None,
+    seed: PlanSeed = None,
+    starts: Starts = None,
+    jobs: Jobs = 2,
+    show: Show = False,
+    after: After = None,
+    between: Between = None,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Find a layout of stations and reflectors and say why; or, with --after, what to measure next.
+
+    Writes plan.json, stations.csv (where the tripod goes), reflectors.csv, tradeoff.csv, scenario.toml for
+    `ltsim simulate`, and the pictures floor.png and tradeoff.png.
+
+    Example: ltsim plan paper-workshop --out my-plan
+    """
+    terminal = Terminal(quiet, as_json)
+    if after is not None:
+        if source is not None:
+            raise SetupError("ltsim plan takes either FILE or --after REC, not both")
+        return _after(terminal, recording_of(after, format_name, hint), _pair(between), out)
+    if between is not None:
+        raise SetupError("--between goes with --after REC: it needs a recording whose two explanations it names")
+    if source is None:
+        raise SetupError(f"ltsim plan needs a plan: a file, or a built-in one ({', '.join(plan_names())})")
+    if show:
+        print(plan_text(source), end="")
+        return None
+    return _search(terminal, source, out, seed, starts, jobs)
+
+
+def _search(
+    terminal: Terminal, source: str, out: Path | None, seed: int | None, starts: int | None, jobs: int
+) -> None:
+    file, scenario = load_plan(source)
+    changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
+    file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
+    with terminal.progress("searching layouts", 100) as advance:
+        made = make_plan(file, scenario, jobs=jobs, progress=_percent(advance))
+    folder = out if out is not None or terminal.as_json else Path(f"plan-{Path(source).stem}")
+    content = write_plan(made, folder)
+    terminal.answer(content)
+    show_plan(terminal, content)
+    if folder is not None:
+        write_pictures(made, folder)
+        terminal.say(f"\nwritten to {folder}: floor.png shows where the tripod goes, stations.csv its coordinates")
+        terminal.say(f"in 3D: ltsim view {folder / 'scenario.toml'}; a recording of it: ltsim simulate the same file")
+
+
+def _percent(advance: Any) -> Any:
+    """Turn shares of the work into steps of a bar of a hundred."""
+    done = 0
+
+    def tell(_what: str, share: float) -> None:
+        nonlocal done
+        advance(int(100 * share) - done)
+        done = int(100 * share)
+
+    return tell
+
+
+def show_plan(terminal: Terminal, content: dict[str, Any]) -> None:
+    """The answer, coordinates, reasons, curve."""
+    terminal.say(content["summary"])
+    rows = [
+        [s["name"], *(f"{v:.0f}" for v in s["position_mm"]), f"{s['yaw_deg']:.0f}", str(s["reflectors_seen"])]
+        for s in content["stations"]
+    ]
+    terminal.say("\nWhere the tripod goes (mm from the corner of the workshop; yaw from the x axis):")
+    terminal.say(table(["station", "x", "y", "z", "yaw [deg]", "sees"], rows))
+    terminal.say("\nWhy:")
+    for sentence in content["reasons"]:
+        terminal.say(f"- {sentence}")
+    rows = [
+        [str(o["stations"]), str(o["faces"]), str(o["repeats"]), f"{o['hours']:.1f}", f"{o['value']:.4g}"]
+        for o in content["tradeoff"]
+        if o["efficient"]
+    ]
+    terminal.say("\nCost against quality (each the best for its time; smaller is better):")
+    terminal.say(table(["stations", "faces", "rounds", "hours", "quality"], rows, left=0))
+
+
+def write_pictures(made: Plan, folder: Path) -> None:
+    """floor.png: the plan from above; tradeoff.png: cost against quality."""
+    from io import BytesIO  # matplotlib takes a second to load
+
+    from ltsim.plan.files import planned_scenario
+    from ltsim.report.figures.floor_plan import floor_plan
+    from ltsim.report.figures.trade_off import Layout, trade_off
+    from ltsim.report.planned import from_scenario
+
+    layouts = []
+    for option in made.options:
+        survey = option.survey
+        faces = "both faces" if len(survey.faces) == 2 else "one face"
+        same = len(survey.position) == len(made.chosen.survey.position) and survey.faces == made.chosen.survey.faces
+        chosen = same and survey.repeats == made.chosen.survey.repeats
+        kind = "chosen" if chosen else "best" if option.efficient else "tried"
+        name = f"{len(survey.position)} stations, {faces}, {survey.repeats}x"
+        layouts.append(Layout(name, 60 * option.hours, option.value, kind))
+    if made.reference is not None and made.reference.qualities:
+        own = made.reference.survey
+        value = next(iter(made.reference.qualities.values()))
+        if len(made.reference.qualities) == 1:
+            layouts.append(Layout("the scenario's own", own.seconds / 60, value, "reference"))
+    figures = {
+        "floor.png": floor_plan(from_scenario(planned_scenario(made))),
+        "tradeoff.png": trade_off(layouts),
+    }
+    for name, figure in figures.items():
+        buffer = BytesIO()
+        figure.savefig(buffer, format="png", dpi=150)
+        write_bytes(folder / name, buffer.getvalue())
+
+
+def _pair(between: str | None) -> tuple[str, str] | None:
+    if between is None:
+        return None
+    names = [name.strip() for name in between.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise SetupError(f"--between {between}: expected two different effects, such as range-step,station-weather")
+    return names[0], names[1]
+
+
+def _after(terminal: Terminal, recording: Recording, between: tuple[str, str] | None, out: Path | None) -> None:
+    terminal.say(recording_line(recording))
+    summary = ""
+    if between is None:
+        with terminal.busy("diagnosing"):
+            found = diagnosis_of(recording)
+        summary = found.summary
+        terminal.say(summary)
+        open_ = [f for f in found.findings if f.known and f.equivalents and f.equivalents[0][0] != "unknown"]
+        between = (open_[0].effect, open_[0].equivalents[0][0]) if open_ else None
+    with terminal.progress("trying further measurements", 200) as advance:
+        tell: dict[str, Any] = {}
+        made = next_measurement(
+            recording,
+            between=between,
+            progress=lambda what, share: tell.setdefault(what, _percent(advance))(what, share),
+        )
+    content = next_json(made, summary)
+    if out is not None:
+        rows = [[p[key] for key in NEXT_COLUMNS] for p in content["proposals"]]
+        write_texts(out, {"next.json": _json(content), "next.csv": table_text(NEXT_COLUMNS, rows)})
+    terminal.answer(content)
+    show_next(terminal, made)
+    if out is not None:
+        terminal.say(f"\nwritten to {out}")
+
+
+NEXT_COLUMNS = ("kind", "minutes", "sharper", "serves", "serves_factor", "evidence", "decides", "do")
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def show_next(terminal: Terminal, made: NextMeasurement) -> None:
+    """The proposals, the best first."""
+    if made.between is not None:
+        first, second = made.between
+        terminal.say(f"\nBetween {first} and {second} the recording tells a chi-square of {made.evidence_now:.1f}.")
+        best = made.proposals[0]
+        if best.decides:
+            terminal.say(f"Next: {best.extension.words}; that raises it to {best.evidence:.0f} and decides.")
+        else:
+            terminal.say("Nothing that was tried decides (10 would); an independent measurement of the cause would.")
+    else:
+        terminal.say(f"\nNext: {made.proposals[0].extension.words}.")
+    rows = [
+        [
+            p.extension.words,
+            f"{p.extension.seconds / 60:.0f}",
+            f"{100 * (1 - p.sharper):.0f} %",
+            f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)",
+            "" if p.evidence is None else f"{p.evidence:.1f}",
+        ]
+        for p in made.proposals[:MOST_SHOWN]
+    ]
+    terminal.say(table(["do", "min", "sharper by", "most for", "chi-square"], rows))

@@ -1,0 +1,197 @@
+"""What to measure next: the addition that tells most about the instrument, or that decides between two explanations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjust import adjust
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.effects import find_effect
+from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.errors import ModelError
+from ltsim.model.construction import Construction, misalignment
+from ltsim.plan.criteria import d_criterion
+from ltsim.plan.detectability import ResidualRoom, thinned
+from ltsim.plan.extensions import Extension, further_pointings, further_stations
+from ltsim.plan.site import Progress, quiet
+from ltsim.recording.recording import Recording
+
+DECISIVE = 10.0
+"""Expected difference of chi-square from which two explanations count as told apart."""
+FINALISTS = 24
+"""Further stations whose evidence is computed in full."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A further measurement and what it would bring.
+
+    Attributes
+    ----------
+    extension : Extension
+    sharper : float
+        Factor on the geometric mean of the parameters' standard deviations; below one is a gain.
+    serves : str
+        The parameter that gains most, and its factor.
+    evidence : float or None
+        Expected difference of chi-square between the two explanations, whichever of them holds.
+    """
+
+    extension: Extension
+    sharper: float
+    serves: str
+    serves_factor: float
+    evidence: float | None = None
+
+    @property
+    def decides(self) -> bool:
+        """The explanations would be told apart."""
+        return self.evidence is not None and self.evidence >= DECISIVE
+
+
+@dataclass(frozen=True)
+class NextMeasurement:
+    """Proposals, the best first.
+
+    Attributes
+    ----------
+    between : (str, str) or None
+        The two explanations to decide between.
+    evidence_now : float or None
+        Between them in the recording as it is.
+    """
+
+    proposals: tuple[Proposal, ...]
+    between: tuple[str, str] | None
+    evidence_now: float | None
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An effect at the place and with the shape that fit a recording best, and its size (q,)."""
+
+    effect: Effect
+    values: Floats
+
+
+def next_measurement(
+    recording: Recording,
+    *,
+    between: tuple[str, str] | None = None,
+    construction: Construction | None = None,
+    minutes_per_move: float = 20.0,
+    progress: Progress = quiet,
+) -> NextMeasurement:
+    """Rank further pointings and further stations.
+
+    Parameters
+    ----------
+    between : (str, str), optional
+        Names of two effects: rank by the evidence between them, those that decide first and of these the quickest;
+        otherwise by the gain on the instrument's parameters.
+
+    Raises
+    ------
+    ModelError
+        When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
+    """
+    adjustment = solved(recording, construction or misalignment())
+    extensions = [*further_pointings(adjustment), *further_stations(adjustment, 60.0 * minutes_per_move)]
+    proposals = []
+    for done, extension in enumerate(extensions, 1):
+        proposals.append(_informed(adjustment, extension))
+        progress("trying further measurements", done / len(extensions))
+    proposals.sort(key=lambda p: p.sharper)
+    if between is None:
+        return NextMeasurement(tuple(proposals), None, None)
+    room = ResidualRoom(adjustment)
+    pair = explanation(room, between[0]), explanation(room, between[1])
+    now = evidence(room, *pair)
+    judged = []
+    finalists = _finalists(proposals)
+    for done, proposal in enumerate(finalists, 1):
+        extended = ResidualRoom(proposal.extension.adjustment(adjustment))
+        judged.append(_with_evidence(proposal, evidence(extended, *pair)))
+        progress("weighing the two explanations", done / len(finalists))
+    judged.sort(key=lambda p: (not p.decides, p.extension.seconds if p.decides else 0.0, -(p.evidence or 0.0)))
+    return NextMeasurement(tuple(judged), between, now)
+
+
+def solved(recording: Recording, construction: Construction) -> Adjustment:
+    """The recording adjusted, without pointings that are gross errors."""
+    found = adjust(recording, construction)
+    found.solution.require_success()
+    if not found.gross.any():
+        return found
+    return adjust(recording.select(~found.gross), construction)
+
+
+def _finalists(proposals: list[Proposal]) -> list[Proposal]:
+    """All further pointings, and the stations that tell most, returns among them."""
+    stations = [p for p in proposals if p.extension.kind == "station"]
+    again = [p for p in stations if "once more" in p.extension.words]
+    new = [p for p in stations if "once more" not in p.extension.words]
+    return [p for p in proposals if p.extension.kind == "pointings"] + again + new[:FINALISTS]
+
+
+def _informed(adjustment: Adjustment, extension: Extension) -> Proposal:
+    """What an extension tells about the first instrument."""
+    scale = adjustment.problem.prior_sigma[0]
+    before = adjustment.instrument_covariance / np.outer(scale, scale)
+    after = extension.adjustment(adjustment).instrument_covariance / np.outer(scale, scale)
+    sharper = float(d_criterion(after) / d_criterion(before))
+    ratio = np.sqrt(np.diag(after) / np.diag(before))
+    best = int(np.argmin(ratio))
+    return Proposal(extension, sharper, adjustment.construction.names[best], float(ratio[best]))
+
+
+def _with_evidence(proposal: Proposal, found: float) -> Proposal:
+    return Proposal(proposal.extension, proposal.sharper, proposal.serves, proposal.serves_factor, found)
+
+
+def explanation(room: ResidualRoom, name: str) -> Explanation:
+    """The effect called `name` where, and with the shape with which, it fits the residuals best.
+
+    Raises
+    ------
+    ModelError
+        When there is no such effect, or it leaves no trace in this recording.
+    """
+    kind = find_effect(name)
+    if issubclass(kind, NoiseEffect):
+        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be told apart here")
+    residual = room.residual
+    best: Explanation | None = None
+    most = 0.0
+    for effect in kind.candidates(room.adjustment.sightings):
+        left = room.left(room.signature(effect))
+        if not np.isfinite(left).all() or not left.any():
+            continue
+        values = np.linalg.lstsq(left, residual, rcond=1e-6)[0]
+        drop = float(residual @ residual - np.sum((residual - left @ values) ** 2))
+        if drop > most:
+            most, best = drop, Explanation(effect, np.asarray(values, dtype=np.float64))
+    if best is None:
+        raise ModelError(f"{name} leaves no trace in this recording; no size of it can be taken from it")
+    return best
+
+
+def evidence(room: ResidualRoom, first: Explanation, second: Explanation) -> float:
+    """Expected difference of chi-square, for whichever explanation holds with the size found (the smaller of both)."""
+    return min(_one_sided(room, first, second.effect), _one_sided(room, second, first.effect))
+
+
+def _one_sided(room: ResidualRoom, truth: Explanation, rival: Effect) -> float:
+    """What the best instance of the rival leaves of the true signature."""
+    signature = room.left(room.signature(truth.effect) @ truth.values)
+    smallest = float(signature @ signature)
+    for effect in thinned(type(rival).candidates(room.adjustment.sightings)):
+        left = room.left(room.signature(effect))
+        if not np.isfinite(left).all():
+            continue
+        values = np.linalg.lstsq(left, signature, rcond=1e-6)[0]
+        smallest = min(smallest, float(np.sum((signature - left @ values) ** 2)))
+    return smallest

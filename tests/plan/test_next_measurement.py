@@ -1,0 +1,128 @@
+"""Further measurements: what is promised comes true when they are made."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.cli.main import run
+from ltsim.errors import ModelError
+from ltsim.model.construction import misalignment
+from ltsim.plan.criteria import d_criterion
+from ltsim.plan.detectability import ResidualRoom
+from ltsim.plan.extensions import FloorPlan, further_pointings, further_stations
+from ltsim.plan.next_measurement import evidence, explanation, next_measurement, solved
+from ltsim.recording import Recording, write
+from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.simulate.sections import EffectEntry
+from ltsim.simulate.simulator import simulate
+from ltsim.simulate.truth import Truth
+
+
+def scenario(**values: float) -> Scenario:
+    """The paper's workshop, one face, with a vertical index that drifts in every visit."""
+    entry = EffectEntry(name="index-drift", values=values, shape={"law": "visit"})
+    return load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
+
+
+@pytest.fixture(scope="module")
+def drifting() -> tuple[Recording, Truth]:
+    return simulate(scenario(**{"index-drift": 60.0}), 5)
+
+
+def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: tuple[Recording, Truth]) -> None:
+    made = next_measurement(drifting[0])
+    sharper = [p.sharper for p in made.proposals]
+    assert sharper == sorted(sharper)
+    assert max(sharper) <= 1.0 + 1e-9
+    assert "other face" in made.proposals[0].extension.words
+    assert {p.extension.kind for p in made.proposals} == {"pointings", "station"}
+
+
+def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Recording, Truth]) -> None:
+    """The best proposal, measured with noise and solved: the covariance is the promised one."""
+    recording, construction = drifting[0], misalignment()
+    made = next_measurement(recording)
+    best = made.proposals[0].extension
+    added = np.arange(len(best.recording)) >= len(recording)
+    noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.sigma()
+    readings = best.recording.readings + noise * added[:, None]
+    before, after = adjust(recording, construction), adjust(best.recording.with_readings(readings), construction)
+    scale = before.problem.prior_sigma[0]
+    ratio = [float(d_criterion(a.instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
+    assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].sharper, rel=0.01)
+
+
+def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Recording, Truth]) -> None:
+    adjustment = solved(drifting[0], misalignment())
+    count, last = len(drifting[0]), drifting[0].time.max()
+    for extension in [*further_pointings(adjustment), *list(further_stations(adjustment, 1200.0))[:8]]:
+        added = extension.recording.time[count:]
+        assert added.min() > last
+        assert extension.seconds >= len(added) * 15 - 1
+        assert extension.recording.measured[count:].all()
+
+
+def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording, Truth]) -> None:
+    recording, truth = drifting
+    adjustment = solved(recording, misalignment())
+    plan = FloorPlan.of(recording, adjustment.state)
+    assert plan.known
+    assert plan.place(adjustment.state.position) == pytest.approx(truth.position, abs=0.1)
+    turned = [plan.yaw(rotation) for rotation in adjustment.state.rotation]
+    true = np.arctan2(truth.rotation[:, 1, 0], truth.rotation[:, 0, 0])
+    assert np.abs(np.angle(np.exp(1j * (turned - true)))).max() < 0.05
+
+
+def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tuple[Recording, Truth]) -> None:
+    """Noise drawn on the true effect: the mean advantage of the true one over its rival is the evidence (and a little
+    more, as the rival is free to fit noise)."""
+    room = ResidualRoom(solved(drifting[0], misalignment()))
+    first, second = explanation(room, "index-drift"), explanation(room, "station-settling")
+    expected = evidence(room, first, second)
+    signature = room.left(room.signature(first.effect) @ first.values)[:, None]
+    noise = room.left(np.random.default_rng(1).normal(size=(len(room.basis), 400)))
+
+    def left(effect, y):  # type: ignore[no-untyped-def]
+        columns = room.left(room.signature(effect))
+        fitted = np.linalg.lstsq(columns, y, rcond=1e-8)[0]
+        return ((y - columns @ fitted) ** 2).sum(axis=0) - columns.shape[1]
+
+    advantage = left(second.effect, signature + noise) - left(first.effect, signature + noise)
+    spread = advantage.std() / np.sqrt(400)
+    assert advantage.mean() > 0.8 * expected - 4 * spread
+
+
+def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tuple[Recording, Truth]) -> None:
+    made = next_measurement(drifting[0], between=("index-drift", "station-settling"))
+    assert made.evidence_now is not None
+    gained = [p.evidence for p in made.proposals]
+    assert all(value is not None and value >= made.evidence_now - 0.5 for value in gained)
+    first = made.proposals[0]
+    if first.decides:
+        quicker = [p for p in made.proposals if p.decides and p.extension.seconds < first.extension.seconds]
+        assert not quicker
+
+
+def test_effects_that_cannot_be_compared_are_refused(drifting: tuple[Recording, Truth]) -> None:
+    room = ResidualRoom(solved(drifting[0], misalignment()))
+    with pytest.raises(ModelError, match="change of the noise"):
+        explanation(room, "noise-level")
+    with pytest.raises(ModelError, match="did you mean"):
+        explanation(room, "index-drft")
+
+
+def test_the_command_ranks_and_writes(drifting: tuple[Recording, Truth], tmp_path: Path) -> None:
+    write(drifting[0], tmp_path / "rec")
+    arguments = ["plan", "--after", str(tmp_path / "rec"), "--between", "index-drift,station-settling"]
+    assert run([*arguments, "--out", str(tmp_path / "next"), "--quiet"]) == 0
+    content = json.loads((tmp_path / "next" / "next.json").read_text(encoding="utf-8"))
+    assert content["between"] == ["index-drift", "station-settling"]
+    assert {p["kind"] for p in content["proposals"]} == {"pointings", "station"}
+    assert content["evidence_now"] > 0
+    assert run([*arguments[:3], "--between", "index-drift"]) == 2
+    assert run([*arguments[:3], "--between", "index-drift,range-stp"]) == 2
