@@ -1,0 +1,378 @@
+"""Calibrations of one instrument over time: the course of its parameters, and whether it has changed.
+
+Two calibrations that share a prior are not independent: where the readings say nothing both give the prior's zero,
+and their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
+unchanged instrument would give, drawn from the prior and measured anew each time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import linalg, stats
+
+from ltsim.arrays import Floats
+from ltsim.calibrate.calibration import Calibration
+from ltsim.calibrate.undetermined import SILENT
+from ltsim.errors import RecordError
+from ltsim.model.construction import Construction
+
+FORMAT = "ltsim-history/1"
+RESOLVED = 1e-12
+"""Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
+ROUNDS, SETTLED = 2000, 1e-4
+LEVEL = 0.01
+"""Chance that an unchanged instrument shows any changed parameter between two calibrations (Holm over them)."""
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """A chi-square statistic, its degrees of freedom, and the chance of a larger one without any change."""
+
+    chi2: float
+    dof: int
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger chi2 for an instrument that has not changed; 1 without degrees of freedom."""
+        return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof else 1.0
+
+
+@dataclass(frozen=True)
+class Change:
+    """Later minus earlier calibration.
+
+    Attributes
+    ----------
+    first, second : str
+        Labels.
+    difference, sigma : (p,) float [SI]
+        Of each parameter, and what noise alone would make of it; 0 where neither calibration tells anything.
+    joint : ChiSquare
+        Of all parameters together.
+    """
+
+    first: str
+    second: str
+    difference: Floats
+    sigma: Floats
+    joint: ChiSquare
+
+    @property
+    def p_values(self) -> Floats:
+        """(p,) two-sided, of each parameter by itself."""
+        z = np.divide(self.difference, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
+        values: Floats = 2.0 * stats.norm.sf(np.abs(z))
+        return values
+
+    def changed(self, level: float = LEVEL) -> list[int]:
+        """Places of the parameters that changed, by Holm's procedure at `level` over all of them."""
+        order = np.argsort(self.p_values)
+        found: list[int] = []
+        for rank, k in enumerate(order):
+            if self.p_values[k] > level / (len(order) - rank):
+                break
+            found.append(int(k))
+        return sorted(found)
+
+
+@dataclass(frozen=True)
+class Population:
+    """What an instrument's parameters are like from one calibration to the next.
+
+    Attributes
+    ----------
+    mean : (p,) float [SI]
+    spread : (p,) float [SI]
+        Standard deviation of the parameters themselves between calibrations, without that of their estimates.
+    """
+
+    mean: Floats
+    spread: Floats
+
+
+@dataclass(frozen=True)
+class History:
+    """Calibrations of one instrument in the order of time.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        One a calibration.
+    calibrations : tuple of Calibration
+        Each of one instrument, all with the same construction.
+    """
+
+    labels: tuple[str, ...]
+    calibrations: tuple[Calibration, ...]
+
+    @classmethod
+    def of(cls, named: Sequence[tuple[str, Calibration]], instrument: str | None = None) -> History:
+        """A history of labelled calibrations; `instrument` chooses where a calibration holds several.
+
+        Raises
+        ------
+        RecordError
+            When there are fewer than two, the constructions differ, or the instrument is not clear.
+        """
+        if len(named) < 2:
+            raise RecordError(f"found {len(named)} calibration(s), expected at least two to compare")
+        constructions = {c.construction.names for _, c in named}
+        if len(constructions) > 1:
+            raise RecordError("the calibrations hold different parameters, expected one construction for all")
+        if not named[0][1].construction.size:
+            raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
+        chosen = tuple(one_instrument(calibration, instrument, label) for label, calibration in named)
+        return cls(tuple(label for label, _ in named), chosen)
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    @property
+    def construction(self) -> Construction:
+        """The construction all calibrations share."""
+        return self.calibrations[0].construction
+
+    @cached_property
+    def values(self) -> Floats:
+        """(K, p) [SI]."""
+        values: Floats = np.array([c.values[0] for c in self.calibrations])
+        return values
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """(K, p) standard deviations [SI]."""
+        return np.array([c.sigma[0] for c in self.calibrations])
+
+    @cached_property
+    def prior_sigma(self) -> Floats:
+        """(p,) the widest prior sigma of each parameter [SI], the unit of all that is computed here."""
+        widest: Floats = np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
+        return widest
+
+    @cached_property
+    def _evidence(self) -> list[Evidence]:
+        return [evidence(c, self.prior_sigma) for c in self.calibrations]
+
+    @cached_property
+    def _told(self) -> Floats:
+        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations tell something about on average."""
+        remaining = np.mean([e.remaining for e in self._evidence], axis=0)
+        values, vectors = linalg.eigh(remaining)
+        told: Floats = vectors[:, 1.0 - values > SILENT]
+        return told
+
+    @cached_property
+    def _joint(self) -> Floats:
+        """Covariance (K, p, K, p) of the estimates of an unchanged instrument, in prior sigmas.
+
+        Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
+        """
+        own = np.array([e.remaining for e in self._evidence])
+        pull = np.array([e.remaining @ e.information for e in self._evidence])
+        joint = np.einsum("iab,jcb->iajc", pull, pull)
+        for i in range(len(self)):
+            joint[i, :, i] += pull[i] @ own[i]
+        return joint
+
+    def change(self, first: int, second: int) -> Change:
+        """What calibration number `second` says against number `first`."""
+        contrast = np.zeros((1, len(self)))
+        contrast[0, [first, second]] = -1.0, 1.0
+        gap, spread = self._contrasted(contrast, np.eye(self.construction.size))
+        variance = np.where(self._gain > SILENT, np.diag(spread), 0.0)
+        difference, sigma = gap * self.prior_sigma, np.sqrt(variance) * self.prior_sigma
+        joint = _test(*self._contrasted(contrast, self._told))
+        return Change(self.labels[first], self.labels[second], difference, sigma, joint)
+
+    @cached_property
+    def _gain(self) -> Floats:
+        """(p,) mean share of each parameter's prior variance that the readings removed."""
+        gain: Floats = 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
+        return gain
+
+    def changes(self) -> list[Change]:
+        """Each calibration against the one before."""
+        return [self.change(i, i + 1) for i in range(len(self) - 1)]
+
+    def constancy(self, parameter: int | None = None) -> ChiSquare:
+        """Whether one set of values explains all calibrations: of all parameters, or of one by its place."""
+        contrast = np.diff(np.eye(len(self)), axis=0)
+        if parameter is None:
+            return _test(*self._contrasted(contrast, self._told))
+        if not self._gain[parameter] > SILENT:
+            return ChiSquare(0.0, 0)
+        return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
+
+    def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
+        """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
+        values = contrast @ (self.values / self.prior_sigma) @ combination
+        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint, combination, optimize=True)
+        spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
+        return values.ravel(), spread.reshape(values.size, values.size)
+
+    @cached_property
+    def population(self) -> Population:
+        """Mean and spread of the parameters over the calibrations (most likely values, by expectation-maximisation).
+
+        Where no calibration tells anything both stay those of the prior: 0 and the prior sigma.
+        """
+        information = np.array([e.information for e in self._evidence])
+        told = np.array([e.told for e in self._evidence])
+        size = self.construction.size
+        mean, variance = np.zeros(size), np.ones(size)
+        for _ in range(ROUNDS):
+            remaining = np.linalg.inv(information + np.diag(1.0 / variance))
+            single = np.einsum("kab,kb->ka", remaining, told + mean / variance)
+            after = np.mean(single, axis=0)
+            spread = np.mean((single - after) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
+            spread = np.maximum(spread, RESOLVED)
+            settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
+            mean, variance = after, spread
+            if settled:
+                break
+        silent = self._gain < SILENT
+        mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
+        return Population(mean * self.prior_sigma, np.sqrt(variance) * self.prior_sigma)
+
+    def informed(self, calibration: Calibration) -> Calibration:
+        """A calibration with the history's population as its prior instead of the maker's.
+
+        For a calibration that is not part of the history. Parameters that hardly vary are taken from the history,
+        those that do from the calibration, each by its weight.
+        """
+        known, unit = self.population, self.prior_sigma
+        own = one_instrument(calibration, None, "the calibration")
+        spread = known.spread / unit
+        said = evidence(own, unit)
+        covariance = np.linalg.inv(said.information + np.diag(spread**-2))
+        values = covariance @ (said.told + known.mean / unit * spread**-2)
+        return replace(
+            own,
+            values=(values * unit)[None],
+            covariance=covariance * np.outer(unit, unit),
+            prior_sigma=known.spread[None],
+        )
+
+
+def one_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
+    """The part of a calibration that belongs to one instrument, without its network.
+
+    Raises
+    ------
+    RecordError
+        When it holds several and none of them is named `instrument`.
+    """
+    names = calibration.instruments
+    if len(names) == 1:
+        return calibration
+    if instrument not in names:
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: say which (--instrument)")
+    i, size = names.index(instrument), calibration.construction.size
+    at = slice(i * size, (i + 1) * size)
+    return replace(
+        calibration,
+        instruments=(instrument,),
+        values=calibration.values[i : i + 1],
+        prior_sigma=calibration.prior_sigma[i : i + 1],
+        covariance=calibration.covariance[at, at],
+    )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a calibration's readings say without its prior, in units of common prior sigmas.
+
+    Attributes
+    ----------
+    remaining : (p, p) float
+        Covariance after the calibration.
+    information : (p, p) float
+        Inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`.
+    told : (p,) float
+        `information` times the estimate that the readings alone would give.
+    """
+
+    remaining: Floats
+    information: Floats
+    told: Floats
+
+
+def evidence(calibration: Calibration, unit: Floats) -> Evidence:
+    """The evidence of a calibration of one instrument whose priors are centred at 0; `unit` (p,) [SI]."""
+    prior = calibration.prior_sigma[0] / unit
+    remaining = calibration.covariance / np.outer(unit, unit)
+    values, vectors = linalg.eigh(remaining / np.outer(prior, prior))
+    heard = 1.0 - values > SILENT
+    inverse = np.where(heard, 1.0 / np.where(heard, values, 1.0), 0.0)
+    basis = vectors / prior[:, None]
+    information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
+    told = (basis * inverse) @ basis.T @ (calibration.values[0] / unit)
+    return Evidence(0.5 * (remaining + remaining.T), information, told)
+
+
+def _test(gap: Floats, spread: Floats) -> ChiSquare:
+    """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
+    values, vectors = linalg.eigh(0.5 * (spread + spread.T))
+    kept = values > RESOLVED * max(float(values[-1]), 0.0)
+    z = (vectors[:, kept].T @ gap) / np.sqrt(values[kept])
+    return ChiSquare(float(z @ z), int(kept.sum()))
+
+
+def history_json(history: History) -> dict[str, Any]:
+    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
+    changes, constancy = history.changes(), history.constancy()
+    return {
+        "format": FORMAT,
+        "construction": history.construction.name,
+        "calibrations": [
+            {"label": label, "fit": {"chi2": c.fit.chi2, "dof": c.fit.dof, "sigma0": c.fit.sigma0}}
+            for label, c in zip(history.labels, history.calibrations, strict=True)
+        ],
+        "parameters": [_parameter(history, k) for k in range(history.construction.size)],
+        "constant": _as_json(constancy),
+        "changes": [_change(history, change) for change in changes],
+        "since_first": _change(history, history.change(0, len(history) - 1)),
+    }
+
+
+def _parameter(history: History, k: int) -> dict[str, Any]:
+    parameter, known = history.construction.parameters[k], history.population
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "values": (history.values[:, k] / parameter.factor).tolist(),
+        "sigmas": (history.sigma[:, k] / parameter.factor).tolist(),
+        "prior_sigma": float(history.prior_sigma[k] / parameter.factor),
+        "mean": float(known.mean[k] / parameter.factor),
+        "spread": float(known.spread[k] / parameter.factor),
+        "constant": _as_json(history.constancy(k)),
+    }
+
+
+def _change(history: History, change: Change) -> dict[str, Any]:
+    parameters = history.construction.parameters
+    return {
+        "from": change.first,
+        "to": change.second,
+        **_as_json(change.joint),
+        "changed": [parameters[k].name for k in change.changed()],
+        "parameters": [
+            {
+                "name": parameter.name,
+                "difference": float(change.difference[k] / parameter.factor),
+                "sigma": float(change.sigma[k] / parameter.factor),
+                "unit": parameter.unit,
+                "p_value": float(change.p_values[k]),
+            }
+            for k, parameter in enumerate(parameters)
+        ],
+    }
+
+
+def _as_json(test: ChiSquare) -> dict[str, Any]:
+    return {"chi2": test.chi2, "dof": test.dof, "p_value": test.p_value}

@@ -1,0 +1,150 @@
+"""`ltsim history`: one instrument over many calibrations, and whether it has changed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.calibrate import Calibration, calibrate_network, read_calibration
+from ltsim.calibrate.files import JSON as CALIBRATION_JSON
+from ltsim.calibrate.history import Change, History, history_json
+from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, recording_of
+from ltsim.cli.summary import show_notes
+from ltsim.cli.terminal import Terminal, digits, table
+from ltsim.errors import LtsimError, RecordError
+from ltsim.recording import Recording
+from ltsim.recording.files import write_texts
+from ltsim.report.figures.history import Course, history_figure
+from ltsim.report.style import svg
+
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="REC_OR_CALIBRATION...",
+        help="In the order of time: recordings, calibration.json files, or folders that hold either.",
+    ),
+]
+EachSetUp = Annotated[bool, typer.Option("--each-set-up", help="Calibrate every set-up of a recording by itself.")]
+InstrumentName = Annotated[
+    str | None, typer.Option("--instrument", metavar="NAME", help="Which, where a calibration holds several.")
+]
+FailOnChange = Annotated[
+    bool, typer.Option("--fail-on-change", help="Exit with status 1 when the last differs from the first (for CI).")
+]
+LEVEL = 0.01
+
+
+def history(
+    sources: Sources,
+    out: Out = None,
+    each_set_up: EachSetUp = False,
+    instrument: InstrumentName = None,
+    fail_on_change: FailOnChange = False,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Follow an instrument's parameters over calibrations: course, uncertainty, and whether it has changed since.
+
+    Writes history.json and history.svg to --out.
+
+    Example: ltsim history january.json may.json september-recording --out my-history
+    """
+    terminal = Terminal(quiet, as_json)
+    named: list[tuple[str, Calibration]] = []
+    with terminal.progress("calibrating", len(sources)) as done:
+        for source in sources:
+            named += _calibrations(terminal, source, each_set_up, format_name, hint)
+            done(1)
+    found = History.of(named, instrument)
+    content = history_json(found)
+    if out is not None:
+        texts = {"history.json": json.dumps(content, indent=1, allow_nan=False) + "\n"}
+        write_texts(out, texts | {"history.svg": svg(history_figure(_courses(found)))})
+    terminal.answer(content)
+    show(terminal, found)
+    if out is not None:
+        terminal.say(f"\nwritten to {out}")
+    return 1 if fail_on_change and found.change(0, len(found) - 1).joint.p_value < LEVEL else 0
+
+
+def _calibrations(
+    terminal: Terminal, source: Path, each_set_up: bool, format_name: str | None, hint: list[str] | None
+) -> list[tuple[str, Calibration]]:
+    """One calibration of a file, or one a set-up of a recording."""
+    if source.name == CALIBRATION_JSON or (source / CALIBRATION_JSON).is_file() or source.suffix == ".json":
+        label = source.parent.name if source.name == CALIBRATION_JSON else source.stem
+        return [(label or source.stem, read_calibration(source))]
+    recording = recording_of(source, format_name, hint)
+    show_notes(terminal, recording)
+    label = source.stem if source.is_file() else source.name
+    if not each_set_up:
+        return [(label, _calibrated(recording, label))]
+    parts = [(f"{label} {name}", recording.select(recording.station == i)) for i, name in enumerate(recording.stations)]
+    return [(name, _calibrated(part, name)) for name, part in parts]
+
+
+def _calibrated(recording: Recording, label: str) -> Calibration:
+    try:
+        return calibrate_network(recording, advise=False)
+    except LtsimError as problem:
+        raise RecordError(f"{label} cannot be calibrated: {problem}") from None
+
+
+def _courses(found: History) -> list[Course]:
+    """What the figure draws: the parameters that the calibrations tell something about."""
+    known = found.population
+    return [
+        Course(
+            parameter.name,
+            parameter.unit,
+            found.labels,
+            found.values[:, k] / parameter.factor,
+            found.sigma[:, k] / parameter.factor,
+            float(known.mean[k] / parameter.factor),
+            float(known.spread[k] / parameter.factor),
+        )
+        for k, parameter in enumerate(found.construction.parameters)
+        if found.constancy(k).dof
+    ]
+
+
+def show(terminal: Terminal, found: History) -> None:
+    """The course of each parameter, then what changed from one calibration to the next."""
+    rows = []
+    silent = []
+    for k, parameter in enumerate(found.construction.parameters):
+        test = found.constancy(k)
+        if not test.dof:
+            silent.append(parameter.name)
+            continue
+        value, sigma = digits(found.values[-1, k] / parameter.factor, found.sigma[-1, k] / parameter.factor)
+        mean, spread = found.population.mean[k] / parameter.factor, found.population.spread[k] / parameter.factor
+        constant = chance(test.p_value).removeprefix("p = ")
+        rows.append([parameter.name, parameter.unit, value, sigma, f"{mean:.2f}", f"{spread:.2f}", constant])
+    header = ("parameter", "unit", "last", "sigma", "mean", "spread", "p constant")
+    terminal.say(f"{len(found)} calibrations, {found.labels[0]} to {found.labels[-1]}\n")
+    terminal.say(table(header, rows, left=2))
+    if silent:
+        terminal.say(f"\nnothing is known of {', '.join(silent)}")
+    terminal.say()
+    for change in found.changes():
+        terminal.say(_sentence(found, change))
+    terminal.say("since the first: " + _sentence(found, found.change(0, len(found) - 1)))
+
+
+def _sentence(found: History, change: Change) -> str:
+    names = [found.construction.names[k] for k in change.changed()]
+    test = change.joint
+    which = f", above all {', '.join(names)}" if names else ", in no single parameter for certain"
+    verdict = "changed" + which if test.p_value < LEVEL else "no change seen"
+    return f"{change.first} to {change.second}: chi2 {test.chi2:.1f}/{test.dof}, {chance(test.p_value)}: {verdict}"
+
+
+def chance(p_value: float) -> str:
+    """A p-value as printed; below what chi-square tables mean anything for, a bound."""
+    return f"p = {p_value:.2g}" if p_value > 1e-12 else "p < 1e-12"

@@ -1,0 +1,125 @@
+"""Two-face half differences: what the two faces of an instrument say differently about the same target.
+
+The difference between faces needs no network, no nominal and no second station: whatever flips with the face is in
+it, doubled. Parameters found elsewhere that make it smaller are right about the instrument.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.geometry.polar import to_polar, wrap
+from ltsim.model.construction import Construction, ideal
+from ltsim.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class TwoFace:
+    """Pairs of pointings of one station to one target on both faces.
+
+    Attributes
+    ----------
+    rows : (m, 2) int
+        Rows of the recording: face 1, face 2.
+    place : (m, 3) float, [m, rad, rad]
+        Mean front-face range, azimuth, elevation.
+    half : (m, 3) float, [m, rad, rad]
+        Half of face 1 minus face 2: range, azimuth across the beam (times the cosine of the elevation), elevation.
+    """
+
+    rows: Ints
+    place: Floats
+    half: Floats
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def rms(self) -> Floats:
+        """(3,) root mean square of the half differences: range [m], azimuth across the beam, elevation [rad]."""
+        value: Floats = np.sqrt(np.mean(self.half**2, axis=0))
+        return value
+
+    @property
+    def median(self) -> Floats:
+        """(3,) median of the absolute half differences, which a few gross errors do not move."""
+        value: Floats = np.median(np.abs(self.half), axis=0)
+        return value
+
+    def only(self, pairs: Bools) -> TwoFace:
+        """Some of the pairs, (m,) bool."""
+        return TwoFace(self.rows[pairs], self.place[pairs], self.half[pairs])
+
+
+@dataclass(frozen=True)
+class TwoFaceComparison:
+    """The same pairs with the readings as they are and with parameters applied."""
+
+    before: TwoFace
+    after: TwoFace
+
+    @property
+    def share_removed(self) -> Floats:
+        """(3,) one minus the ratio of the rms: 1 when nothing is left, negative when parameters do harm."""
+        return 1.0 - self.after.rms / self.before.rms
+
+    @property
+    def median_share_removed(self) -> Floats:
+        """The same of the medians of the absolute half differences."""
+        return 1.0 - self.after.median / self.before.median
+
+    def only(self, pairs: Bools) -> TwoFaceComparison:
+        """The comparison over some of the pairs, (m,) bool."""
+        return TwoFaceComparison(self.before.only(pairs), self.after.only(pairs))
+
+
+def face_pairs(recording: Recording) -> Ints:
+    """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
+    whole = np.all(recording.measured, axis=1)
+    seen: dict[tuple[int, int, int], dict[int, int]] = {}
+    keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
+    for row, key in enumerate(keys):
+        if whole[row]:
+            seen.setdefault(key, {})[int(recording.face[row])] = row
+    pairs = [(faces[1], faces[2]) for faces in seen.values() if len(faces) == 2]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def two_face(recording: Recording, construction: Construction | None = None, values: Floats | None = None) -> TwoFace:
+    """Half differences of a recording, with the parameters of `construction` applied.
+
+    Parameters
+    ----------
+    recording : Recording
+    construction : Construction, optional
+        Default: an ideal tracker, that is, the readings as they are.
+    values : (p,) or (n, p) float, optional [SI]
+
+    Raises
+    ------
+    NetworkError
+        When no target was measured on both faces.
+    """
+    pairs = face_pairs(recording)
+    if not len(pairs):
+        raise NetworkError("no station measured a target in range and both angles on both faces")
+    built = construction or ideal()
+    applied = np.zeros(built.size) if values is None else values
+    readings = np.where(recording.measured, recording.readings, 1.0)
+    polar = to_polar(built.point(readings, applied))
+    first, second = polar[pairs[:, 0]], polar[pairs[:, 1]]
+    gap = first - second
+    gap[:, 1:] = wrap(gap[:, 1:])
+    place = first - 0.5 * gap
+    half = 0.5 * gap
+    half[:, 1] *= np.cos(place[:, 2])
+    return TwoFace(pairs, place, half)
+
+
+def compare_two_face(recording: Recording, construction: Construction, values: Floats) -> TwoFaceComparison:
+    """Half differences before and after parameters (p,) or (n, p) [SI] are applied; raises as `two_face`."""
+    return TwoFaceComparison(two_face(recording), two_face(recording, construction, values))

@@ -1,0 +1,50 @@
+"""An instrument's parameters over its calibrations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltsim.arrays import Floats
+from ltsim.report.style import AFTER, GREY, PALE, new_figure, quiet_axis, shorten, styled, unit_text
+
+
+@dataclass(frozen=True)
+class Course:
+    """Estimates (K,) of one parameter with their sigmas, in the unit a person reads; population mean and spread."""
+
+    name: str
+    unit: str
+    labels: tuple[str, ...]
+    values: Floats
+    sigmas: Floats
+    mean: float
+    spread: float
+
+
+@styled
+def history_figure(courses: Sequence[Course]) -> Figure:
+    """One panel a parameter: estimates with 95 % intervals, and the band in which its true values lie."""
+    columns = 2 if len(courses) > 1 else 1
+    rows = max(1, -(-len(courses) // columns))
+    figure = new_figure(0.7 + 1.35 * rows)
+    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for ax, course in zip(panels.ravel(), courses, strict=False):
+        place = np.arange(len(course.labels))
+        band = (course.mean - course.spread, course.mean + course.spread)
+        ax.axhspan(*band, color=PALE, zorder=0, label="mean ± spread between calibrations")
+        ax.axhline(0.0, color=GREY, linewidth=0.7, zorder=1)
+        half = 1.96 * course.sigmas
+        ax.errorbar(place, course.values, half, fmt="o", ms=3.5, color=AFTER, lw=1.2, label="estimate, 95 % interval")
+        ax.set_title(f"{course.name} [{unit_text(course.unit)}]")
+        ax.set_xticks(place, [shorten(label, 24) for label in course.labels], rotation=60, ha="right", fontsize=7)
+        ax.set_xlim(-0.5, len(place) - 0.5)
+        quiet_axis(ax)
+    for ax in panels.ravel()[len(courses) :]:
+        ax.set_axis_off()
+    if courses:
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return figure
