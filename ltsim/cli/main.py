@@ -18,8 +18,8 @@ from ltsim.cli.demo import demo
 from ltsim.cli.diagnose import diagnose
 from ltsim.cli.effects import effects
 from ltsim.cli.evaluate import evaluate
-from ltsim.cli.plan import plan
 from ltsim.cli.history import history
+from ltsim.cli.plan import plan
 from ltsim.cli.recover import recover
 from ltsim.cli.report import report
 from ltsim.cli.simulate import simulate
