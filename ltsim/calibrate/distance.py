@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.adjust.problem import prior_sigmas
-from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, flat_names
 from ltsim.calibrate.correct import corrected_readings
 from ltsim.calibrate.distance_solver import Estimate, solve_distances
 from ltsim.calibrate.objective import DistanceProblem
+from ltsim.calibrate.propagation import Propagation
 from ltsim.calibrate.result import criteria_of, frame_of, gross_rows, outliers_of, stations_of, undetermined_of
 from ltsim.model.construction import Construction, misalignment
-from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 
 METHODS: dict[str, Literal["squares", "absolute"]] = {"distance": "squares", "distance-l1": "absolute"}
@@ -60,7 +58,8 @@ def calibrate_distance(
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
     adjustment = adjust(corrected)
     adjustment.solution.require_success()
-    added = _added_covariance(adjustment, recording, built, values, estimate)
+    propagation = Propagation(recording, built, values, estimate, adjustment)
+    added = propagation.added_covariance()
     layout = adjustment.problem.layout
     pose = adjustment.pose_covariance + added[layout.pose[:, :, None], layout.pose[:, None, :]]
     scale = prior.ravel()
@@ -71,7 +70,7 @@ def calibrate_distance(
         values=values,
         prior_sigma=prior,
         covariance=estimate.covariance * np.outer(scale, scale),
-        fit=_fit(adjustment, estimate),
+        fit=_fit(propagation),
         undetermined=_undetermined(adjustment, built, estimate, advise=advise),
         frame=frame_of(adjustment),
         stations=stations_of(adjustment, pose),
@@ -84,19 +83,20 @@ def calibrate_distance(
     )
 
 
-def _fit(adjustment: Adjustment, estimate: Estimate) -> Fit:
-    """The fit of the network that the parameters leave; they cost as many degrees of freedom."""
-    dof = adjustment.dof - (len(estimate.unknowns) - len(estimate.left_out))
-    chi2 = adjustment.chi2
+def _fit(propagation: Propagation) -> Fit:
+    """The fit of the network that the parameters leave; `dof` is the chi-square to expect, to the nearest integer."""
+    chi2, estimate = propagation.adjustment.chi2, propagation.estimate
+    expected = round(propagation.chi2_moments()[0])
+    redundant = propagation.adjustment.dof > 0 and expected > 0
     if estimate.converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
     else:
         status = "capped", "the cap on iterations was reached before the steps became small"
     return Fit(
         chi2=chi2,
-        dof=dof,
-        sigma0=float(np.sqrt(chi2 / dof)) if dof > 0 else None,
-        p_value=float(stats.chi2.sf(chi2, dof)) if dof > 0 else None,
+        dof=expected,
+        sigma0=float(np.sqrt(chi2 / expected)) if redundant else None,
+        p_value=propagation.chi2_tail(chi2) if redundant else None,
         iterations=estimate.iterations,
         status=status[0],
         sentence=status[1],
@@ -114,36 +114,3 @@ def _undetermined(
         Combination(d.coefficients(names), d.gain, "use the network method, which names a cure")
         for d in estimate.left_out
     )
-
-
-def _added_covariance(
-    adjustment: Adjustment,
-    recording: Recording,
-    construction: Construction,
-    values: Floats,
-    estimate: Estimate,
-) -> Floats:
-    """What the parameters' uncertainty adds to the covariance (size, size) of the final adjustment.
-
-    The adjusted network errs by A e - A B dx: e the whitened noise, A the adjustment, B the design of the
-    parameters, dx the parameters' error, which is correlated with e since it comes from the same readings.
-    """
-    problem, (count, size) = adjustment.problem, values.shape
-    used = np.flatnonzero(problem.use.ravel())
-    rows = len(used) + len(problem.gauge)
-    design = adjustment.solution.system.design[:rows]
-    respond = adjustment.factor.covariance_columns(np.ascontiguousarray(design.toarray().T))
-    state = adjustment.state
-    at = State(state.position, state.rotation, state.points, values)
-    by_value = MeasurementModel(recording, construction).linearised(at).by_instrument
-    wide = np.zeros((len(recording), 3, count, size))
-    wide[np.arange(len(recording)), :, recording.instrument] = (
-        by_value * prior_sigmas(recording, construction)[recording.instrument][:, None, :]
-    )
-    wide = wide / problem.sigma[:, :, None, None]
-    through = respond[:, : len(used)] @ wide.reshape(-1, count * size)[used]
-    readings = 3 * len(recording)
-    together = np.concatenate([estimate.noise[:, used], estimate.noise[:, readings:]], axis=1)
-    crossed = respond @ together.T @ through.T
-    added: Floats = through @ estimate.covariance @ through.T - crossed - crossed.T
-    return added

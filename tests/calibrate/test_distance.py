@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from scipy.stats import kstest
 
 from ltsim.adjust.problem import prior_sigmas
 from ltsim.calibrate import calibrate_distance, calibrate_network
@@ -146,7 +147,7 @@ def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
 
 def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
     """Errors of 40 adjusted clouds in the first station's frame, normalised by their stated covariance."""
-    scores, wider = [], []
+    scores, wider, chances = [], [], []
     origin = make(np.zeros(16), noise=0.0)
     true = calibrate_network(origin, advise=False).points
     for trial in range(40):
@@ -154,11 +155,14 @@ def test_targets_carry_the_uncertainty_of_the_parameters(make, drawn) -> None:
         found = calibrate_distance(recording, advise=False)
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         scores.append((found.points - true) / sigma)
+        chances.append(found.fit.p_value)
         best = calibrate_network(recording, advise=False).target_covariance
         wider.append(np.all(sigma**2 > 0.99 * np.einsum("tii->ti", best)))
     # Coordinates of one cloud err together: about 20 independent numbers a trial.
     assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.15)
     assert all(wider)
+    # The parameters are not those of least chi-square, and the stated chance allows for it.
+    assert kstest(chances, "uniform").pvalue > 1e-3
 
 
 def test_nothing_to_compare_is_said(make) -> None:

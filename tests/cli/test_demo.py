@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -35,10 +36,12 @@ def test_hidden_effects_exist_with_their_parameters() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", ["0", "2"])
 def test_the_whole_demonstration(capsys, tmp_path: Path, seed: str) -> None:
+    began = time.process_time()
     assert run(["demo", "--out", str(tmp_path), "--seed", seed, "--json"]) == 0
+    assert time.process_time() - began < 60  # not the wall's clock: the machine may be busy with other things
     content = json.loads(capsys.readouterr().out)
     assert len(content["steps"]) == len(STEPS)
-    assert sum(step["seconds"] for step in content["steps"]) < 60
+    assert (tmp_path / "report.html").stat().st_size > 100_000
     verdict = json.loads((tmp_path / "concealed" / "diagnosis.json").read_text())
     hidden = json.loads((tmp_path / "concealed" / "truth.json").read_text())["effects"][0]["effect"]
     assert verdict["findings"][0]["effect"] == hidden
