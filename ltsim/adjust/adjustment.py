@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
+from ltsim.adjust.inner import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.screening import screened
 from ltsim.adjust.start import start_network
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
@@ -23,6 +24,8 @@ from ltsim.solve.gauss_newton import Solution, solve
 
 FAMILY_LEVEL = 0.01
 """Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
+TURNED = 1e-7
+"""[rad] A network turned by more is linearised anew."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +48,14 @@ class Adjustment:
     solution : Solution
     gross : (n,) bool
         Pointings that were left out because they miss their target by far.
+    datum : InnerDatum, optional
+        Datum of the covariances where it is not that of the factor (the pose of the first station).
     """
 
     problem: NetworkProblem
     solution: Solution[State]
     gross: Bools
+    datum: InnerDatum | None = None
 
     @property
     def recording(self) -> Recording:
@@ -139,10 +145,18 @@ class Adjustment:
         ]
         return sorted(found, key=lambda outlier: -abs(outlier.w))
 
+    def covariance_of(self, columns: Ints) -> Floats:
+        """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the layout)."""
+        covariance = self.factor.kept_sets(columns)
+        return covariance if self.datum is None else self.datum.transformed(covariance, columns)
+
     @cached_property
     def kept_covariance(self) -> Floats:
-        """Covariance (K, K) of poses, gauge targets, instrument parameters and further effects."""
-        return self.factor.kept_covariance()
+        """Covariance (K, K) of poses, kept targets, instrument parameters and further effects."""
+        covariance = self.factor.kept_covariance()
+        if self.datum is None:
+            return covariance
+        return self.datum.transformed(covariance[None], np.arange(len(covariance))[None])[0]
 
     @property
     def instrument_covariance(self) -> Floats:
@@ -151,28 +165,32 @@ class Adjustment:
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) of one instrument's parameters [SI]."""
-        return self.factor.kept_sets(self.problem.layout.instrument[[instrument]])[0]
+        covariance: Floats = self.covariance_of(self.problem.layout.instrument[[instrument]])[0]
+        return covariance
 
     @property
     def extra_covariance(self) -> Floats:
         """Covariance (q, q) of the further effects' parameters [SI]."""
-        return self.factor.kept_sets(self.problem.layout.extra[None])[0]
+        covariance: Floats = self.covariance_of(self.problem.layout.extra[None])[0]
+        return covariance
 
     @property
     def pose_covariance(self) -> Floats:
         """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame."""
-        at = self.problem.layout.pose
-        return self.factor.kept_sets(at)
+        return self.covariance_of(self.problem.layout.pose)
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariance (T, 3, 3) [m^2] of each target."""
+        """Covariance (T, 3, 3) [m^2] of each target; NaN where none of its readings was used."""
         layout = self.problem.layout
         covariance = np.empty((len(layout.target), 3, 3))
         kept = layout.target[:, 0] < layout.kept
         covariance[kept] = self.factor.kept_sets(layout.target[kept])
         blocks = self.factor.block_covariance()
         covariance[~kept] = blocks[(layout.target[~kept][:, 0] - layout.kept) // 3]
+        if self.datum is not None:
+            covariance = self.datum.transformed(covariance, layout.target)
+        covariance[self.problem.unseen_targets] = np.nan
         return covariance
 
 
@@ -184,6 +202,7 @@ def adjust(
     sigma: Floats | None = None,
     use: Bools | None = None,
     start: State | None = None,
+    datum: Sequence[str] | None = None,
 ) -> Adjustment:
     """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -199,18 +218,22 @@ def adjust(
     use : (n, 3) bool, optional
         Readings to use; default all.
     start : State, optional
-        Where to start; default closed-form alignment. With a start no pointing is screened out.
+        Where to start; default from the recording alone. With a start no pointing is screened out.
+    datum : sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
 
     Returns
     -------
     Adjustment
-        In the frame of the first station unless control points or levels define another. Its solution carries a
-        status; an adjustment that did not converge is returned, not raised.
+        In the frame of the first station unless control points, levels or a datum define another. Its solution
+        carries a status; an adjustment that did not converge is returned, not raised.
 
     Raises
     ------
     NetworkError
-        When stations share too few targets.
+        When the readings do not tie a station or a target to the rest.
+    ModelError
+        When `datum` names a target that does not exist, or too few.
     """
     built = construction or ideal()
     model = MeasurementModel(recording, built, tuple(effects))
@@ -224,7 +247,24 @@ def adjust(
     keep = np.broadcast_to(~gross[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     problem = NetworkProblem.of(model, sigma=sigma, use=chosen)
-    return Adjustment(problem, solve(problem, start), gross)
+    solution = solve(problem, start)
+    names = stated_datum(problem) if datum is None else tuple(datum)
+    if not names or solution.factor is None or not problem.free.shape[1]:
+        return Adjustment(problem, solution, gross)
+    return _in_datum(Adjustment(problem, solution, gross), names)
+
+
+def _in_datum(adjustment: Adjustment, names: Sequence[str]) -> Adjustment:
+    """The adjustment with state and covariances in the datum of these targets."""
+    problem, solution = adjustment.problem, adjustment.solution
+    state, turned = moved_to_datum(problem, solution.x, names)
+    solution = replace(solution, x=state)
+    if turned > TURNED:  # The factor belongs to the frame it was computed in.
+        again = solve(problem, state)
+        solution = replace(again, iterations=solution.iterations, status=solution.status)
+    if solution.factor is None:
+        return replace(adjustment, solution=solution)
+    return replace(adjustment, solution=solution, datum=InnerDatum.of(problem, state, solution.factor, names))
 
 
 def observable_name(column: int) -> str:

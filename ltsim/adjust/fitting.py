@@ -90,13 +90,15 @@ def fit_pose(
     """
     rows, sight = sight.few()
     points = points[rows] + sight.lift
-    azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
+    range_, azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in range(3))
     tilted = not level and (azimuth or elevation)
-    free = np.array([position is None] * 3 + [tilted] * 2 + [azimuth])
+    high = position is None and (range_ or elevation or not level)
+    free = np.array([position is None] * 2 + [high] + [tilted] * 2 + [azimuth])
     if sight.count < free.sum():
         return None
     places = _places(points) if position is None else position[None]
     turns = _turns(not tilted) if azimuth or tilted else np.eye(3)[None]
+    places = places if high or position is not None else places[:-2]
     x = np.repeat(places, len(turns), axis=0)
     rotation = np.tile(turns, (len(places), 1, 1))
 

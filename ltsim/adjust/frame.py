@@ -67,9 +67,12 @@ class Frame:
         here, there = self.common(position, points)
         if len(here) >= 3 and not _on_a_line(there):
             return align(here, there)
-        if self.level.any() and len(here) >= 2:
+        if not self.level.any() or len(here) < 2:
+            return None
+        try:
             return upright_alignment(here @ turn.T, there, turn)
-        return None
+        except NetworkError:
+            return None
 
     def upright(self, rotation: Floats, joined: Bools) -> Floats:
         """The smallest turn (3, 3) that brings the axes of levelled stations to their plumb lines."""

@@ -271,9 +271,7 @@ class Growth:
         if not len(ratio):
             raise NetworkError("no range, no known length and no two known points give the network a scale")
         scale = float(np.median(ratio))
-        self._position, self._placed, self._located = (
-            scale * x for x in (self._position, self._placed, self._located)
-        )
+        self._position, self._placed, self._located = (scale * x for x in (self._position, self._placed, self._located))
 
     # --- beginnings ------------------------------------------------------------------------------------------------
 

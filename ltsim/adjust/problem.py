@@ -25,6 +25,27 @@ WEAK = 300.0
 
 
 @dataclass(frozen=True)
+class Undetermined:
+    """Unknowns that no reading in use says anything about: they stay where they are.
+
+    Attributes
+    ----------
+    yaw, tilt : int arrays
+        Stations without azimuths, and those without any angle or level.
+    height : int array
+        Levelled stations that only read azimuths.
+    place, target : int arrays
+        Stations and targets without any reading.
+    """
+
+    yaw: Ints
+    tilt: Ints
+    height: Ints
+    place: Ints
+    target: Ints
+
+
+@dataclass(frozen=True)
 class NetworkProblem:
     """Unknown poses, targets, instrument parameters and further effects of a recording.
 
@@ -179,12 +200,6 @@ class NetworkProblem:
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
     @cached_property
-    def unseen_stations(self) -> Bools:
-        """(S,) True where no reading of a station is in use."""
-        seen = np.bincount(self.model.recording.station, self.use.any(axis=1), len(self.model.recording.stations))
-        return seen == 0
-
-    @cached_property
     def unseen_targets(self) -> Bools:
         """(T,) True where no reading to a target is in use and no set-up stands on it."""
         seen = np.bincount(self.model.recording.target, self.use.any(axis=1), len(self.model.recording.targets))
@@ -193,32 +208,37 @@ class NetworkProblem:
         return seen == 0
 
     @cached_property
-    def _unturned(self) -> tuple[Ints, Ints]:
-        """Stations whose yaw no azimuth determines, and those whose tilt nothing determines."""
+    def _undetermined(self) -> Undetermined:
+        """What the readings of single stations and targets leave open, by counting."""
         station, count = self.model.recording.station, len(self.model.recording.stations)
-        azimuth, elevation = (np.bincount(station, self.use[:, i], count) > 0 for i in (1, 2))
-        level = np.zeros(count, dtype=bool)
+        range_, azimuth, elevation = (np.bincount(station, self.use[:, i], count) > 0 for i in range(3))
+        level, alone = np.zeros(count, dtype=bool), self.marks.first == np.arange(count)
         level[self.levels.station] = True
-        return np.flatnonzero(~azimuth), np.flatnonzero(~azimuth & ~elevation & ~level)
+        alone &= self.marks.target < 0
+        alone[self.known_marks.target] = False
+        return Undetermined(
+            yaw=np.flatnonzero(~azimuth),
+            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
+            height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
+            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
+            target=np.flatnonzero(self.unseen_targets),
+        )
 
     @cached_property
     def _held_columns(self) -> Ints:
-        """Columns (h, 3) of what no reading determines: turns of stations, unseen targets and stations."""
-        layout = self.layout
-        yaw, tilt = self._unturned
-        alone = self.unseen_stations & (self.marks.target < 0) & (self.marks.first == np.arange(len(layout.pose)))
-        alone[self.known_marks.target] = False
-        single = [layout.target[self.unseen_targets].ravel(), layout.pose[alone, :3].ravel()]
-        turns = [layout.pose[yaw, 3:], np.repeat(layout.pose[tilt, 3:], 2, axis=0)]
-        return np.concatenate([*turns, *(np.repeat(columns[:, None], 3, axis=1) for columns in single)])
+        """Columns (h, 3) of what no reading determines."""
+        layout, open_ = self.layout, self._undetermined
+        single = [layout.target[open_.target], layout.pose[open_.place, :3], layout.pose[open_.height, 2:3]]
+        rows = [layout.pose[open_.yaw, 3:], np.repeat(layout.pose[open_.tilt, 3:], 2, axis=0)]
+        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def _held_values(self, state: State) -> Floats:
-        yaw, tilt = self._unturned
-        axes = state.rotation[yaw] @ VERTICAL
-        tilts = np.swapaxes(state.rotation[tilt], 1, 2)[:, :2].reshape(-1, 3)
-        rest = len(self._held_columns) - len(axes) - len(tilts)
-        single = np.broadcast_to([1.0, 0.0, 0.0], (rest, 3))
-        return np.concatenate([axes, tilts, single]) / DATUM_SIGMA[0]
+        yaw = state.rotation[self._undetermined.yaw] @ VERTICAL
+        tilt = np.swapaxes(state.rotation[self._undetermined.tilt], 1, 2)[:, :2].reshape(-1, 3)
+        single = np.zeros((len(self._held_columns) - len(yaw) - len(tilt), 3))
+        single[:, 0] = 1.0
+        rows: Floats = np.concatenate([yaw, tilt, single]) / DATUM_SIGMA[0]
+        return rows
 
     @cached_property
     def _anchors(self) -> tuple[Ints, bool]:
@@ -227,7 +247,7 @@ class NetworkProblem:
         The first whose yaw is known; where no station has any (distances alone), the positions of all.
         """
         everywhere = np.arange(len(self.model.recording.stations))
-        turned = np.setdiff1d(everywhere, self._unturned[0])
+        turned = np.setdiff1d(everywhere, self._undetermined.yaw)
         return (turned[:1], True) if len(turned) else (everywhere, False)
 
     def _datum_values(self, state: State) -> Floats:

@@ -127,9 +127,7 @@ def test_predicted_covariance_is_the_spread_of_repeated_adjustments():
         moved = (truth.state.position[1:] - truth.state.position[0]) @ truth.state.rotation[0]
         gap = found.state.position[1:] - moved
         squares["poses"].append(
-            np.mean(
-                [g @ np.linalg.solve(c[:3, :3], g) for g, c in zip(gap, found.pose_covariance[1:], strict=True)]
-            )
+            np.mean([g @ np.linalg.solve(c[:3, :3], g) for g, c in zip(gap, found.pose_covariance[1:], strict=True)])
             / 3
         )
         error = found.state.instrument[0] - values

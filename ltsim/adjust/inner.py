@@ -1,0 +1,172 @@
+"""The datum by inner constraints over chosen points: state and covariances that favour none of them.
+
+What no observation determines (the free rigid motions) is tied to the mean of the chosen points, at their approximate
+coordinates where those are stated. Of all datums this one gives the chosen points the smallest trace of covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import ModelError, unknown_name
+from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
+from ltsim.model.measurement import State
+from ltsim.solve.blocks import Factor
+from ltsim.units import MILLIMETRE
+
+PASSES = 5
+UNTIED = 1e12
+
+
+@dataclass(frozen=True)
+class Tied:
+    """Points that a datum is tied to.
+
+    Attributes
+    ----------
+    columns : (k, 3) int
+        Their columns in the vector of unknowns.
+    places : (k, 3) float, [m]
+        Where they are.
+    stated : (k, 3) float, [m]
+        Approximate coordinates, NaN where none are stated.
+    """
+
+    columns: Ints
+    places: Floats
+    stated: Floats
+
+    @classmethod
+    def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
+        """The points of these names: targets, or marks under set-ups."""
+        recording, layout, marks = problem.model.recording, problem.layout, problem.marks
+        targets = {name: i for i, name in enumerate(recording.targets)}
+        stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
+        columns, places, stated = [], [], []
+        for name in names:
+            if name in targets:
+                columns.append(layout.target[targets[name]])
+                places.append(state.points[targets[name]])
+            elif name in stations:
+                columns.append(layout.pose[stations[name], :3])
+                places.append(state.position[stations[name]] - marks.offset[stations[name]])
+            else:
+                raise unknown_name("target of the datum", name, [*targets, *stations])
+            setup = recording.target_setup(name)
+            stated.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
+        return cls(np.array(columns), np.array(places), np.array(stated) * MILLIMETRE)
+
+
+def stated_datum(problem: NetworkProblem) -> tuple[str, ...]:
+    """Names of the points that the set-up chose for the datum and that the recording reaches."""
+    recording = problem.model.recording
+    reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.names)])
+    return tuple(name for name in reached if recording.target_setup(name).datum)
+
+
+def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
+    """The state moved freely to the stated coordinates of the datum's points, and by which angle [rad]."""
+    turned = 0.0
+    for _ in range(PASSES):
+        tied = Tied.of(problem, state, names)
+        known = np.isfinite(tied.stated).all(axis=1)
+        if not known.any():
+            break
+        centre = tied.places[known].mean(axis=0)
+        free = _about(problem.free, centre)
+        motion = _displacement(tied.places[known] - centre) @ free
+        gap = (tied.stated - tied.places)[known].ravel()
+        amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
+        shift, turn = (free @ amount).reshape(2, 3)
+        state = _moved(state, from_rotation_vector(turn), centre, shift)
+        turned += float(np.linalg.norm(turn))
+        if np.linalg.norm(turn) < 1e-12:
+            break
+    return state, turned
+
+
+def _moved(state: State, rotation: Floats, centre: Floats, shift: Floats) -> State:
+    def move(points: Floats) -> Floats:
+        moved: Floats = (points - centre) @ rotation.T + centre + shift
+        return moved
+
+    return State(move(state.position), rotation @ state.rotation, move(state.points), state.instrument, state.extra)
+
+
+@dataclass(frozen=True)
+class InnerDatum:
+    """An S-transformation of covariances: C' = C - G U^T - U G^T + G M G^T.
+
+    Attributes
+    ----------
+    motion : (K + 3 E, f) float
+        G, the free motions of all unknowns.
+    carried : (K + 3 E, f) float
+        U.
+    middle : (f, f) float
+        M.
+
+    References
+    ----------
+    Baarda, S-transformations and criterion matrices (1973).
+    """
+
+    motion: Floats
+    carried: Floats
+    middle: Floats
+
+    @classmethod
+    def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
+        """The datum tied to some points; None where no motion is free.
+
+        Raises
+        ------
+        ModelError
+            When these points do not hold the free motions.
+        """
+        if not problem.free.shape[1]:
+            return None
+        tied, layout = Tied.of(problem, state, names), problem.layout
+        centre = tied.places.mean(axis=0)
+        free = _about(problem.free, centre)
+        motion = np.zeros((layout.size, free.shape[1]))
+        motion[layout.target.ravel()] = _displacement(state.points - centre) @ free
+        motion[layout.pose[:, 3:].ravel()] = np.tile(free[3:], (len(layout.pose), 1))
+        motion[layout.pose[:, :3].ravel()] = _displacement(state.position - centre) @ free
+        held = np.zeros_like(motion)
+        held[tied.columns.ravel()] = motion[tied.columns.ravel()]
+        square = held.T @ motion
+        size = np.sqrt(np.diag(square))
+        if not np.all(size > 0) or np.linalg.cond(square / np.outer(size, size)) > UNTIED:
+            raise ModelError("these targets do not define a datum: choose at least three off one line")
+        back = np.linalg.inv(square)
+        response = factor.covariance_columns(held)
+        return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
+
+    def transformed(self, covariance: Floats, columns: Ints) -> Floats:
+        """Covariances (c, k, k) of sets of unknowns (c, k), moved from the datum of the factor to this one."""
+        motion, carried = self.motion[columns], self.carried[columns]
+        across = motion @ np.swapaxes(carried, 1, 2)
+        moved: Floats = (
+            covariance - across - np.swapaxes(across, 1, 2) + motion @ self.middle @ np.swapaxes(motion, 1, 2)
+        )
+        return moved
+
+
+def _about(free: Floats, centre: Floats) -> Floats:
+    """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
+    about = free.copy()
+    about[:3] += np.cross(free[3:].T, centre).T
+    basis: Floats = np.linalg.qr(about)[0]
+    return basis
+
+
+def _displacement(arms: Floats) -> Floats:
+    """Displacement (3 k, 6) of points at `arms` (k, 3) by a unit translation and a unit rotation."""
+    turn = -cross_matrix(arms)
+    return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)

@@ -1,0 +1,340 @@
+"""Networks of every kind: what may be missing, what may be known beforehand, and start values from nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.adjust.seeds import multilaterate, relative_orientation
+from ltsim.errors import NetworkError
+from ltsim.geometry.polar import to_polar
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.model.construction import ideal, misalignment
+from ltsim.model.measurement import MeasurementModel
+from ltsim.randomness import stream
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recording.setup import Gauge, Instrument, Noise, Setup, Station, Target
+from tests.networks import drawn, network
+
+EXACT = 2e-8
+
+
+def with_setup(recording: Recording, **changes) -> Recording:
+    return recording.replace(setup=recording.setup.model_copy(update=changes))
+
+
+def levelled(recording: Recording) -> Recording:
+    return with_setup(recording, stations={name: Station(levelled=True) for name in recording.stations})
+
+
+def known(recording: Recording, points: np.ndarray, which, **changes) -> Recording:
+    targets = dict(recording.setup.targets)
+    for i in which:
+        name = recording.targets[i]
+        place = tuple(1e3 * points[i])
+        targets[name] = targets.get(name, Target()).model_copy(
+            update={"known_mm": place, "known_sigma_mm": 0.001, **changes}
+        )
+    return with_setup(recording, targets=targets)
+
+
+def blanked(recording: Recording, rows: np.ndarray, columns) -> Recording:
+    readings = recording.readings.copy()
+    readings[np.ix_(np.flatnonzero(rows), columns)] = np.nan
+    return recording.with_readings(readings)
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, None] - points[None], axis=2)
+
+
+def assert_same_shape(found, points: np.ndarray, atol: float = EXACT) -> None:
+    assert found.solution.converged, found.solution.status
+    np.testing.assert_allclose(distances(found.state.points), distances(points), atol=atol)
+
+
+# --- readings that are missing ------------------------------------------------------------------------------------
+
+
+def test_targets_without_any_range_are_intersected():
+    recording, truth = network(faces=2)
+    found = adjust(blanked(recording, np.isin(recording.target, [3, 17, 20]), [0]))
+    assert not found.gross.any()
+    assert_same_shape(found, truth.state.points)
+
+
+def test_a_station_without_ranges_is_resected_and_one_without_angles_too():
+    recording, truth = network()
+    recording = blanked(recording, recording.station == 1, [0])
+    recording = blanked(recording, recording.station == 3, [1, 2])
+    found = adjust(recording)
+    assert_same_shape(found, truth.state.points)
+    # Three turns of the station that reads ranges alone are no unknowns.
+    assert found.dof == found.problem.use.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
+    there = np.linalg.norm(found.state.position[3] - found.state.position[0])
+    assert there == pytest.approx(np.linalg.norm(truth.state.position[3] - truth.state.position[0]), abs=EXACT)
+
+
+def test_azimuths_alone_and_elevations_alone_add_to_the_others():
+    recording, truth = network()
+    recording = blanked(levelled(recording), recording.station == 2, [0, 2])
+    recording = blanked(recording, recording.station == 4, [1])
+    found = adjust(recording)
+    assert_same_shape(found, truth.state.points)
+    # The height of the one and the yaw of the other are no unknowns.
+    assert found.dof == found.problem.use.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
+
+
+def test_beams_alone_take_their_scale_from_known_lengths():
+    recording, truth = network(seed=None)
+    found = adjust(blanked(recording, np.full(len(recording), True), [0]))
+    assert_same_shape(found, truth.state.points, atol=2e-7)
+    with pytest.raises(NetworkError, match="scale"):
+        adjust(with_setup(blanked(recording, np.full(len(recording), True), [0]), gauge=None))
+
+
+def test_beams_alone_take_scale_and_frame_from_known_points():
+    recording, truth = network()
+    recording = with_setup(blanked(recording, np.full(len(recording), True), [0]), gauge=None)
+    found = adjust(known(recording, truth.state.points, [0, 9, 22]))
+    assert found.problem.free.shape[1] == 0
+    np.testing.assert_allclose(found.state.points, truth.state.points, atol=1e-7)
+
+
+def test_ranges_alone_are_multilaterated():
+    recording, truth = network()
+    found = adjust(blanked(recording, np.full(len(recording), True), [1, 2]))
+    assert_same_shape(found, truth.state.points, atol=1e-6)
+    assert found.dof == 140 + 6 - (3 * 5 + 3 * 28 - 6)
+
+
+def test_algebraic_beginnings_are_exact():
+    rng = stream(4, "points")
+    points, stations = rng.uniform(-3, 3, (12, 3)), rng.uniform(-3, 3, (5, 3))
+    found = multilaterate(np.linalg.norm(stations[:, None] - points[None], axis=2))
+    assert found is not None
+    np.testing.assert_allclose(distances(np.vstack(found)), distances(np.vstack([stations, points])), atol=1e-8)
+    turn = from_rotation_vector(np.array([0.4, -1.1, 2.0]))
+    place = np.array([0.6, -0.8, 0.0])
+    beams = [points / np.linalg.norm(points, axis=1)[:, None], (points - place) @ turn]
+    beams[1] /= np.linalg.norm(beams[1], axis=1)[:, None]
+    pose = relative_orientation(*beams)
+    assert pose is not None
+    np.testing.assert_allclose(pose[0], place, atol=1e-9)
+    np.testing.assert_allclose(pose[1], turn, atol=1e-9)
+
+
+def test_what_no_reading_ties_is_named():
+    recording, _ = network()
+    lonely = blanked(recording, (recording.target == 5) & (recording.station != 2), [0, 1, 2])
+    lonely = blanked(lonely, (recording.target == 5) & (recording.station == 2), [0])
+    with pytest.raises(NetworkError, match="target T06"):
+        adjust(lonely.select(lonely.measured.any(axis=1)))
+
+
+# --- what is known beforehand -------------------------------------------------------------------------------------
+
+
+def test_levelled_stations_need_two_common_targets():
+    recording, truth = network()
+    keep = (recording.station != 4) | np.isin(recording.target, [0, 13])
+    with pytest.raises(NetworkError, match="S5"):
+        adjust(recording.select(keep))
+    assert_same_shape(adjust(levelled(recording.select(keep))), truth.state.points)
+
+
+def test_levels_that_follow_a_curved_surface():
+    """Plumb lines that differ are what the axes follow: ignoring it shows in the levels and nowhere else."""
+    recording, truth = network()
+    lines = np.array([[1e-3, 0, 1], [0, 2e-3, 1], [-1e-3, 1e-3, 1], [0, 0, 1], [2e-3, 0, 1]])
+    lines /= np.linalg.norm(lines, axis=1)[:, None]
+    tilts = from_rotation_vector(np.cross([0.0, 0.0, 1.0], lines))
+    state = dataclasses.replace(truth.state, rotation=tilts @ truth.state.rotation)
+    recording = recording.with_readings(
+        MeasurementModel(recording, ideal()).predict(dataclasses.replace(state, instrument=np.zeros((1, 0))))
+    )
+    stations = {n: Station(levelled=True, vertical=tuple(v)) for n, v in zip(recording.stations, lines, strict=True)}
+    found = adjust(with_setup(recording, stations=stations))
+    assert found.problem.free.shape[1] == 4
+    assert found.chi2 < 1e-3
+    assert adjust(levelled(recording)).chi2 > 1e4
+
+
+def test_known_points_define_the_frame_along_the_axes_that_are_known():
+    recording, truth = network(seed=8)
+    made = known(levelled(recording), truth.state.points, [0])
+    made = known(made, truth.state.points, [5], known_axes="y")
+    made = known(made, truth.state.points, [7, 12], known_axes="z")
+    found = adjust(made, misalignment())
+    assert found.problem.control.count == 6
+    assert found.problem.free.shape[1] == 0
+    assert np.abs(found.state.points - truth.state.points).max() < 3e-4
+    np.testing.assert_allclose(found.state.points[[7, 12], 2], truth.state.points[[7, 12], 2], atol=3e-5)
+
+
+def test_one_known_point_and_levels_leave_the_yaw_to_the_datum():
+    recording, truth = network(seed=8)
+    made = known(levelled(recording), truth.state.points, [0])
+    targets = dict(made.setup.targets)
+    place = tuple(1e3 * truth.state.points[12])
+    name = made.targets[12]
+    targets[name] = targets[name].model_copy(update={"approximate_mm": place, "datum": True})
+    found = adjust(with_setup(made, targets=targets), misalignment())
+    assert found.problem.free.shape[1] == 1
+    assert np.abs(found.state.points - truth.state.points).max() < 1e-3
+    arm, gap = truth.state.points[12] - truth.state.points[0], found.state.points[12] - truth.state.points[12]
+    assert abs(arm[0] * gap[1] - arm[1] * gap[0]) < 1e-9
+
+
+# --- marks and heights --------------------------------------------------------------------------------------------
+
+
+def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
+    """Six levelled instruments on marks that are each other's targets, heights over the marks, two sets at the first.
+
+    Readings are computed here by hand, without the measurement model.
+    """
+    rng = stream(11, "marks")
+    marks = np.column_stack([rng.uniform(0, 60, (9, 2)), rng.uniform(0, 5, 9)])
+    names = [f"M{i}" for i in range(9)]
+    over = [0, 1, 2, 3, 4, 5, 0]
+    stations = ["M0", "M1", "M2", "M3", "M4", "M5", "M0#2"]
+    instrument, target = rng.uniform(1.4, 1.8, 7), rng.uniform(0.1, 2.0, 9)
+    yaw = rng.uniform(-3, 3, 7)
+    rows, readings = [], []
+    for s, mark in enumerate(over):
+        for t in range(9):
+            if t == mark:
+                continue
+            up = np.array([0.0, 0.0, 1.0])
+            arm = marks[t] + target[t] * up - marks[mark] - instrument[s] * up
+            readings.append(to_polar((about_z(yaw[s]).T @ arm)[None])[0])
+            rows.append((s, t))
+    station, seen = np.array(rows, dtype=np.int64).T
+    setup = Setup(
+        instrument=Instrument(noise=Noise(distance_mm=1.0, azimuth_arcsec=1.0, elevation_arcsec=1.0)),
+        stations={
+            n: Station(levelled=True, levelling_sigma_arcsec=1e-3, over=names[m], instrument_height_mm=1e3 * h)
+            for n, m, h in zip(stations, over, instrument, strict=True)
+        },
+        targets={n: Target(height_mm=1e3 * h) for n, h in zip(names, target, strict=True)},
+    )
+    recording = Recording(
+        setup,
+        tuple(stations),
+        tuple(names),
+        station,
+        seen,
+        np.ones_like(station),
+        np.ones_like(station),
+        np.arange(len(station), dtype=np.float64),
+        np.array(readings),
+    )
+    if seed is not None:
+        noise = stream(seed, "noise").standard_normal(recording.readings.shape)
+        recording = recording.with_readings(recording.readings + recording.sigma() * noise)
+    return recording, marks
+
+
+def test_instruments_on_marks_share_the_place_of_the_target():
+    recording, marks = total_stations()
+    found = adjust(recording)
+    assert_same_shape(found, marks)
+    assert found.problem.layout.size == 3 * 9 + 3 * 7
+    assert found.dof == 3 * len(recording) + 2 * 7 - 3 * 9 - 3 * 7 + 4
+    height = 1e-3 * recording.station_setup("M0").instrument_height_mm
+    np.testing.assert_allclose(found.state.position[0] - found.state.points[0], [0, 0, height], atol=1e-12)
+    np.testing.assert_array_equal(found.state.position[0][:2], found.state.position[6][:2])
+
+
+def test_heights_of_single_pointings_and_horizontal_distances():
+    recording, marks = total_stations()
+    heights = recording.heights()
+    stations = {n: s.model_copy(update={"instrument_height_mm": 0.0}) for n, s in recording.setup.stations.items()}
+    columns = dict(zip(HEIGHT_COLUMNS, (1e3 * heights[0], 1e3 * heights[1]), strict=True))
+    moved = with_setup(recording, stations=stations, targets={}).replace(covariates=columns)
+    assert_same_shape(adjust(moved), marks)
+    flat = np.arange(len(recording)) % 2 == 0
+    readings = recording.readings.copy()
+    readings[flat, 0] *= np.cos(readings[flat, 2])
+    labels = {KIND_COLUMN: tuple("horizontal" if f else "" for f in flat)}
+    assert_same_shape(adjust(recording.with_readings(readings).replace(labels=labels)), marks)
+
+
+def test_marks_that_are_no_targets_are_shared_and_may_be_known():
+    recording, marks = total_stations()
+    # The first mark is seen from nowhere; its two sets stand on a known place.
+    keep = recording.select(~np.isin(recording.target, [0]))
+    assert "M0" not in keep.targets
+    place = Target(known_mm=tuple(1e3 * marks[0]), known_sigma_mm=0.01)
+    found = adjust(with_setup(keep, targets={**keep.setup.targets, "M0": place}))
+    assert found.problem.free.shape[1] == 1
+    assert found.problem.layout.size == 3 * 9 + 3 * 7
+    height = 1e-3 * recording.station_setup("M0").instrument_height_mm
+    np.testing.assert_allclose(found.state.position[0], marks[0] + [0, 0, height], atol=1e-8)
+    assert_same_shape(found, marks[1:])
+
+
+def test_the_start_is_good_enough_with_the_noise_of_total_stations():
+    for seed in range(5):
+        recording, marks = total_stations(seed)
+        recording = blanked(recording, stream(seed, "rows").uniform(size=len(recording)) < 0.5, [0])
+        found = adjust(recording)
+        assert found.solution.converged
+        assert found.p_value > 1e-5
+        assert not found.gross.any()
+        assert_same_shape(found, marks, atol=0.01)
+
+
+# --- several instruments, datum -----------------------------------------------------------------------------------
+
+
+def test_each_instrument_has_its_own_parameters():
+    construction = misalignment()
+    values = np.stack([drawn(construction, 1), drawn(construction, 2)])
+    recording, truth = network(faces=2)
+    stations = {n: Station(instrument="AB"[i % 2]) for i, n in enumerate(recording.stations)}
+    recording = with_setup(recording, stations=stations, instruments={"A": Instrument(), "B": Instrument()})
+    state = dataclasses.replace(truth.state, instrument=values)
+    recording = recording.with_readings(MeasurementModel(recording, construction).predict(state))
+    noise = stream(3, "noise").standard_normal(recording.readings.shape)
+    found = adjust(recording.with_readings(recording.readings + recording.sigma() * noise), construction)
+    for i in range(2):
+        error = found.state.instrument[i] - values[i]
+        normalised = error @ np.linalg.solve(found.instrument_covariance_of(i), error) / construction.size
+        assert 0.3 < normalised < 2.2
+    assert found.p_value > 0.001
+
+
+def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
+    recording, _ = network(seed=4)
+    recording = with_setup(recording, gauge=Gauge())
+    chosen = [recording.targets[i] for i in (0, 7, 12, 20, 23)]
+    at = [recording.targets.index(n) for n in chosen]
+    plain, tied = adjust(recording, misalignment()), adjust(recording, misalignment(), datum=chosen)
+    trace = [np.trace(a.target_covariance[at].sum(axis=0)) for a in (plain, tied)]
+    assert trace[1] < 0.9 * trace[0]
+    whole = adjust(recording, misalignment(), datum=recording.targets)
+    assert np.trace(whole.target_covariance.sum(axis=0)) < np.trace(tied.target_covariance.sum(axis=0))
+    assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
+    np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)
+    np.testing.assert_allclose(
+        tied.kept_covariance[np.ix_(*2 * [tied.problem.layout.pose[2]])], tied.pose_covariance[2], rtol=1e-8
+    )
+
+
+def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
+    recording, truth = network(seed=4)
+    turn, shift = about_z(0.7), np.array([30.0, -10.0, 2.0])
+    rough = truth.state.points @ turn.T + shift + 1e-3 * stream(1, "rough").standard_normal((28, 3))
+    targets = {
+        n: t.model_copy(update={"approximate_mm": tuple(1e3 * rough[i]), "datum": i % 2 == 0})
+        for i, (n, t) in enumerate((n, recording.target_setup(n)) for n in recording.targets)
+    }
+    found = adjust(with_setup(recording, targets=targets), misalignment())
+    gap = found.state.points[::2] - rough[::2]
+    arms = rough[::2] - rough[::2].mean(axis=0)
+    np.testing.assert_allclose(gap.mean(axis=0), 0, atol=1e-10)
+    np.testing.assert_allclose(np.cross(arms, gap).sum(axis=0), 0, atol=1e-6)
+    assert found.datum is not None
