@@ -83,14 +83,19 @@ def build(
 
 def picture(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
     """The scene as a PNG, with the legend written on it."""
+    return picture_and_legend(workshop, window_size=window_size)[0]
+
+
+def picture_and_legend(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> tuple[bytes, Legend]:
+    """The PNG, and what is written on it."""
     plotter, legend = build(workshop, window_size=window_size)
     _labels(plotter, workshop)
     write_legend(plotter, workshop.title, legend)
     image = plotter.screenshot(return_img=True)
     plotter.close()
     stream = io.BytesIO()
-    Image.fromarray(np.asarray(image)).save(stream, format="PNG", optimize=True)
-    return stream.getvalue()
+    Image.fromarray(np.asarray(image)).save(stream, format="PNG")
+    return stream.getvalue(), legend
 
 
 def show(workshop: Workshop) -> None:

@@ -27,6 +27,7 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 #bar span { float: right; }
 #hint { position: fixed; inset: auto auto 0.7rem 0.8rem; z-index: 9; pointer-events: none; color: #5c6166;
   font-size: 11px; }
+@media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
 
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from ltsim.randomness import stream
 from ltsim.report import figures, style
+from ltsim.report.figures.history import Course, history_figure
 from ltsim.report.residuals import Residuals
 from ltsim.report.workshop import from_adjustment
 from tests.report import samples
@@ -42,6 +43,13 @@ def by_setting() -> Figure:
 def sigmas() -> Figure:
     rows = [figures.SigmaRow(f"parameter-{i}", "urad", 1.0 + i, 15.0, 2.0 + i) for i in range(6)]
     return figures.sigmas([*rows, figures.SigmaRow("alone", "um", 3.0, 20.0)])
+
+
+def history() -> Figure:
+    labels = ("2021-09", "2021-10", MARKUP)
+    values = np.array([1.0, 2.0, 1.5])
+    courses = [Course(f"parameter-{i}", "urad", labels, values * (i + 1), np.full(3, 0.3), 1.5, 0.5) for i in range(3)]
+    return history_figure(courses)
 
 
 def criteria() -> Figure:
@@ -129,7 +137,7 @@ def coverage() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        by_setting, correlation, coverage, criteria, distributions, evidence, floor_plan, parameters, power,
+        by_setting, correlation, coverage, criteria, distributions, evidence, floor_plan, history, parameters, power,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
     )
 }  # fmt: skip

@@ -78,10 +78,10 @@ def scatter(ax: Axes, residuals: Residuals, observable: str, covariate: str, *, 
         linewidths=0.5,
         alpha=0.6,
         label="before" if hollow else "after",
-        rasterized=True,
         zorder=1 if hollow else 2,
     )
-    ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
+    ax.axhline(0.0, color=INK, linewidth=0.6, zorder=2.6)
+    ax.set_rasterization_zorder(2.5)  # dots become one small image an axes; lines stay lines
     quiet_axis(ax, grid="both")
 
 

@@ -53,12 +53,12 @@ def scene(workshop: Workshop, *, interactive: bool) -> Scene:
     from ltsim.report.scene_page import scene_page
 
     coloured = workshop.coloured("incidence")
-    _, legend = scene3d.build(coloured)
+    png, legend = scene3d.picture_and_legend(coloured)
     lines = "; ".join(line.rstrip(".") for line in legend.lines)
     by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
     return Scene(
         title="The workshop in 3D",
-        png=style.png_uri(scene3d.picture(coloured)),
+        png=style.png_uri(png),
         caption=f"{lines[:1].upper()}{lines[1:]}.{by}",
         page=scene_page(coloured) if interactive else "",
     )
