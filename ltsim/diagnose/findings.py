@@ -66,10 +66,23 @@ def mean_finding(
         where=where,
         parameters=tuple(estimates),
         evidence=Evidence(drop, spent, p_value, probability),
-        sentence=finding_sentence(name, where, estimates, probability, formula),
+        sentence=finding_sentence(
+            name, where, estimates, probability, formula, implausible=_implausible(hypothesis, estimates)
+        ),
         equivalents=equivalents,
         separate_by=separate_by,
         formula=formula,
+    )
+
+
+IMPLAUSIBLE = 5.0
+"""Sizes beyond so many times a bad but plausible one are remarked upon."""
+
+
+def _implausible(hypothesis: Hypothesis, estimates: Sequence[Estimate]) -> bool:
+    sizes = {p.name: p.prior_sigma / p.factor for p in hypothesis.effect.parameters}
+    return hypothesis.known and any(
+        abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * sizes[e.name] for e in estimates if e.name in sizes
     )
 
 

@@ -22,6 +22,8 @@ from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
 BEAM = 4
 MOST_MEMBERS = 4
 REFINED = 8
+MOST_BASINS = 3
+BASIN_DEPTH = 12.0
 UNKNOWN_ODDS = 0.05
 """Prior odds of all physics outside the catalogue together against one effect of it."""
 
@@ -109,11 +111,42 @@ class Searcher:
         entries = []
         for f in np.argsort(-families)[: max(count, 1)]:
             members = np.flatnonzero(self.bank.family == f)
-            best = members[int(np.argmax(evidence[members]))]
-            refined, gain = self._refined(self.bank.hypotheses[best], base, float(evidence[best]))
-            size = plausibility(self._sizes(refined, base))
-            entries.append((self.bank.families[f], refined, float(families[f]) + gain + size))
+            tried = []
+            for i in self._basins(members[np.argsort(-evidence[members])], evidence):
+                refined, gain = self._refined(self.bank.hypotheses[i], base, float(evidence[i]))
+                size = plausibility(self._sizes(refined, base))
+                tried.append((float(evidence[i]) + gain + size, refined))
+            value, refined = max(tried, key=lambda pair: pair[0])
+            top = float(evidence[members].max())
+            entries.append((self.bank.families[f], refined, float(families[f]) + value - top))
         return Ranking(tuple(sorted(entries, key=lambda e: -e[2])))
+
+    def _basins(self, members: Ints, evidence: Floats) -> list[int]:
+        """The best members of a family that lie in different basins of its shape; the first where it has none.
+
+        `members` come in the order of their evidence. A grid of shapes is coarse: its best point need not lie in the
+        basin of the best shape.
+        """
+        chosen: list[int] = [int(members[0])]
+        if not type(self.bank.hypotheses[chosen[0]].effect).shape:
+            return chosen
+        for i in members[1:]:
+            if len(chosen) == MOST_BASINS or evidence[i] < evidence[chosen[0]] - BASIN_DEPTH:
+                break
+            if all(self._apart(int(i), j) for j in chosen):
+                chosen.append(int(i))
+        return chosen
+
+    def _apart(self, i: int, j: int) -> bool:
+        """Whether two members differ in place, or in a shape constant by more than its refinement reaches."""
+        one, other = self.bank.hypotheses[i].effect, self.bank.hypotheses[j].effect
+        if (one.stations, one.targets) != (other.stations, other.targets):
+            return True
+        for shape in type(one).shape:
+            low, high = shape.bracket(float(vars(other)[shape.name]))
+            if not low <= float(vars(one)[shape.name]) <= high:
+                return True
+        return False
 
     def _drop(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, int]:
         signature = self.space.signature(hypothesis.effect)

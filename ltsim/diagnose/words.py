@@ -48,16 +48,23 @@ def percent(probability: float) -> str:
 
 
 def finding_sentence(
-    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, formula: str
+    effect: str,
+    where: Where,
+    parameters: Sequence[Estimate],
+    probability: float,
+    formula: str,
+    *,
+    implausible: bool = False,
 ) -> str:
-    """One finding in one sentence."""
+    """One finding in one sentence; two where its size is `implausible` for its cause."""
     if effect == "unknown":
         on = f", depending on {_list(where.covariates)}" if where.covariates else ""
         law = f"; a formula that fits: {formula}" if formula else ""
         return f"Physics outside the catalogue {place(where)}{on}{law}."
     told = estimates(parameters)
     name = effect.replace("-", " ").capitalize()
-    return f"{name} {place(where)}" + (f": {told}" if told else "") + f" (probability {percent(probability)})."
+    doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
+    return f"{name} {place(where)}" + (f": {told}" if told else "") + f" (probability {percent(probability)}).{doubt}"
 
 
 def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:
