@@ -10,6 +10,7 @@ from ltsim.arrays import Floats
 from ltsim.campaign.spec import Method
 from ltsim.campaign.truth import TrueEffect, Truth
 from ltsim.effects.effect import Effect
+from ltsim.effects.noise import white_noise_sigma
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, dh, ideal, misalignment
 from ltsim.model.measurement import State
@@ -18,7 +19,7 @@ from ltsim.simulate.fieldwork import Fieldwork, fieldwork
 from ltsim.simulate.gauge import expansion, frame_of
 from ltsim.simulate.physics import effect_from
 from ltsim.simulate.scenario import Scenario
-from ltsim.simulate.simulator import measure, noise_sigma
+from ltsim.simulate.simulator import measure
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 
@@ -51,7 +52,7 @@ def truth_of(scenario: Scenario, seed: int, *key: str | int) -> Truth:
         construction=work.construction,
         mean=mean[None],
         sigma=sigma[None],
-        noise=noise_sigma(work, tuple(entry.mean for entry in effects)),
+        noise=tracker.noise_factor * white_noise_sigma(work.sightings, [tracker.noise]),
         gauge_sigma=scenario.cmm.noise_factor * grown * np.array(stated),
         effects=effects,
         step=np.array(

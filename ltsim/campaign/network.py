@@ -116,7 +116,10 @@ class BatchNetwork:
     def _order(self) -> Ints:
         layout = self.problem.layout
         parts = (layout.pose, layout.target, layout.instrument, layout.extra)
-        return np.concatenate([part.ravel() for part in parts])
+        order = np.concatenate([part.ravel() for part in parts])
+        if len(np.unique(order)) != layout.size:
+            raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
+        return order
 
     @cached_property
     def _design(self) -> tuple[Floats, Floats, Floats]:
@@ -269,10 +272,12 @@ class BatchNetwork:
         if len(gauge):
             moved = self.split(x)[1]
             arm = self.state.points[gauge.first] - self.state.points[gauge.second]
-            between = arm[:, :, None] + moved[gauge.first] - moved[gauge.second]
-            exact = gauge.length[:, None] - np.sqrt(np.sum(between**2, axis=1))
+            change = moved[gauge.first] - moved[gauge.second]
+            length = np.linalg.norm(arm, axis=1)[:, None]
+            linear = length + np.einsum("gi,gib->gb", arm / length, change)
+            bent = linear - np.sqrt(np.sum((arm[:, :, None] + change) ** 2, axis=1))
             if gauge_error is not None:
-                exact += gauge_error
-            rows[: len(gauge)] = exact / gauge.sigma[:, None]
+                bent += gauge_error
+            rows[: len(gauge)] += bent / gauge.sigma[:, None]
         gradient += design.T @ rows
         cost += np.sum(rows**2, axis=0)

@@ -17,6 +17,7 @@ from ltsim.arrays import Floats
 from ltsim.campaign.kernels import readings_of
 from ltsim.campaign.program import ChainProgram
 from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import State
@@ -93,7 +94,7 @@ class Truth:
     mean, sigma : (I, p) float [SI]
         Its errors are drawn from N(mean, sigma^2).
     noise : (n, 3) float
-        True standard deviations of the readings where effects on the noise have their mean values.
+        True standard deviations of the readings, without what effects on the noise add.
     gauge_sigma : (g,) float, [m]
         Of the stated lengths.
     effects : tuple of TrueEffect
@@ -133,7 +134,7 @@ class Truth:
         design = entry.effect.design(self.sightings)
         probe = entry.mean + 3 * entry.sigma
         miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)
-        return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.noise) else None
+        return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.recording.sigma()) else None
 
     def draw(self, seed: int, number: int, width: int = BLOCK) -> Block:
         """Draw a block.
@@ -157,6 +158,8 @@ class Truth:
         amounts = []
         for place, entry in enumerate(self.effects):
             drawn = normal(f"effect {entry.effect.name} {entry.key}", len(entry.mean))
+            if isinstance(entry.effect, NoiseEffect):  # variances are added
+                drawn = np.abs(drawn)
             amounts.append(entry.mean[:, None] + entry.sigma[:, None] * drawn)
             deviation += self._shift(place, amounts[-1])
             if len(entry.by_length):
@@ -166,22 +169,22 @@ class Truth:
 
     def _noise(self, amounts: list[Floats]) -> Floats:
         """Standard deviation (n, 3, 1) or, where effects on the noise are drawn, (n, 3, B) of the readings."""
-        drawn = [
-            (entry, amount)
-            for entry, amount in zip(self.effects, amounts, strict=True)
-            if isinstance(entry.effect, NoiseEffect) and np.any(entry.sigma)
-        ]
-        if not drawn:
-            return self.noise[:, :, None]
-        trials = []
-        for trial in range(drawn[0][1].shape[1]):
-            sigma = self.noise
-            for entry, amount in drawn:
-                noise: Any = entry.effect
-                usual = noise.variance(self.sightings, self.noise, entry.mean)
-                sigma = sigma * np.sqrt(noise.variance(self.sightings, self.noise, amount[:, trial]) / usual)
-            trials.append(sigma)
-        return np.stack(trials, axis=2)
+        places = [i for i, entry in enumerate(self.effects) if isinstance(entry.effect, NoiseEffect)]
+        if not any(np.any(self.effects[i].sigma) for i in places):
+            return self._noise_with([self.effects[i].mean for i in places], places)[:, :, None]
+        trials = range(amounts[places[0]].shape[1])
+        return np.stack([self._noise_with([amounts[i][:, k] for i in places], places) for k in trials], axis=2)
+
+    def _noise_with(self, values: list[Floats], places: list[int]) -> Floats:
+        """Standard deviation (n, 3) with the effects on the noise, one after the other, at given values."""
+        sigma = self.noise
+        for i, value in zip(places, values, strict=True):
+            effect: Any = self.effects[i].effect
+            variance = effect.variance(self.sightings, sigma, value)
+            if not np.all(variance >= 0.0):
+                raise SetupError(f"effects: {effect.name} takes away more noise than there is; give larger values")
+            sigma = np.sqrt(variance)
+        return sigma
 
     def _exact(self, values: Floats) -> Floats:
         """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""

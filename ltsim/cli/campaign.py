@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from enum import StrEnum
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,7 @@ import typer
 
 from ltsim.cli.options import Jobs, Json, Quiet
 from ltsim.cli.terminal import Terminal, table
+from ltsim.errors import SetupError
 from ltsim.recording.files import write_text
 
 if TYPE_CHECKING:
@@ -35,7 +37,10 @@ class Backend(StrEnum):
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")],
+    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")] = None,
+    show_example: Annotated[
+        bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
     ] = None,
@@ -57,8 +62,13 @@ def campaign(
 
     Exit status 1: the fast solver was more than 0.001 sigma from the full one on a trial that was verified.
 
-    Example: ltsim campaign my-campaign.toml --jobs 2
+    Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
+    if show_example:
+        print((files("ltsim.campaign") / "example.toml").read_text(encoding="utf-8"), end="")
+        return 0
+    if file is None:
+        raise SetupError("a campaign needs a FILE; ltsim campaign --show prints one to edit")
     # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
     from ltsim.campaign.campaign import Workers, run_campaign
     from ltsim.campaign.spec import load_campaign

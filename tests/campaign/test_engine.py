@@ -12,6 +12,7 @@ from ltsim.adjust.adjustment import adjust
 from ltsim.campaign.engine import FAILED, FULL, STATUSES, Bench, Engine, recording_of
 from ltsim.campaign.truth import BLOCK, TrueEffect, Truth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.evaluate.criteria import evaluate
 from ltsim.evaluate.share_removed import share_removed, target_error
 from ltsim.model.construction import dh, misalignment
@@ -82,6 +83,17 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., Truth]) -> N
     spread = np.sqrt(np.diag(adjusted.extra_covariance))
     assert np.all(np.abs(adjusted.state.extra - fit.extra[:, 5]) < 2e-4 * spread)
     assert np.all(np.abs(fit.extra[:, 5] - block.amounts[0][:, 5]) < 5 * spread)
+
+
+def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., Truth]) -> None:
+    truth = make_truth()
+    engine = Engine(truth, misalignment(), (GaugeScale(),))
+    block = truth.draw(20, 0)
+    block.gauge_error[:] += 1e-4 * np.array([d.length_mm * 1e-3 for d in truth.recording.gauge.distance])[:, None]
+    found = engine.calibrate(block)
+    assert max(engine.difference(block, k, found) for k in (0, 100)) < 2e-4
+    scale = engine.network.fit(block.deviation, block.gauge_error).extra[0]
+    assert scale.mean() == pytest.approx(-1e-4, rel=0.02)
 
 
 def test_chi2_and_z_scores_are_what_the_covariance_says(engine: Engine) -> None:

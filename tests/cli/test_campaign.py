@@ -50,3 +50,13 @@ def test_a_wrong_campaign_file_is_exit_status_two(tmp_path: Path, capsys: pytest
     assert run(["campaign", str(file)]) == 2
     assert "ltsim-campaign/1" in capsys.readouterr().err
     assert run(["campaign", str(tmp_path / "missing.toml")]) == 2
+
+
+def test_the_example_can_be_printed_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["campaign", "--show"]) == 0
+    file = tmp_path / "example.toml"
+    file.write_text(capsys.readouterr().out.replace("trials = 10000", "trials = 64"))
+    assert run(["campaign", str(file)]) == 0
+    said = capsys.readouterr().out
+    assert "paper" in said and "instrument.noise_factor = 0.5" in said
+    assert run(["campaign"]) == 2

@@ -1,0 +1,228 @@
+"""Calibrations side by side: ltsim's batch, ltsim's single solver, numpy, scipy, pyceres, on the same trials.
+
+    python -m benchmarks.calibrations [--trials 16] [--short]
+
+All solvers start from the nominal network, but for ltsim's single one, which knows the recording alone; all end at the
+same optimum, which the last column shows. One thread each; times are of the processor, the least of several runs, so
+that other work on the machine disturbs little.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections.abc import Callable
+
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+from threadpoolctl import threadpool_limits
+
+from benchmarks.networks import room, workshop
+from benchmarks.peers import (
+    DenseProblem,
+    Solver,
+    numpy_gauss_newton,
+    pyceres_solver,
+    scipy_analytic,
+    scipy_differences,
+)
+from ltsim.adjust.adjustment import adjust
+from ltsim.arrays import Floats
+from ltsim.campaign.engine import Bench, Engine, recording_of
+from ltsim.campaign.truth import BLOCK, Block, Truth
+from ltsim.cli.terminal import table
+from ltsim.evaluate.clouds import on_points
+from ltsim.model.construction import misalignment
+
+SEED = 11
+
+
+def seconds(work: Callable[[], object], repeats: int) -> float:
+    """Least processor time of several runs."""
+    best = np.inf
+    for _ in range(repeats):
+        start = time.process_time()
+        work()
+        best = min(best, time.process_time() - start)
+    return best
+
+
+def difference(engine: Engine, block: Block, trial: int, values: Floats, points: Floats) -> float:
+    """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
+    full = engine.full(block, trial)
+    if full is None:
+        return float("nan")
+    z = np.abs(values - full.state.instrument[0]) / engine.network.sigma_values[0]
+    gap = np.abs(on_points(points, full.state.points) - full.state.points) / engine.sigma_targets
+    return float(max(z.max(), gap.max()))
+
+
+def peers(trials: int) -> None:
+    """The table of solvers."""
+    truth = workshop()
+    engine, bench = Engine(truth, misalignment()), Bench(truth)
+    block = truth.draw(SEED, 0)
+    found = engine.calibrate(block)
+    bench.after(block, found, engine.construction, bench.before(block))
+
+    def everything() -> None:
+        drawn = truth.draw(SEED, 1)
+        fitted = engine.calibrate(drawn)
+        bench.after(drawn, fitted, engine.construction, bench.before(drawn))
+
+    n, (*_, unknowns) = len(truth.recording), engine.network.sizes
+    print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
+    batch = seconds(lambda: engine.calibrate(block), 20) / BLOCK
+    agreement = max(
+        difference(engine, block, k, found.values[0, :, k], truth.state.points + found.points[:, :, k])
+        for k in range(trials)
+    )
+    whole = seconds(everything, 20) / BLOCK
+    drawn = seconds(lambda: (truth.draw(SEED, 1), engine.calibrate(block)), 20) / BLOCK
+    rows = [
+        _row("ltsim batch: calibration", batch, batch, agreement),
+        _row("ltsim batch: simulation and calibration", drawn, batch, agreement),
+        _row("ltsim batch: with criteria and errors", whole, batch, agreement),
+    ]
+    recordings = [recording_of(truth, block, k) for k in range(trials)]
+    single = min(seconds(lambda r=r: adjust(r, engine.construction), 1) for r in recordings)  # type: ignore[misc]
+    rows.append(_row("ltsim single solver", single, batch, 0.0))
+    solvers: dict[str, Solver | None] = {
+        "numpy Gauss-Newton, analytic": numpy_gauss_newton,
+        "pyceres, one block, analytic": pyceres_solver(),
+        "scipy least_squares, analytic": scipy_analytic,
+        "scipy least_squares, differences": scipy_differences,
+    }
+    for name, solver in solvers.items():
+        if solver is None:
+            print(f"{name}: left out, it is not installed (pip install pyceres)")
+            continue
+        rows.append(_peer(name, solver, engine, block, trials, batch))
+    print(table(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
+
+
+def _peer(name: str, solver: Solver, engine: Engine, block: Block, trials: int, batch: float) -> list[str]:
+    count = max(2, trials // 4) if "differences" in name else trials
+    worst, least = 0.0, np.inf
+    for k in range(count):
+        recording = recording_of(engine.truth, block, k)
+        start = time.process_time()
+        problem = DenseProblem(recording, engine.construction, engine.truth.state)
+        x = solver(problem)
+        least = min(least, time.process_time() - start)
+        _, _, points, values = problem.state(x)
+        worst = max(worst, difference(engine, block, k, values, points))
+    return _row(name, least, batch, worst)
+
+
+def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
+    shown = f"{1e6 * each:.1f} us" if each < 1e-3 else f"{1e3 * each:.2f} ms"
+    return [name, shown, f"{1 / each:.0f}", f"{each / batch:.1f}", f"{agreement:.0e}"]
+
+
+def parts() -> None:
+    """Where the time of a trial goes."""
+    truth = workshop()
+    engine, bench = Engine(truth, misalignment()), Bench(truth)
+    network, block = engine.network, truth.draw(SEED, 0)
+    found = engine.calibrate(block)
+    x, predicted = network._linear_start(block.deviation, block.gauge_error)
+    gradient, cost = np.empty_like(x), np.empty(BLOCK)
+    rng = np.random.default_rng(0)
+    judge, raw = bench.judge, bench.judge.clouds(block.deviation)
+    steps: dict[str, Callable[[], object]] = {
+        "draw: normal numbers": lambda: rng.standard_normal(block.deviation.shape),
+        "draw: exact readings, two Newton steps": lambda: truth._exact(block.values),
+        "draw: everything": lambda: truth.draw(SEED, 0),
+        "calibrate: linear start": lambda: network._linear_start(block.deviation, block.gauge_error),
+        "calibrate: residuals and gradient (twice a trial)": lambda: network._gradient(
+            x, block.deviation, block.gauge_error, predicted, gradient, cost
+        ),
+        "calibrate: everything": lambda: engine.calibrate(block),
+        "judge: points of one set of parameters (three times)": lambda: judge.clouds(
+            block.deviation, engine.construction, found.values
+        ),
+        "judge: both criteria (twice)": lambda: judge.criteria(raw, "before"),
+        "judge: error against the truth (three times)": lambda: judge.cloud_error(raw),
+    }
+    print("\nWhere the time goes, us a trial:\n")
+    rows = [[name, f"{1e6 * seconds(step, 20) / BLOCK:.1f}"] for name, step in steps.items()]
+    print(table(["step", "us"], rows))
+
+
+def scaling(short: bool) -> None:
+    """Cost against stations, targets and trials; memory."""
+    sizes = [(5, 14), (5, 28), (5, 56), (10, 28), (20, 28)] + ([] if short else [(5, 112), (40, 28), (20, 112)])
+    rows = []
+    for stations, targets in sizes:
+        truth = room(stations, targets)
+        engine = Engine(truth, misalignment())
+        start = time.process_time()
+        block = truth.draw(SEED, 0)
+        engine.calibrate(block)
+        prepared = time.process_time() - start
+        each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / BLOCK  # type: ignore[misc]
+        recording = recording_of(truth, block, 0)
+        single = seconds(lambda r=recording, e=engine: adjust(r, e.construction), 2)  # type: ignore[misc]
+        rows.append(
+            [str(stations), str(targets), str(engine.network.sizes[-1]), f"{1e6 * each:.0f}", f"{1e3 * single:.1f}",
+             f"{single / each:.0f}", f"{prepared:.2f}"]
+        )  # fmt: skip
+    print("\nCost against the network: simulation and calibration, one core\n")
+    heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
+    print(table(heads, rows, left=0))
+
+
+def trials_against_time(short: bool) -> None:
+    """Cost against the number of trials on two processes; memory of this process."""
+    rows = []
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        Parallel(n_jobs=2)(delayed(_many)(part) for part in ([0], [1]))  # the processes start and compile
+    for blocks in (4, 16, 64) if short else (4, 16, 64, 256):
+        start = time.perf_counter()
+        with parallel_config(backend="loky", inner_max_num_threads=1):
+            Parallel(n_jobs=2)(delayed(_many)(part) for part in np.array_split(np.arange(blocks), 2))
+        wall = time.perf_counter() - start
+        rows.append([str(blocks * BLOCK), f"{wall:.2f}", f"{blocks * BLOCK / wall:.0f}"])
+    print(
+        "\nCost against the number of trials: simulation, calibration, criteria and errors, two processes, wall clock\n"
+    )
+    print(table(["trials", "s", "trials a second"], rows, left=0))
+    largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
+
+
+_READY: dict[str, tuple[Truth, Engine, Bench]] = {}
+
+
+def _many(numbers: np.ndarray) -> float:
+    """Some blocks in a worker, which keeps what they share."""
+    if not _READY:
+        truth = workshop()
+        _READY["workshop"] = truth, Engine(truth, misalignment()), Bench(truth)
+    truth, engine, bench = _READY["workshop"]
+    total = 0.0
+    for number in numbers:
+        block = truth.draw(SEED, int(number))
+        found = engine.calibrate(block)
+        columns = bench.after(block, found, engine.construction, bench.before(block))
+        total += float(columns["target_error_um"].sum())
+    return total
+
+
+def main() -> None:
+    """Run all parts."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibrations", description=__doc__)
+    parser.add_argument("--trials", type=int, default=16, help="trials for the solvers that take one at a time")
+    parser.add_argument("--short", action="store_true", help="smaller networks and fewer trials")
+    chosen = parser.parse_args()
+    with threadpool_limits(limits=1):
+        peers(chosen.trials)
+        parts()
+        scaling(chosen.short)
+        trials_against_time(chosen.short)
+
+
+if __name__ == "__main__":
+    main()

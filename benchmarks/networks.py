@@ -1,0 +1,61 @@
+"""Networks of any size for the benchmarks: stations around the middle of a room, targets on its walls."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.truth import Truth
+from ltsim.geometry.polar import to_face, to_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import State, sightings_of
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Gauge, GaugeDistance, Setup
+from ltsim.simulate.scenario import load_scenario
+
+
+def workshop() -> Truth:
+    """The paper's: 28 targets, 5 stations, one face."""
+    return truth_of(load_scenario("paper-workshop"), 1, "benchmark")
+
+
+def room(stations: int, targets: int) -> Truth:
+    """Stations on a circle of 1.5 m, targets on a spiral over the walls of a room of 8 m; 4 of them are a gauge."""
+    turn = 2 * np.pi * np.arange(stations) / stations
+    position = np.stack([1.5 * np.cos(turn), 1.5 * np.sin(turn), 1.6 + 0.3 * np.sin(3 * turn)], axis=1)
+    around = 2 * np.pi * 0.618034 * np.arange(targets - 4)
+    height = 0.3 + 4.5 * (np.arange(targets - 4) + 0.5) / (targets - 4)
+    mesh = np.stack([4 * np.cos(around), 4 * np.sin(around), height], axis=1)
+    gauge = np.array([[2.9, 0.0, 0.3], [3.2, 0.1, 0.32], [2.95, 0.45, 0.3], [3.25, 0.5, 0.35]])
+    points, rotation = np.vstack([mesh, gauge]), np.array([about_z(float(a)) for a in turn])
+    station, target = (a.ravel() for a in np.meshgrid(np.arange(stations), np.arange(targets), indexing="ij"))
+    local = np.einsum("nji,nj->ni", rotation[station], points[target] - position[station])
+    face = np.ones(len(station), dtype=np.int64)
+    names = tuple(f"T{k:04d}" for k in range(targets))
+    lengths = tuple(
+        GaugeDistance.model_validate(
+            {"from": names[a], "to": names[b], "length_mm": 1e3 * np.linalg.norm(points[a] - points[b]),
+             "sigma_mm": 0.0025}
+        )
+        for a, b in combinations(range(targets - 4, targets), 2)
+    )  # fmt: skip
+    recording = Recording(
+        setup=Setup(gauge=Gauge(distance=lengths)),
+        stations=tuple(f"S{k:03d}" for k in range(stations)),
+        targets=names,
+        station=station.astype(np.int64),
+        target=target.astype(np.int64),
+        face=face,
+        repeat=face,
+        time=np.arange(len(station), dtype=np.float64),
+        readings=to_face(to_polar(local), face),
+    )
+    built = misalignment()
+    state = State(position, rotation, points, np.zeros((1, built.size)))
+    sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
+    known = np.full(len(lengths), 2.5e-6)
+    sightings = sightings_of(recording, state)
+    return Truth(recording, state, sightings, built, 0 * sigma, sigma, recording.sigma(), known)
