@@ -61,7 +61,7 @@ def _limits(ax: Axes, workshop: Workshop) -> None:
     radius = workshop.shadow_radius(workshop.openings[0])[:, None]
     places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
     low, high = places.min(axis=0), places.max(axis=0)
-    margin = 0.06 * float((high - low).max())
+    margin = 0.13 * float((high - low).max())  # room for the names of targets on the walls
     ax.set_xlim(low[0] - margin, high[0] + margin)
     ax.set_ylim(low[1] - margin, high[1] + margin)
 

@@ -45,6 +45,7 @@ def history_figure(courses: Sequence[Course]) -> Figure:
         quiet_axis(ax)
     for ax in panels.ravel()[len(courses) :]:
         ax.set_axis_off()
+        panels[-2, -1].tick_params(labelbottom=True)
     if courses:
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure

@@ -39,7 +39,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         return Section(title, "Recording", answer, "bad", facts, [_table(recording), *settings])
     agrees, words = agreement(full.chi2, full.dof, full.p_value)
     outliers = full.outliers()
-    found = f" {count(len(outliers), 'reading')} look like outliers." if outliers else ""
+    found = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
     answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
     facts += [
         Fact("χ² per degree of freedom", f"{full.chi2 / max(full.dof, 1):.3f}", "good" if agrees else "bad"),
