@@ -1,0 +1,231 @@
+"""What the experiments share: options, cells of a file, trials of one instrument in two places, tables, manifests."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import platform
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from matplotlib.figure import Figure
+
+from ltsim.arrays import Floats
+from ltsim.campaign.calibrators import Calibrator, calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.engine import Bench, Calibrated
+from ltsim.campaign.spec import Campaign, Method, load_campaign
+from ltsim.campaign.truth import Block, Truth
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import Construction
+from ltsim.report.style import svg
+from ltsim.simulate.scenario import Scenario, load_scenario
+
+ROOT = Path(__file__).resolve().parents[1]
+HELD_OUT = ROOT / "experiments" / "held_out.toml"
+"""Another day in the same workshop: stations and reflectors that nobody calibrated with."""
+USED = ("ltsim", "numpy", "scipy", "numba")
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an experiment is run: number of trials, processes, folder of the results."""
+
+    trials: int | None
+    jobs: int
+    out: Path
+
+
+def options(file: str, arguments: Sequence[str] | None = None) -> Options:
+    """The options of ``run.py``; the results go to ``results/<folder of the experiment>``."""
+    here = Path(file).resolve().parent
+    parser = argparse.ArgumentParser(description=f"Experiment {here.name}; see its README.md.")
+    parser.add_argument("--trials", type=int, help="instead of those of config.toml")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--out", type=Path, default=ROOT / "results" / here.name, help="folder of the results")
+    given = parser.parse_args(arguments)
+    return Options(given.trials, given.jobs, given.out)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One setting of an experiment: what is true."""
+
+    title: str
+    scenario: Scenario
+
+
+def cells_of(file: Path, trials: int | None = None) -> tuple[Campaign, list[Cell]]:
+    """An experiment's file, which is a campaign file: the truth of its cells, named by their titles, and methods."""
+    campaign, scenarios = load_campaign(file)
+    if trials is not None:
+        campaign = campaign.model_copy(update={"trials": trials})
+    return campaign, [Cell(scenario.title, scenario) for scenario in scenarios]
+
+
+def batches(trials: int, width: int = 250) -> Iterator[tuple[int, int]]:
+    """Number and width of the blocks that make up so many trials; a block is drawn by its number."""
+    for number in range(-(-trials // width)):
+        yield number, min(width, trials - number * width)
+
+
+def spread_out(work: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[Any]:
+    """`work` on every task in order; processes where more than one is asked for."""
+    if jobs == 1:
+        return [work(*task) for task in tasks]
+    return list(Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky")(delayed(work)(*task) for task in tasks))
+
+
+def same_instrument(truth: Truth, values: Floats, seed: int, number: int) -> Block:
+    """Trials elsewhere with instruments that are given: noise and effects are drawn, the instrument is not.
+
+    Parameters
+    ----------
+    truth : Truth
+        The other place.
+    values : (I, p, B) float [SI]
+        True parameters of each trial, of the truth's construction.
+    seed, number : int
+        Of the draws; another seed than that of the first place, or the noise would be the same.
+    """
+    still = replace(truth, mean=np.zeros_like(truth.mean), sigma=np.zeros_like(truth.sigma))
+    block = still.draw(seed, number, values.shape[2])
+    sightings, nominal = truth.sightings, truth.recording.readings
+    error = np.empty_like(block.deviation)
+    for trial in range(values.shape[2]):
+        error[:, :, trial] = truth.construction.readings(sightings.local, sightings.face, values[0, :, trial]) - nominal
+    error[:, 1] = wrap(error[:, 1])
+    return replace(block, values=values, deviation=block.deviation + error)
+
+
+def calibrated(truth: Truth, calibrator: Calibrator, block: Block) -> tuple[Calibrated, dict[str, Floats]]:
+    """A block calibrated and judged: criteria, errors against the truth, share of the correctable error removed."""
+    bench = Bench(truth)
+    shared = bench.before(block)
+    found = calibrator.calibrate(block, np.arange(block.deviation.shape[2]))
+    return found, shared | bench.after(block, found, calibrator.construction, shared)
+
+
+def held_out(
+    room: Truth, values: Floats, seed: int, number: int, found: Calibrated, construction: Construction
+) -> dict[str, Floats]:
+    """Rms errors [um] of the same instruments in another room, raw, calibrated and with the true parameters.
+
+    Parameters
+    ----------
+    room : Truth
+    values : (I, p, B) float [SI]
+        True parameters of each trial, of the room's construction.
+    seed, number : int
+        As in `same_instrument`.
+    found : Calibrated
+    construction : Construction
+        That was fitted.
+    """
+    block, bench = same_instrument(room, values, seed, number), Bench(room)
+    shared = bench.before(block)
+    elsewhere = replace(found, points=np.zeros((*room.state.points.shape, values.shape[2])))
+    after = bench.after(block, elsewhere, construction, shared)
+    names = ("error_raw_um", "error_calibrated_um", "error_true_parameters_um")
+    return {f"held_out_{name}": (shared | after)[name] for name in names}
+
+
+def compared(campaign: Campaign, scenario: Scenario, method: Method, number: int, width: int) -> dict[str, Floats]:
+    """A batch of one cell by one method: at home, in the held-out room with the same instruments, per parameter.
+
+    Besides the columns of `calibrated` and `held_out`: improvements [%], and ``miss:<parameter>``, estimate less
+    truth in display units, where the fitted construction is the true one.
+    """
+    truth = truth_of(scenario, campaign.seed, "campaign")
+    room = load_scenario(HELD_OUT).model_copy(update={"instrument": scenario.instrument})
+    calibrator = calibrator_of(method, truth)
+    block = truth.draw(campaign.seed, number, width)
+    found, columns = calibrated(truth, calibrator, block)
+    elsewhere = truth_of(room, campaign.seed, "held out")
+    columns |= held_out(elsewhere, block.values, campaign.seed + 1, number, found, calibrator.construction)
+    for kind in ("distance", "coordinate"):
+        gain = 1 - columns[f"{kind}_after_mean_um"] / columns[f"{kind}_before_mean_um"]
+        columns[f"{kind}_improvement_percent"] = 100 * gain
+    if truth.construction.names == calibrator.construction.names:
+        for k, parameter in enumerate(truth.construction.parameters):
+            columns[f"miss:{parameter.name}"] = (found.values[0, k] - block.values[0, k]) / parameter.factor
+    return columns
+
+
+def share(columns: Mapping[str, Floats], prefix: str = "") -> float:
+    """Share of the correctable mean-square error that was removed, over all trials together.
+
+    In mean squares noise and correctable error add, so that no trial has to be left out, as it must be where a ratio
+    of roots has a denominator near zero.
+    """
+    raw, after, perfect = (
+        float(np.nanmean(columns[f"{prefix}error_{name}_um"] ** 2)) for name in ("raw", "calibrated", "true_parameters")
+    )
+    return (raw - after) / (raw - perfect)
+
+
+def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
+    """Columns of several blocks as one."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def summary(values: Floats, digits: int = 2) -> Row:
+    """Mean with its 95 % confidence interval, and the middle 90 % of the trials."""
+    kept = values[np.isfinite(values)]
+    mean, half = float(kept.mean()), 1.96 * float(kept.std(ddof=1)) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
+    five, middle, ninety_five = np.percentile(kept, [5, 50, 95])
+    row = {"mean": mean, "low": mean - half, "high": mean + half, "p5": five, "median": middle, "p95": ninety_five}
+    return {name: round(float(value), digits) for name, value in row.items()} | {"trials": len(kept)}
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """A CSV table; columns in the order in which they first appear."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fields = list(dict.fromkeys(key for row in rows for key in row))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, fields, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """An SVG file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(svg(figure), encoding="utf-8")
+
+
+def write_manifest(file: str, given: Options, seed: int, trials: int, **more: Any) -> None:
+    """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
+    here = Path(file).resolve().parent
+    place = here.relative_to(ROOT) if here.is_relative_to(ROOT) else Path(here.name)
+    content = {
+        "command": f"python {place.as_posix()}/run.py --trials {trials}",
+        "seed": seed,
+        "trials": trials,
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in USED},
+        "commit": _commit(),
+        "settings": {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))},
+    }
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "manifest.json").write_text(json.dumps(content | more, indent=1) + "\n", encoding="utf-8")
+
+
+def _commit() -> str | None:
+    command = ["git", "rev-parse", "HEAD"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def tell(text: str) -> None:
+    """A line for whoever waits."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
