@@ -9,9 +9,19 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from ltsim.adjust.components import Component, Grouping, estimated_components
 from ltsim.adjust.inner import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.reliability import (
+    FAMILY_LEVEL,
+    critical_tau,
+    critical_w,
+    detectable_bias,
+    normalised,
+    redundancy_of,
+)
 from ltsim.adjust.screening import screened
+from ltsim.adjust.snooping import snooped
 from ltsim.adjust.start import start_network
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
@@ -21,16 +31,15 @@ from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor
 from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.threads import in_one_thread
 
-FAMILY_LEVEL = 0.01
-"""Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
 TURNED = 1e-7
 """[rad] A network turned by more is linearised anew."""
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """One reading that does not belong, by the w-test (Baarda 1968)."""
+    """One reading that does not belong, by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
     row: int
     observable: int
@@ -50,12 +59,15 @@ class Adjustment:
         Pointings that were left out because they miss their target by far.
     datum : InnerDatum, optional
         Datum of the covariances where it is not that of the factor (the pose of the first station).
+    components : tuple of Component
+        Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it.
     """
 
     problem: NetworkProblem
     solution: Solution[State]
     gross: Bools
     datum: InnerDatum | None = None
+    components: tuple[Component, ...] = ()
 
     @property
     def recording(self) -> Recording:
@@ -117,31 +129,41 @@ class Adjustment:
     @cached_property
     def redundancy(self) -> Floats:
         """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
-        share = np.full(self.residuals.shape, np.nan)
-        used = self.problem.use
-        share[used] = 1.0 - self.factor.leverage()[: int(used.sum())]
-        return share
+        return redundancy_of(self.problem, self.factor)
 
     @cached_property
     def w(self) -> Floats:
         """Normalised residuals (n, 3), standard normal where the model holds (Baarda 1968)."""
-        spread = self.problem.sigma * np.sqrt(np.maximum(self.redundancy, 1e-12))
-        w: Floats = np.where(self.redundancy > 1e-9, self.residuals / spread, 0.0)
-        return np.where(self.problem.use, w, np.nan)
+        return normalised(self.problem, self.residuals, self.redundancy)
 
-    def outliers(self, level: float = FAMILY_LEVEL) -> list[Outlier]:
-        """Readings whose |w| is too large for chance over the whole recording, largest first."""
+    @property
+    def tau(self) -> Floats:
+        """Residuals over their standard deviations by the estimated sigma0 (n, 3) (Pope 1976)."""
+        tau: Floats = self.w / self.sigma0
+        return tau
+
+    @property
+    def detectable_bias(self) -> Floats:
+        """Smallest error (n, 3) [m, rad, rad] of each reading found with 80 % at level 0.1 %; inf where unchecked."""
+        return detectable_bias(self.problem, self.redundancy)
+
+    @property
+    def rejected(self) -> Bools:
+        """(n, 3) bool: measured readings that were not used."""
+        return self.recording.measured & ~self.problem.use
+
+    def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[Outlier]:
+        """Readings whose residual is too large for chance over the whole recording, largest first.
+
+        By the stated noise (|w|), or with sigma0 as `estimated` from the residuals themselves (|tau|).
+        """
         count = int(self.problem.use.sum())
-        limit = stats.norm.isf(0.5 * (1.0 - (1.0 - level) ** (1.0 / max(count, 1))))
+        limit = self.sigma0 * critical_tau(count, self.dof, level) if estimated else critical_w(count, level)
         rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
+        size = self.residuals[rows, columns] / self.redundancy[rows, columns]
         found = [
-            Outlier(
-                int(i),
-                int(j),
-                float(self.residuals[i, j] / self.redundancy[i, j]),
-                float(self.w[i, j]),
-            )
-            for i, j in zip(rows, columns, strict=True)
+            Outlier(int(i), int(j), float(error), float(self.w[i, j]))
+            for i, j, error in zip(rows, columns, size, strict=True)
         ]
         return sorted(found, key=lambda outlier: -abs(outlier.w))
 
@@ -194,6 +216,7 @@ class Adjustment:
         return covariance
 
 
+@in_one_thread
 def adjust(
     recording: Recording,
     construction: Construction | None = None,
@@ -203,6 +226,8 @@ def adjust(
     use: Bools | None = None,
     start: State | None = None,
     datum: Sequence[str] | None = None,
+    robust: bool = False,
+    variance_components: Grouping | None = None,
 ) -> Adjustment:
     """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -221,6 +246,10 @@ def adjust(
         Where to start; default from the recording alone. With a start no pointing is screened out.
     datum : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up chose.
+    robust : bool
+        Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
+    variance_components : str, optional
+        Estimate the noise of each ``observable``, or of each observable of each ``instrument``.
 
     Returns
     -------
@@ -244,14 +273,24 @@ def adjust(
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
         start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
-    keep = np.broadcast_to(~gross[:, None], recording.readings.shape)
+    keep = np.broadcast_to((~gross | robust)[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
-    problem = NetworkProblem.of(model, sigma=sigma, use=chosen)
-    solution = solve(problem, start)
+    find = snooped if robust else _solved
+    whole = NetworkProblem.of(model, sigma=sigma, use=chosen)
+    problem, solution = find(whole, start)
+    components: tuple[Component, ...] = ()
+    if variance_components is not None:
+        given = problem, solution, variance_components
+        problem, solution, components = estimated_components(*given, find, whole.use)
+    found = Adjustment(problem, solution, gross & ~problem.use.any(axis=1), components=components)
     names = stated_datum(problem) if datum is None else tuple(datum)
     if not names or solution.factor is None or not problem.free.shape[1]:
-        return Adjustment(problem, solution, gross)
-    return _in_datum(Adjustment(problem, solution, gross), names)
+        return found
+    return _in_datum(found, names)
+
+
+def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:
+    return problem, solve(problem, start)
 
 
 def _in_datum(adjustment: Adjustment, names: Sequence[str]) -> Adjustment:

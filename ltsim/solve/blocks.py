@@ -17,6 +17,7 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
+from ltsim.solve.threads import in_one_thread
 
 SUSPECT = 1e-8
 """Pivots of unit columns below this may be rounding error; then the weakest direction is looked at itself."""
@@ -69,6 +70,7 @@ class Factor:
         When a block or the Schur complement is not positive definite.
     """
 
+    @in_one_thread
     def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
         self._system = system
         self._scale = column_scale(system.design)
@@ -99,10 +101,12 @@ class Factor:
         return self.covariance_columns(right[:, None])[:, 0]
 
     @cached_property
+    @in_one_thread
     def _kept_inverse(self) -> Floats:
         return self._elimination.kept_inverse()
 
     @cached_property
+    @in_one_thread
     def _local(self) -> tuple[Floats, Floats]:
         return self._elimination.blocks_and_leverage()
 
@@ -111,6 +115,7 @@ class Factor:
         scale = self._scale[: self._system.kept]
         return self._kept_inverse * np.outer(scale, scale)
 
+    @in_one_thread
     def kept_sets(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of kept unknowns; cheap where each set meets in one row of the design."""
         scale = self._scale[columns]
@@ -123,6 +128,7 @@ class Factor:
         covariance: Floats = self._local[0] * scale[:, :, None] * scale[:, None, :]
         return covariance
 
+    @in_one_thread
     def covariance_columns(self, rows: Floats) -> Floats:
         """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
         columns: Floats = self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)

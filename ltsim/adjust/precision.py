@@ -1,0 +1,71 @@
+"""Covariances as people read them: ellipsoids of error and correlations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.effects.effect import parameter_names
+
+
+@dataclass(frozen=True)
+class Ellipsoids:
+    """Ellipsoids of error.
+
+    Attributes
+    ----------
+    axes : (k, 3) float, [m]
+        Semi-axes, the longest first.
+    directions : (k, 3, 3) float
+        Unit vectors of the axes in the network's frame, one a row.
+    """
+
+    axes: Floats
+    directions: Floats
+
+
+def ellipsoids(covariance: Floats, confidence: float | None = None) -> Ellipsoids:
+    """Ellipsoids of covariances (k, 3, 3) [m^2]; of one standard deviation, or holding the point with a confidence."""
+    missing = np.flatnonzero(np.isnan(covariance).any(axis=(1, 2)))
+    values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
+    scale = 1.0 if confidence is None else float(np.sqrt(stats.chi2.ppf(confidence, 3)))
+    axes = scale * np.sqrt(np.maximum(values[:, ::-1], 0.0))
+    axes[missing] = np.nan
+    return Ellipsoids(axes, np.swapaxes(vectors[:, :, ::-1], 1, 2))
+
+
+def correlation(covariance: Floats) -> Floats:
+    """Correlations (k, k) of a covariance (k, k); 0 with what has no variance."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+    matrix: Floats = np.clip(covariance * np.outer(unit, unit), -1.0, 1.0)
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
+@dataclass(frozen=True)
+class Correlated:
+    """Two parameters and their correlation."""
+
+    first: str
+    second: str
+    value: float
+
+
+def parameter_correlations(adjustment: Adjustment, least: float = 0.0) -> tuple[Correlated, ...]:
+    """Correlations of all instrument and effect parameters that are at least so large, the largest first."""
+    names, layout = [], adjustment.problem.layout
+    several = len(adjustment.recording.instruments) > 1
+    for instrument in adjustment.recording.instruments:
+        names += [name + (f"@{instrument}" if several else "") for name in adjustment.construction.names]
+    names += parameter_names(adjustment.effects)
+    columns = np.concatenate([layout.instrument.ravel(), layout.extra])
+    matrix = correlation(adjustment.covariance_of(columns[None])[0])
+    first, second = np.triu_indices(len(names), 1)
+    size = np.abs(matrix[first, second])
+    chosen = [k for k in np.argsort(-size, kind="stable") if size[k] >= least]
+    return tuple(Correlated(names[first[k]], names[second[k]], float(matrix[first[k], second[k]])) for k in chosen)

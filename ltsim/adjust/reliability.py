@@ -1,0 +1,72 @@
+"""What single readings tell: redundancy, normalised residuals, and how large an error of each would be found."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.arrays import Bools, Floats
+from ltsim.solve.blocks import Factor
+
+FAMILY_LEVEL = 0.01
+"""Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
+SINGLE_LEVEL = 0.001
+POWER = 0.8
+UNCHECKED = 1e-6
+"""Redundancy below which no other reading checks a reading: its residual is rounding error."""
+
+
+def redundancy_of(problem: NetworkProblem, factor: Factor) -> Floats:
+    """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
+    share = np.full(problem.use.shape, np.nan)
+    share[problem.use] = 1.0 - factor.leverage()[: int(problem.use.sum())]
+    return share
+
+
+def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
+    """Residuals over their own standard deviations (n, 3); 0 where nothing checks a reading, NaN where unused."""
+    checked = problem.use & (redundancy > UNCHECKED)
+    w = np.where(problem.use, 0.0, np.nan)
+    w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
+    return w
+
+
+def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
+    """Limit of |w| for `count` readings tested together (Sidak)."""
+    return float(stats.norm.isf(0.5 * single_level(count, level)))
+
+
+def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
+    """Limit of |tau| = |w| / sigma0 for `count` readings tested together with a sigma0 of `dof` degrees of freedom.
+
+    References
+    ----------
+    Pope, The statistics of residuals and the detection of outliers, NOAA TR NOS 65 NGS 1 (1976):
+    tau = sqrt(f) t / sqrt(f - 1 + t^2), t of Student with f - 1 degrees of freedom.
+    """
+    if dof < 2:
+        return float("inf")
+    t = float(stats.t.isf(0.5 * single_level(count, level), dof - 1))
+    return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t)) if np.isfinite(t) else float(np.sqrt(dof))
+
+
+def single_level(count: int, level: float) -> float:
+    """Level of one test of `count` that together have `level` (Sidak)."""
+    return float(-np.expm1(np.log1p(-level) / max(count, 1)))
+
+
+def detectable_bias(
+    problem: NetworkProblem, redundancy: Floats, *, level: float = SINGLE_LEVEL, power: float = POWER
+) -> Floats:
+    """Smallest error (n, 3) [m, rad, rad] of each reading that the w-test finds with a power; inf where unchecked.
+
+    References
+    ----------
+    Baarda, A testing procedure for use in geodetic networks (1968): sigma (z_(1 - level/2) + z_power) / sqrt(r).
+    """
+    distance = float(stats.norm.isf(0.5 * level) + stats.norm.ppf(power))
+    bias = np.where(problem.use, np.inf, np.nan)
+    checked: Bools = problem.use & (redundancy > UNCHECKED)
+    bias[checked] = distance * problem.sigma[checked] / np.sqrt(redundancy[checked])
+    return bias

@@ -1,0 +1,124 @@
+"""Robust adjustment: single readings that do not belong are left out, and taken back where they do belong after all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of
+from ltsim.arrays import Bools, Floats
+from ltsim.model.measurement import State
+from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.robust import median_deviation
+
+HUBER = 2.0
+RELAXATIONS = 8
+ROUNDS = 20
+STATED = (0.8, 1.25)
+"""Robust sigma0 within which the stated noise is believed; outside, residuals are judged by the noise they show."""
+
+
+def snooped(
+    problem: NetworkProblem, state: State, level: float = FAMILY_LEVEL
+) -> tuple[NetworkProblem, Solution[State]]:
+    """The problem without its outliers, and its solution.
+
+    Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
+    out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
+
+    Parameters
+    ----------
+    problem : NetworkProblem
+        With every reading in `use` that may be used.
+    state : State
+        Near the solution.
+    level : float
+        Chance that a clean recording loses any reading.
+    """
+    state = _relaxed(problem, state)
+    try:
+        factor = Factor(problem.linearise(state))
+    except SingularSystemError:
+        return problem, solve(problem, state)
+    limit = critical_w(int(problem.use.sum()), level)
+    rejected = _doubtful(problem, state, factor, limit)
+    seen: set[bytes] = set()
+    while True:
+        kept = replace(problem, use=problem.use & ~rejected)
+        solution = solve(kept, state)
+        if solution.factor is None:  # Too much at once: what is left does not hold the network.
+            rejected = _half(problem, state, rejected)
+            continue
+        state = solution.x
+        seen.add(rejected.tobytes())
+        rejected = _retested(problem, kept, solution, rejected, limit)
+        if rejected.tobytes() in seen or len(seen) == ROUNDS:
+            return kept, solution
+
+
+def _relaxed(problem: NetworkProblem, state: State) -> State:
+    """The state after a few steps of reweighted least squares; as it was where that is singular."""
+    for _ in range(RELAXATIONS):
+        whitened = np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma)
+        scale = max(median_deviation(whitened[problem.use]), 1e-3)
+        loose = np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0))
+        try:
+            system = replace(problem, sigma=problem.sigma * loose).linearise(state)
+            step = Factor(system).step()
+        except SingularSystemError:
+            return state
+        state = problem.retract(state, step)
+        if np.sum((system.design @ step) ** 2) < 1e-2:
+            break
+    return state
+
+
+def _scale(w: Floats) -> float:
+    """What the stated noise must be multiplied with: one where it is believed."""
+    shown = median_deviation(w[np.isfinite(w)])
+    return 1.0 if STATED[0] <= shown <= STATED[1] else max(shown, 1e-6)
+
+
+def _doubtful(problem: NetworkProblem, state: State, factor: Factor, limit: float) -> Bools:
+    """Readings (n, 3) far off the relaxed network that others check."""
+    redundancy = redundancy_of(problem, factor)
+    w = normalised(problem, problem.residuals(problem.model.predict(state)), redundancy)
+    doubtful: Bools = np.nan_to_num(np.abs(w)) > limit * _scale(w)
+    return doubtful
+
+
+def _half(problem: NetworkProblem, state: State, rejected: Bools) -> Bools:
+    """The half of the rejected readings (n, 3) with the larger residuals; at last none."""
+    whitened = np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma)
+    size = np.where(rejected, np.nan_to_num(whitened), -1.0)
+    half = np.zeros_like(rejected)
+    half.flat[np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]] = True
+    return half
+
+
+def _retested(
+    problem: NetworkProblem, kept: NetworkProblem, solution: Solution[State], rejected: Bools, limit: float
+) -> Bools:
+    """Rejected readings (n, 3) anew: those left out that still do not fit, and kept ones that now do not."""
+    assert solution.factor is not None
+    redundancy = redundancy_of(kept, solution.factor)
+    residuals = problem.residuals(problem.model.predict(solution.x))
+    w = normalised(kept, residuals, redundancy)
+    scale = _scale(w)
+    new: Bools = (np.nan_to_num(np.abs(w)) > limit * scale) & (redundancy > UNCHECKED)
+    if new.any():
+        most = np.nan_to_num(np.abs(w)).max()
+        new &= np.nan_to_num(np.abs(w)) > 0.5 * most
+    out = np.flatnonzero(rejected[problem.use])
+    if len(out):
+        rows = problem.linearise(solution.x).design[out]
+        response = solution.factor.covariance_columns(np.ascontiguousarray(rows.toarray().T))
+        spread = np.sqrt(1.0 + np.maximum(np.sum(rows.toarray() * response.T, axis=1), 0.0))
+        miss = np.abs((residuals / problem.sigma)[rejected & problem.use]) / spread
+        still = np.zeros_like(rejected)
+        still[rejected & problem.use] = miss > limit * scale
+        new |= still
+    return new
