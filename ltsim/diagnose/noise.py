@@ -190,8 +190,8 @@ def _acting(space: ResidualSpace, effect: NoiseEffect, values: tuple[float, ...]
     return float(np.sum((np.abs(variance / space.sigma**2 - 1.0) > 1e-3) & space.use))
 
 
-SMALLEST, LARGEST = -0.9, 400.0
-"""Bounds of a parameter in units of its grid's: the variance stays positive, and a fit ends."""
+SMALLEST, LARGEST = 0.0, 400.0
+"""Bounds of a parameter in units of its prior sigma: a cause adds noise, it does not take any away."""
 
 
 def _most_likely(
