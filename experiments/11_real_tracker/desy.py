@@ -1,0 +1,142 @@
+"""The epochs of the DESY girder tests as recordings: reading, noise found from them, pairs that do not belong."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.arrays import Bools, Floats
+from ltsim.evaluate.two_face import TwoFace
+from ltsim.geometry.polar import from_polar
+from ltsim.model.construction import Construction, misalignment
+from ltsim.recording import Hints, Recording, read
+from ltsim.recording.setup import Noise
+from ltsim.units import GON, MILLIMETRE
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "recordings" / "desy-girder-at960"
+EPOCHS = ("20Sep21", "22Sep21", "21Feb22", "22Feb22", "24Feb22", "1Mar22", "7Mar22", "25Mar22", "21Apr22")
+REPORT = "SA_CompositeReport_20Sep21.csv"
+AUTHORS = Noise(distance_mm=0.010, distance_ppm=0.0, azimuth_arcsec=0.486, elevation_arcsec=0.486)
+"""0.15 mgon in both angles, 0.010 mm: what the authors of the data state."""
+START = Noise(distance_mm=0.0015, distance_ppm=0.3, azimuth_arcsec=0.4, elevation_arcsec=0.55)
+Name = tuple[str, str]
+
+
+def data_or_leave(folder: Path = DATA) -> Path:
+    """The folder of the recordings; leaves with a word where it is absent."""
+    if not folder.is_dir():
+        sys.exit("skipped: the recordings are not beside the checkout (../shared/recordings/desy-girder-at960)")
+    return folder
+
+
+def epoch(name: str, noise: Noise | None = None) -> Recording:
+    """The plain text of an epoch; without `noise` that of the default instrument."""
+    return with_noise(read(DATA / f"Polar_measurements_{name}.txt", hints=Hints(azimuth="clockwise")), noise)
+
+
+def report(noise: Noise | None = None) -> Recording:
+    """The instrument report of the first epoch."""
+    return with_noise(read(DATA / REPORT), noise)
+
+
+def with_noise(recording: Recording, noise: Noise | None) -> Recording:
+    """The same recording with another stated noise."""
+    if noise is None:
+        return recording
+    setup = recording.setup
+    other = {name: i.model_copy(update={"noise": noise}) for name, i in setup.instruments.items()}
+    own = setup.instrument.model_copy(update={"noise": noise})
+    return recording.replace(setup=setup.model_copy(update={"instrument": own, "instruments": other}))
+
+
+def set_up(recording: Recording, number: int) -> Recording:
+    """One set-up of a recording by itself."""
+    return recording.select(recording.station == number)
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A pair of pointings that was left out, and the w-test that said so."""
+
+    station: str
+    target: str
+    observable: str
+    w: float
+
+
+def snooped(recording: Recording, construction: Construction | None = None) -> tuple[Recording, list[Dropped]]:
+    """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
+    built, dropped = construction or misalignment(), []
+    while found := adjust(recording, built).outliers():
+        i = found[0].row
+        own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
+        observable = ("distance", "azimuth", "elevation")[found[0].observable]
+        station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+        dropped.append(Dropped(station, target, observable, found[0].w))
+        recording = recording.select(~(own & (recording.repeat == recording.repeat[i])))
+    return recording, dropped
+
+
+def variance_factors(adjustments: list[Adjustment]) -> Floats:
+    """(3,) ratio of found to stated standard deviation of range, azimuth, elevation (Helmert, one round)."""
+    squares, redundancy = np.zeros(3), np.zeros(3)
+    for a in adjustments:
+        squares += np.nansum((a.residuals / a.problem.sigma) ** 2, axis=0)
+        redundancy += np.nansum(a.redundancy, axis=0)
+    factors: Floats = np.sqrt(squares / redundancy)
+    return factors
+
+
+def noise_found(rounds: int = 4) -> Noise:
+    """The noise that makes each observable's variance factor 1 over all epochs, outliers left out."""
+    noise = START
+    for _ in range(rounds):
+        kept = [snooped(epoch(name, noise))[0] for name in EPOCHS]
+        factor = variance_factors([adjust(r, misalignment()) for r in kept])
+        noise = Noise(
+            distance_mm=noise.distance_mm * factor[0],
+            distance_ppm=noise.distance_ppm * factor[0],
+            azimuth_arcsec=noise.azimuth_arcsec * factor[1],
+            elevation_arcsec=noise.elevation_arcsec * factor[2],
+        )
+    return noise
+
+
+def clean(pairs: TwoFace, recording: Recording) -> Bools:
+    """(m,) pairs that the recording's own data snooping keeps: it knows nothing of the parameters under test."""
+    gone = {(d.station, d.target) for d in snooped(recording)[1]}
+    rows = pairs.rows[:, 0]
+    return np.array([(recording.stations[recording.station[i]], recording.targets[recording.target[i]]) not in gone
+                     for i in rows], dtype=bool)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length between two targets of an interferometer line [m], and its name."""
+
+    line: str
+    first: str
+    second: str
+    length: float
+
+
+def interferometer(name: str) -> list[Length]:
+    """Lengths between neighbours on the lines of an epoch: every one there and back."""
+    lines: dict[str, list[tuple[str, Floats]]] = {}
+    for text in (DATA / f"LoS_measurements_{name}.txt").read_text().splitlines():
+        line, target, horizontal, vertical, distance = text.split()
+        reading = [float(distance) * MILLIMETRE, -float(horizontal) * GON, (100.0 - float(vertical)) * GON]
+        lines.setdefault(line, []).append((target, np.array(reading)))
+    found = []
+    for line, points in lines.items():
+        places = from_polar(np.array([reading for _, reading in points]))
+        for i, j in combinations(range(len(points)), 2):
+            span = float(np.linalg.norm(places[i] - places[j]))
+            found.append(Length(line, points[i][0], points[j][0], span))
+    return found
