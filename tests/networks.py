@@ -14,9 +14,7 @@ from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Gauge, GaugeDistance, Setup, Target
 
-STATIONS = np.array(
-    [[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]]
-)
+STATIONS = np.array([[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]])
 YAWS = np.radians([0.0, 75.0, 160.0, 230.0, 310.0])
 GAUGE = np.array([[0.6, 0.6, 0.15], [0.9, 0.75, 0.25], [0.75, 0.95, 0.3], [1.1, 1.05, 0.35]])
 

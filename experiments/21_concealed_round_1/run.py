@@ -1,6 +1,6 @@
 """Diagnose a folder of concealed recordings with default settings and keep the diagnoses.
 
-    python experiments/21_concealed_round_1/run.py ../shared/concealed --out results/concealed/round-1
+python experiments/21_concealed_round_1/run.py ../shared/concealed --out results/concealed/round-1
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from ltsim.diagnose.files import adjusted_targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
 
-HEADER = "| recording | verdict | p of the search | finding | where | probability | not excluded | chi2 / dof | held-out |\n"
+HEADER = (
+    "| recording | verdict | p of the search | finding | where | probability | not excluded | chi2 / dof | held-out |\n"
+)
 RULE = "|---|---|---|---|---|---|---|---|---|\n"
 
 

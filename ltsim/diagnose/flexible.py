@@ -29,6 +29,8 @@ Factor = tuple[str, str, float]
 Column = tuple[Factor, ...]
 
 AXES = ("x", "y", "z")
+CYCLES = 0.6
+"""Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
 LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
 """Widths of a local bump, as a share of the covariate's span."""
 AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
@@ -135,6 +137,16 @@ class FlexibleTerm(Effect):
                 made.append(on_readings(sightings, **{self.observable: values}))
         return np.stack(made, axis=2)
 
+    def finer(self, sightings: Sightings) -> list[FlexibleTerm]:
+        """For a wave: rates between the neighbours of the grid."""
+        first = self.columns[0][0] if self.columns and self.columns[0] else ("", "", 0.0)
+        name, _, rate = first
+        if len(self.columns) != 2 or self.columns != wave(name, rate):
+            return []
+        step = 2 * np.pi * CYCLES / float(np.ptp(covariate(sightings, name)))
+        rates = rate + step * np.linspace(-0.9, 0.9, 13)
+        return [self.reshaped(columns=wave(name, float(r))) for r in rates if r > 0]
+
     @property
     def formula(self) -> str:
         """The term as a formula with its coefficients left open."""
@@ -190,16 +202,19 @@ def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
                 yield Hypothesis(f"unknown:{observable}:{name}:station", term, False)
 
 
+def wave(name: str, rate: float) -> tuple[Column, ...]:
+    """Cosine and sine of a covariate at one rate [1 / its unit]."""
+    return ((name, "cos", rate),), ((name, "sin", rate),)
+
+
 def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     for observable, name in product(OBSERVABLES, ("time", "distance", "azimuth", "elevation", "x", "y", "z")):
         span = float(np.ptp(covariate(sightings, name)))
         if span <= 0:
             continue
         most = min(len(sightings) / 8, 60)
-        for cycles in np.geomspace(1.0, most, 48):
-            rate = float(2 * np.pi * cycles / span)
-            columns: tuple[Column, ...] = (((name, "cos", rate),), ((name, "sin", rate),))
-            term = FlexibleTerm((), (), observable, columns)
+        for cycles in np.arange(1.0, most, CYCLES):
+            term = FlexibleTerm((), (), observable, wave(name, float(2 * np.pi * cycles / span)))
             yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
 
 

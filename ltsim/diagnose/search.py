@@ -187,7 +187,7 @@ class Searcher:
         None for effects that do not change suddenly. Within a gap between two pointings any time is as good.
         """
         effects = hypothesis.effect.finer(self.space.sightings)
-        if not effects:
+        if not effects or "time" not in vars(hypothesis.effect):
             return None
         times = np.array([float(vars(effect)["time"]) for effect in effects])
         drops = np.array([self._drop(replace(hypothesis, effect=effect), base)[0] for effect in effects])

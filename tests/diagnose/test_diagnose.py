@@ -193,3 +193,13 @@ def test_turbulence_is_told_from_a_higher_noise_level():
     extra = grown * stream(17, "air").standard_normal(grown.shape)
     found = diagnose(recording.with_readings(recording.readings + extra))
     assert found.findings[0].effect == "turbulence"
+
+
+def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
+    recording, state = workshop(3)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["unknown"]
+    assert found.findings[0].where.covariates == ("elevation",)
+    assert "cos(8" in found.findings[0].formula
