@@ -23,7 +23,7 @@ from ltsim.simulate.simulator import measure
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 
-def truth_of(scenario: Scenario, seed: int, *key: str | int) -> Truth:
+def truth_of(scenario: Scenario, seed: int, *key: str | int, like: Truth | None = None) -> Truth:
     """The truth of a scenario with its geometry drawn once.
 
     Parameters
@@ -32,6 +32,8 @@ def truth_of(scenario: Scenario, seed: int, *key: str | int) -> Truth:
     seed : int
     *key : str or int
         Of the geometry.
+    like : Truth, optional
+        Of the same scenario with another geometry; saves stating the set-up anew where the same targets are seen.
 
     Raises
     ------
@@ -39,7 +41,7 @@ def truth_of(scenario: Scenario, seed: int, *key: str | int) -> Truth:
         When the scenario asks for something impossible.
     """
     work = fieldwork(scenario, seed, *key)
-    recording = _template(work, seed, *key)
+    recording = _template(work, seed, *key) if like is None else _like(work, like, seed, *key)
     grown, pairs = _gauge(work, recording)
     mean, sigma = instrument_spread(scenario, work.construction)
     effects = _true_effects(work, grown, pairs)
@@ -90,6 +92,23 @@ def _template(work: Fieldwork, seed: int, *key: str | int) -> Recording:
         gauge = recording.setup.gauge.model_copy(update={"distance": exact})
         recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
     return recording
+
+
+def _like(work: Fieldwork, known: Truth, seed: int, *key: str | int) -> Recording:
+    """The recording of another geometry: the same set-up, other pointings."""
+    s, recording = work.sightings, known.recording
+    if (s.station_names, s.target_names) != (recording.stations, recording.targets):
+        return _template(work, seed, *key)
+    return recording.replace(
+        station=s.station,
+        target=s.target,
+        face=s.face,
+        repeat=s.repeat,
+        time=s.time,
+        readings=s.raw,
+        covariates=s.covariates,
+        notes=work.notes,
+    )
 
 
 def _gauge(work: Fieldwork, recording: Recording) -> tuple[float, list[int]]:

@@ -74,9 +74,9 @@ class BatchDistance:
         inverse: Floats = kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
         return inverse
 
-    @cached_property
+    @property
     def _program(self) -> ChainProgram:
-        return ChainProgram.of(self.construction, self.truth.recording.readings)
+        return self.truth.program_of(self.construction)
 
     @cached_property
     def _network(self) -> Engine:

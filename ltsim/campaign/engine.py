@@ -95,7 +95,9 @@ class Engine:
     @cached_property
     def network(self) -> BatchNetwork:
         """The factorised network."""
-        return BatchNetwork(self.truth.recording, self.truth.state, self.construction, self.effects)
+        truth = self.truth
+        program = truth.program_of(self.construction)
+        return BatchNetwork(truth.recording, truth.state, self.construction, program, self.effects)
 
     @cached_property
     def _reach(self) -> Floats:
@@ -178,7 +180,7 @@ class Bench:
     @cached_property
     def judge(self) -> Judge:
         """The judge of this truth's network."""
-        return Judge(self.truth.recording, self.truth.state)
+        return Judge(self.truth.recording, self.truth.state, self.truth.program_of)
 
     def before(self, block: Block) -> Columns:
         """Columns that all methods share: criteria and error before, error with the true parameters."""

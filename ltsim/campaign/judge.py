@@ -5,6 +5,7 @@ The same quantities as in `ltsim.evaluate`, which judges one recording at a time
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -49,10 +50,13 @@ class Judge:
         With nominal readings.
     state : State
         The truth: poses and targets.
+    program_of : callable
+        Gives the chain of a construction around the nominal readings.
     """
 
     recording: Recording
     state: State
+    program_of: Callable[[Construction], ChainProgram]
 
     @cached_property
     def seen(self) -> Bools:
@@ -75,21 +79,6 @@ class Judge:
         count = np.bincount(key[whole], minlength=self.seen.size)[key]
         return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
 
-    @cached_property
-    def _programs(self) -> dict[int, tuple[Construction, ChainProgram]]:
-        return {}
-
-    def _program(self, construction: Construction) -> ChainProgram:
-        """The chain of a construction around the nominal readings, laid out once."""
-        if id(construction) not in self._programs:
-            laid_out = ChainProgram.of(construction, self.recording.readings)
-            self._programs[id(construction)] = construction, laid_out
-        return self._programs[id(construction)][1]
-
-    @cached_property
-    def _plain(self) -> ChainProgram:
-        return ChainProgram.of(ideal(), self.recording.readings)
-
     def clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
     ) -> Clouds:
@@ -104,9 +93,9 @@ class Judge:
         """
         trials = deviation.shape[2]
         if construction is None or values is None:
-            program, values = self._plain, np.zeros((len(self.recording.instruments), 0, trials))
+            program, values = self.program_of(ideal()), np.zeros((len(self.recording.instruments), 0, trials))
         else:
-            program = self._program(construction)
+            program = self.program_of(construction)
         points = np.empty(deviation.shape)
         points_of(program.arrays, self.recording.instrument, deviation, values, points)
         clouds = np.zeros((*self.seen.shape, 3, trials))

@@ -76,6 +76,8 @@ class BatchNetwork:
     state : State
     construction : Construction
         Whose parameters are estimated.
+    program : ChainProgram
+        Its chain around the nominal readings.
     effects : tuple of Effect
         Further effects that are estimated.
     """
@@ -83,6 +85,7 @@ class BatchNetwork:
     recording: Recording
     state: State
     construction: Construction
+    program: ChainProgram
     effects: tuple[Effect, ...] = ()
 
     @cached_property
@@ -156,11 +159,6 @@ class BatchNetwork:
         _, start, end, _ = self.sizes
         shape = self.problem.layout.instrument.shape
         return np.sqrt(np.diag(self.covariance)[start:end]).reshape(shape)
-
-    @cached_property
-    def program(self) -> ChainProgram:
-        """The chain around the nominal readings."""
-        return ChainProgram.of(self.construction, self.recording.readings)
 
     @cached_property
     def _geometry(self) -> tuple[np.ndarray, ...]:

@@ -72,9 +72,14 @@ class Prepared:
         """The geometry that all trials share."""
         return self._at("campaign")
 
+    @cached_property
+    def _first(self) -> Truth:
+        """A truth whose set-up other geometries of the scenario share."""
+        return truth_of(self.scenario, self.campaign.seed, "campaign")
+
     def _at(self, *key: str | int) -> Ready:
         """The geometry drawn by a key, with the calibrators in the order of the file's methods."""
-        truth = truth_of(self.scenario, self.campaign.seed, *key)
+        truth = truth_of(self.scenario, self.campaign.seed, *key, like=self._first if len(key) > 1 else None)
         return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
 
     def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints]]:

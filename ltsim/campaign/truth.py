@@ -114,9 +114,19 @@ class Truth:
     step: Floats = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
+    def _programs(self) -> dict[Construction, ChainProgram]:
+        return {}
+
+    def program_of(self, construction: Construction) -> ChainProgram:
+        """A construction's chain around the nominal readings, laid out once."""
+        if construction not in self._programs:
+            self._programs[construction] = ChainProgram.of(construction, self.recording.readings)
+        return self._programs[construction]
+
+    @property
     def program(self) -> ChainProgram:
         """The true instrument's chain around the nominal readings."""
-        return ChainProgram.of(self.construction, self.recording.readings)
+        return self.program_of(self.construction)
 
     @cached_property
     def _by_value(self) -> Floats:
