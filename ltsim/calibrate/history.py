@@ -117,7 +117,8 @@ class History:
         Raises
         ------
         RecordError
-            When there are fewer than two, the constructions differ, or the instrument is not clear.
+            When there are fewer than two, the constructions differ, the instrument is not clear, or a parameter
+            has no uncertainty.
         """
         if len(named) < 2:
             raise RecordError(f"found {len(named)} calibration(s), expected at least two to compare")
@@ -127,6 +128,11 @@ class History:
         if not named[0][1].construction.size:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         chosen = tuple(one_instrument(calibration, instrument, label) for label, calibration in named)
+        for (label, _), calibration in zip(named, chosen, strict=True):
+            unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
+            if len(unsure):
+                name = calibration.construction.names[unsure[0]]
+                raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
         return cls(tuple(label for label, _ in named), chosen)
 
     def __len__(self) -> int:

@@ -1,6 +1,7 @@
 """Calibrations over time: the tests hold their level, find a change, and the history improves a new calibration."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,11 +114,19 @@ def test_json_holds_every_test_in_the_units_of_a_person():
     assert content["since_first"]["chi2"] == pytest.approx(history.change(0, 2).joint.chi2)
 
 
-def test_one_calibration_or_none_of_an_instrument_is_refused():
+def test_one_calibration_alone_is_refused():
     rng = stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     with pytest.raises(RecordError, match="at least two"):
         History.of([("a", calibration)])
+
+
+def test_a_parameter_without_uncertainty_is_refused():
+    rng = stream(6, "refused")
+    calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
+    sure = replace(calibration, covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
+    with pytest.raises(RecordError, match="no uncertainty of range-offset"):
+        History.of([("a", calibration), ("b", sure)])
 
 
 @pytest.fixture(scope="module")
