@@ -180,7 +180,7 @@ class History:
         """
         own = np.array([e.remaining for e in self._evidence])
         pull = np.array([e.remaining @ e.information for e in self._evidence])
-        joint = np.einsum("iab,jcb->iajc", pull, pull)
+        joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
         for i in range(len(self)):
             joint[i, :, i] += pull[i] @ own[i]
         return joint
