@@ -1,0 +1,129 @@
+"""Every experiment runs in a reduced form, writes what its README speaks of, and says what a few trials can say."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Run = Callable[..., Path]
+
+
+@pytest.fixture
+def run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run an experiment with a few trials; gives the folder of its results."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+
+    def start(name: str, trials: int, *more: str) -> Path:
+        file = root / "experiments" / name / "run.py"
+        spec = importlib.util.spec_from_file_location(f"experiment_{name}", file)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        module.main(["--trials", str(trials), "--out", str(tmp_path / name), *more])
+        manifest = json.loads((tmp_path / name / "manifest.json").read_text())
+        assert manifest["trials"] == trials
+        assert manifest["command"] == f"python experiments/{name}/run.py --trials {trials}"
+        assert {"python", "ltsim", "numpy"} <= set(manifest["versions"])
+        assert any(f.read_text().rstrip().endswith("</svg>") for f in (tmp_path / name).glob("*.svg"))
+        return tmp_path / name
+
+    return start
+
+
+def table(file: Path, **wanted: str) -> list[dict[str, str]]:
+    """The rows of a table that have the wanted values."""
+    with file.open(encoding="utf-8", newline="") as text:
+        return [row for row in csv.DictReader(text) if all(row[key] == value for key, value in wanted.items())]
+
+
+def one(file: Path, **wanted: str) -> dict[str, str]:
+    """The only row with the wanted values."""
+    rows = table(file, **wanted)
+    assert len(rows) == 1
+    return rows[0]
+
+
+def test_the_papers_tables(run: Run) -> None:
+    out = run("01_paper_tables", 3)
+    after = {"figure": "distance_after_mean", "method": "distance"}
+    specified = one(out / "table_3.csv", cell="as specified", **after)
+    scattered = one(out / "table_3.csv", cell="scatter 2.2 x, errors 0.6 x", **after)
+    assert float(specified["mean"]) < 10 < 15 < float(scattered["mean"]) < 20
+    assert len(table(out / "table_4.csv", figure="distance_improvement_percent")) == 3 * 7
+
+
+def test_the_network_is_nearer_to_the_truth(run: Run) -> None:
+    out = run("02_network_against_distance", 8)
+    cell = "scatter 2.2 x, errors 0.6 x"
+    shares = {
+        m: float(one(out / "share_removed.csv", cell=cell, method=m)["share_removed"]) for m in ("distance", "network")
+    }
+    assert 0.5 < shares["distance"] < shares["network"] < 1.0
+    assert len(table(out / "parameters.csv")) == 2 * 16
+
+
+def test_removing_outliers_beats_bearing_them(run: Run) -> None:
+    out = run("03_least_squares_or_absolute", 1)
+    errors = {
+        row["method"]: float(row["held_out_error_mean_um"])
+        for row in table(out / "methods.csv", outliers_percent="5.0")
+    }
+    assert errors["network, outliers removed"] == min(errors.values())
+    clean = table(out / "methods.csv", outliers_percent="0.0")
+    assert max(float(row["held_out_error_mean_um"]) for row in clean) < 40
+
+
+def test_harmonics_that_are_there_must_be_fitted(run: Run) -> None:
+    out = run("05_gauge_and_harmonics", 4)
+    known = {"truth_beyond_second_urad": "5.0", "method": "network"}
+    errors = [float(one(out / "harmonics.csv", fitted_order=k, **known)["held_out_error_um"]) for k in "1234"]
+    assert errors[3] < errors[2] < errors[1] < errors[0]
+    loose = {"cell": "range scale known to 10 ppm", "method": "network", "size": "4.0"}
+    scales = [float(one(out / "gauge.csv", reflectors=n, **loose)["range_scale_rms_ppm"]) for n in "04"]
+    assert scales[1] < scales[0]
+
+
+def test_sensitive_positions(run: Run) -> None:
+    out = run("06_sensitive_positions", 4)
+    tilt = {
+        row["elevation_deg"]: float(row["shift_um"])
+        for row in table(out / "sensitivity.csv", error="transit-tilt", range_m="4.0")
+    }
+    assert tilt["0"] < 1e-6 < tilt["30"] < tilt["60"]
+    assert len(table(out / "designs.csv", method="network")) == 8
+
+
+def test_the_bench_gives_the_table_back(run: Run) -> None:
+    out = run("07_smr_bench_test", 20)
+    row = one(out / "bench.csv", reflector="the paper's size", probe="full turn", eccentricity_um="26.0")
+    assert float(row["rms_corrected_um"]) < 0.3 < 4 < float(row["rms_uncorrected_um"])
+    arc = one(out / "bench.csv", reflector="the paper's size", probe="+-30 deg only", eccentricity_um="26.0")
+    assert float(arc["rms_corrected_um"]) > float(row["rms_corrected_um"])
+
+
+def test_more_noise_more_error(run: Run) -> None:
+    out = run("08_noise_smr_faces", 4)
+    cells = ("noise 0.5 x", "noise 1 x, one face, re-aimed", "noise 2 x", "noise 4 x")
+    errors = [float(one(out / "cells.csv", cell=c, method="network")["held_out_error_mean_um"]) for c in cells]
+    assert errors == sorted(errors)
+
+
+def test_a_cold_instrument_is_calibrated_less_well(run: Run) -> None:
+    out = run("09_temperature", 4)
+    known = {
+        "cell": "gauge lengths right at 27 C",
+        "method": "network",
+        "used_in": "large room",
+        "air_ppm_per_k": "0.0",
+    }
+    shares = [float(one(out / "rooms.csv", drift_per_k=r, **known)["share_removed"]) for r in ("0.0", "0.5", "2.0")]
+    assert shares[2] < shares[1] < shares[0]
+    printed = known | {"cell": "eq. 15 as printed", "drift_per_k": "0.0"}
+    assert float(one(out / "rooms.csv", **printed)["share_removed"]) < shares[0]
