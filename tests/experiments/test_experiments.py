@@ -73,7 +73,7 @@ def test_removing_outliers_beats_bearing_them(run: Run) -> None:
     out = run("03_least_squares_or_absolute", 1)
     errors = {
         row["method"]: float(row["held_out_error_mean_um"])
-        for row in table(out / "methods.csv", outliers_percent="5.0")
+        for row in table(out / "methods.csv", outliers_percent="2.0")
     }
     assert errors["network, outliers removed"] == min(errors.values())
     clean = table(out / "methods.csv", outliers_percent="0.0")
