@@ -1,0 +1,129 @@
+"""Where a unit of each error moves a point the most, and which heights of the reflectors make the best calibration."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import numpy as np  # noqa: E402
+from common import (  # noqa: E402
+    Row,
+    batches,
+    cells_of,
+    compared,
+    options,
+    share,
+    spread_out,
+    stacked,
+    summary,
+    tell,
+    write_figure,
+    write_manifest,
+    write_table,
+)
+from matplotlib.figure import Figure  # noqa: E402
+
+from ltsim.arrays import Floats  # noqa: E402
+from ltsim.model.construction import misalignment  # noqa: E402
+from ltsim.report.figures import Mean, by_setting  # noqa: E402
+from ltsim.report.style import CYCLE, new_figure, quiet_axis, styled  # noqa: E402
+from ltsim.simulate.scenario import Scenario  # noqa: E402
+from ltsim.units import DEGREE, MICROMETRE  # noqa: E402
+
+AZIMUTHS = np.arange(0.0, 360.0, 15.0) * DEGREE
+
+
+def displacements(scenario: Scenario, elevation: Floats, distance: float) -> Floats:
+    """(e, p) [m]: rms over azimuth of the shift of a point by one prior sigma of each error."""
+    built = misalignment()
+    grid = np.array([[distance, a, e] for e in elevation for a in AZIMUTHS])
+    change = built.reading_design(grid, np.zeros(built.size))[1]
+    reach = np.stack([np.ones(len(grid)), distance * np.cos(grid[:, 2]), np.full(len(grid), distance)], axis=1)
+    sigma = np.array([p.sigma_from(scenario.instrument.prior) for p in built.parameters])
+    moved = np.linalg.norm(change * reach[:, :, None], axis=1) * sigma
+    rms: Floats = np.sqrt(np.mean(moved.reshape(len(elevation), len(AZIMUTHS), -1) ** 2, axis=1))
+    return rms
+
+
+def sensitivity_rows(scenario: Scenario, grid: dict[str, Any]) -> list[Row]:
+    """A row an error, distance and elevation."""
+    rows = []
+    for distance in grid["range_m"]:
+        moved = displacements(scenario, np.array(grid["elevation_deg"]) * DEGREE, distance)
+        for k, parameter in enumerate(misalignment().parameters):
+            for i, elevation in enumerate(grid["elevation_deg"]):
+                rows.append(
+                    {
+                        "error": parameter.name,
+                        "range_m": distance,
+                        "elevation_deg": elevation,
+                        "shift_um": round(float(moved[i, k]) / MICROMETRE, 3),
+                    }
+                )
+    return rows
+
+
+def with_heights(scenario: Scenario, heights: list[float]) -> Scenario:
+    """The scenario with heights dealt to its reflectors in turn."""
+    targets = {}
+    for i, (name, target) in enumerate(scenario.targets.items()):
+        x, y, _ = target.position_mm
+        targets[name] = target.model_copy(update={"position_mm": (x, y, float(heights[i % len(heights)]))})
+    return scenario.model_copy(update={"targets": targets})
+
+
+@styled
+def by_elevation(rows: list[Row], distance: float) -> Figure:
+    """Shift of a point against elevation, a line an error; errors with the same line share it."""
+    figure = new_figure(4.4)
+    ax = figure.subplots()
+    lines: dict[tuple[float, ...], list[str]] = {}
+    for name in dict.fromkeys(row["error"] for row in rows):
+        shifts = [row["shift_um"] for row in rows if row["error"] == name and row["range_m"] == distance]
+        lines.setdefault(tuple(shifts), []).append(name)
+    elevation = sorted({row["elevation_deg"] for row in rows})
+    for k, (shifts, names) in enumerate(lines.items()):
+        style = "-" if k < len(CYCLE) else "--"
+        ax.plot(elevation, shifts, color=CYCLE[k % len(CYCLE)], linestyle=style, label=", ".join(names))
+    ax.set_xlabel("elevation [°]")
+    ax.set_ylabel(f"shift by one sigma at {distance:g} m [µm]")
+    quiet_axis(ax, grid="both")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", fontsize=7, ncols=1)
+    return figure
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    given = options(__file__, arguments)
+    campaign, cells = cells_of(HERE / "config.toml", given.trials)
+    scenario = cells[0].scenario
+    designs = tomllib.loads((HERE / "designs.toml").read_text(encoding="utf-8"))
+    rows = sensitivity_rows(scenario, designs["grid"])
+    table: list[Row] = []
+    means: list[Mean] = []
+    for name, heights in designs["heights_mm"].items():
+        for method in campaign.methods:
+            tasks = [(campaign, with_heights(scenario, heights), method, *block) for block in batches(campaign.trials)]
+            columns = stacked(spread_out(compared, tasks, given.jobs))
+            out = summary(columns["held_out_error_calibrated_um"])
+            row: Row = {"heights": name, "method": method.title}
+            row |= {f"held_out_error_{key}_um": value for key, value in out.items() if key != "trials"}
+            row["held_out_share"] = round(share(columns, "held_out_"), 4)
+            row["distance_improvement_percent"] = summary(columns["distance_improvement_percent"])["mean"]
+            table.append(row | {"trials": out["trials"]})
+            means.append(Mean(name, method.title, *(out[k] for k in ("mean", "low", "high", "p5", "p95"))))
+        tell(f"{name}: done")
+    write_table(given.out / "sensitivity.csv", rows)
+    write_table(given.out / "designs.csv", table)
+    write_figure(given.out / "sensitivity.svg", by_elevation(rows, 4.0))
+    write_figure(given.out / "designs.svg", by_setting(means, label="rms error on held-out points [µm]"))
+    write_manifest(__file__, given, campaign.seed, campaign.trials)
+
+
+if __name__ == "__main__":
+    main()
