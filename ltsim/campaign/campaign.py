@@ -15,7 +15,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaign.cell import fitted_construction, fitted_effects
 from ltsim.campaign.rows import Task, rows_of, run_task, task_of
-from ltsim.campaign.spec import Campaign, fingerprint, label, load_campaign
+from ltsim.campaign.spec import Campaign, fingerprint, label, load_campaign, scenario_file
 from ltsim.campaign.store import FORMAT, SOURCE, Store
 from ltsim.errors import SetupError
 from ltsim.simulate.fieldwork import fieldwork
@@ -101,7 +101,7 @@ def run_campaign(
         if store.begun:
             notes += _check_same(store, campaign, mark, file, resume=resume)
         else:
-            store.begin(_manifest(campaign, scenarios, mark), file.read_bytes())
+            store.begin(_manifest(campaign, scenarios, mark), _sources(campaign, file))
         store.sweep()
         waiting, damaged = _waiting(store, campaign, scenarios, mark, progress)
         for task, content in _results(waiting, workers or Workers()):
@@ -109,6 +109,13 @@ def run_campaign(
             progress(rows_of(campaign, task.shard))
     total = len(scenarios) * campaign.shards
     return Outcome(folder, len(waiting), total - len(waiting), (*notes, *damaged))
+
+
+def _sources(campaign: Campaign, file: Path) -> dict[str, bytes]:
+    """The files that the campaign was given, to be kept with its rows."""
+    scenario = scenario_file(campaign, file)
+    beside = {} if scenario is None else {scenario.name: scenario.read_bytes()}
+    return beside | {SOURCE: file.read_bytes()}
 
 
 def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> None:

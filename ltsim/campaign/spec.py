@@ -127,8 +127,7 @@ def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
 
 def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
     """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
-    beside = path.parent / campaign.scenario
-    base = load_scenario(beside if beside.is_file() else campaign.scenario)
+    base = load_scenario(scenario_file(campaign, path) or campaign.scenario)
     table = base.model_dump(mode="json", by_alias=True, exclude_none=True)
     found = []
     for number, changes in enumerate(campaign.combinations()):
@@ -138,6 +137,14 @@ def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
             _set(changed, key, value, f"{path}: cell {number + 1}")
         found.append(scenario_from(changed, path))
     return tuple(found)
+
+
+def scenario_file(campaign: Campaign, path: Path) -> Path | None:
+    """The scenario's file, seen from the campaign's file or kept beside it; None for a built-in one."""
+    for candidate in (path.parent / campaign.scenario, path.parent / Path(campaign.scenario).name):
+        if candidate.is_file():
+            return candidate.resolve()
+    return None
 
 
 def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:

@@ -106,11 +106,12 @@ class Store:
             raise SetupError(f'{self.manifest_path}: expected format = "{FORMAT}"')
         return content
 
-    def begin(self, manifest: Mapping[str, Any], source: bytes) -> None:
-        """Write the campaign's file, then its manifest."""
+    def begin(self, manifest: Mapping[str, Any], sources: Mapping[str, bytes]) -> None:
+        """Write the files that the campaign was given, then its manifest."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
-            _write(self.folder / SOURCE, source)
+            for name, content in sources.items():
+                _write(self.folder / name, content)
             _write(self.manifest_path, (json.dumps(manifest, indent=1) + "\n").encode())
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
