@@ -27,7 +27,8 @@ def examine(recording: Path, out: Path) -> None:
             status = run(["diagnose", str(recording), "--out", str(out), "--quiet"])
         except Exception as problem:
             status, _ = 3, complaint.write(f"{type(problem).__name__}: {problem}")
-    note = {"exit": status, "complaint": complaint.getvalue()[-2000:], "seconds": time.perf_counter() - start}
+    words = complaint.getvalue().replace(str(recording), recording.name)[-2000:]
+    note = {"exit": status, "complaint": words, "seconds": time.perf_counter() - start}
     out.mkdir(parents=True, exist_ok=True)
     (out / STATUS).write_text(json.dumps(note) + "\n", encoding="utf-8")
 
