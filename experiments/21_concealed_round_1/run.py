@@ -42,9 +42,8 @@ def examine(folder: Path, out: Path) -> str:
         where = finding.where
         place = ", ".join((*where.stations, *where.targets, *where.observables)) or "everywhere"
         others = ", ".join(name for name, _ in finding.equivalents)
-        rows.append(
-            f"{head} {finding.effect} | {place} | {finding.evidence.probability:.2f} | {others} | {fit} | {held_out} |\n"
-        )
+        name, probability = finding.effect, finding.evidence.probability
+        rows.append(f"{head} {name} | {place} | {probability:.2f} | {others} | {fit} | {held_out} |\n")
         head, fit, held_out = "| | | |", "", ""
     return "".join(rows)
 

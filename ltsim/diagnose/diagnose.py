@@ -35,6 +35,7 @@ from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
 
 MOST_ROUNDS = 3
 NEXT_LEVEL = 0.01
@@ -154,6 +155,19 @@ def _change(searcher: Searcher, hypothesis: Hypothesis, others: EffectSet) -> tu
     return () if found is None else (Estimate("time", found[0], found[1], "s"),)
 
 
+def _widened(
+    searcher: Searcher, hypothesis: Hypothesis, others: EffectSet, fitted: Refit, member: int
+) -> list[Estimate]:
+    """Estimates with the uncertainty that the shape leaves, where it is larger than the refit's."""
+    spread = searcher.shape_spread(hypothesis, others, fitted.values(member))
+    factors = {p.name: p.factor for p in hypothesis.effect.parameters}
+    factors |= {s.name: FACTOR[s.unit] for s in type(hypothesis.effect).shape}
+    return [
+        replace(e, sigma=max(e.sigma, spread.get(e.name, 0.0) / factors.get(e.name, 1.0)))
+        for e in fitted.estimates[member]
+    ]
+
+
 def _fit(adjustment: Adjustment, dof: int) -> Fit:
     space = ResidualSpace.of(adjustment)
     held_out = {
@@ -202,7 +216,10 @@ def _assemble(
         findings.append(
             mean_finding(
                 replace(member.hypothesis, effect=effect),
-                (*fitted.estimates[i], *_change(searcher, member.hypothesis, others)),
+                (
+                    *_widened(searcher, replace(member.hypothesis, effect=effect), others, fitted, i),
+                    *_change(searcher, member.hypothesis, others),
+                ),
                 others,
                 found,
                 ranking,

@@ -94,7 +94,7 @@ def _directions(effect: Effect, values: Floats, sightings: Sightings) -> list[Sh
 def _bounded(effect: Effect, constant: str, change: float) -> float:
     shape = next(s for s in type(effect).shape if s.name == constant)
     now = float(getattr(effect, constant))
-    return float(np.clip(now * (1 + np.clip(change, -0.5, 1.0)), 0.5 * shape.low, 2 * shape.high))
+    return float(np.clip(now * (1 + np.clip(change, -0.5, 1.0)), shape.low, shape.high))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -18,6 +19,7 @@ from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
 from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
+from ltsim.effects.effect import ShapeParameter
 
 BEAM = 4
 MOST_MEMBERS = 4
@@ -78,6 +80,13 @@ class Ranking:
             name = family if not family.startswith("unknown") else "unknown"
             total[name] = total.get(name, 0.0) + float(w)
         return total
+
+
+def _fine(shape: ShapeParameter, now: float, count: int) -> Floats:
+    """Values of a shape constant over its bounds, the estimate among them."""
+    low, high = min(shape.low, now), max(shape.high, now)
+    grid = np.geomspace(low, high, count) if shape.logarithmic else np.linspace(low, high, count)
+    return np.unique(np.append(grid, now))
 
 
 class Searcher:
@@ -196,6 +205,34 @@ class Searcher:
         mean = float(weight @ times)
         gap = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         return mean, float(np.sqrt(weight @ (times - mean) ** 2 + gap**2 / 12.0))
+
+    def shape_spread(self, hypothesis: Hypothesis, base: EffectSet, values: Floats) -> dict[str, float]:
+        """Root mean square distance of parameters and shape constants from their estimates over all plausible shapes.
+
+        Shapes on a fine grid are weighed by their likelihood, each with the uncertainty it leaves the parameters;
+        unlike a
+        curvature at the optimum this holds where the likelihood of a shape is flat, skew or cut off by its bounds.
+        """
+        effect = hypothesis.effect
+        shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
+        if not shapes or len(shapes) > 2:
+            return {}
+        axes = [_fine(s, float(vars(effect)[s.name]), 33 if len(shapes) == 1 else 9) for s in shapes]
+        rows, logs = [], []
+        for constants in product(*axes):
+            named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
+            signature = self.space.signature(effect.reshaped(**named))
+            left = self.space.project(signature)
+            left -= base.extension @ (base.extension.T @ left)
+            inverse = np.linalg.pinv(left.T @ left, rcond=1e-9)
+            found = inverse @ (left.T @ base.residual)
+            logs.append(0.5 * float(found @ (left.T @ base.residual)))
+            own = np.array([named[s.name] - float(vars(effect)[s.name]) for s in shapes])
+            rows.append(np.concatenate([np.diag(inverse) + (found - values) ** 2, own**2]))
+        weight = np.exp(np.array(logs) - max(logs))
+        spread = np.sqrt(weight / weight.sum() @ np.array(rows))
+        names = [p.name for p in effect.parameters] + [s.name for s in shapes]
+        return dict(zip(names, spread.tolist(), strict=True))
 
     def _sizes(self, hypothesis: Hypothesis, base: EffectSet) -> Floats:
         """Estimated parameters over their prior sigma."""

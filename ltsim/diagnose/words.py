@@ -86,8 +86,10 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
     gain = ""
     if after is not before:
+        course = "falls" if after.held_out_rms < before.held_out_rms else "does not fall (it goes"
+        closing = "" if course == "falls" else ")"
         gain = (
-            f" With it in the model the error on readings not used for the fit falls from "
-            f"{before.held_out_rms:.2f} to {after.held_out_rms:.2f} times the stated noise."
+            f" With it in the model the error on readings not used for the fit {course} from "
+            f"{before.held_out_rms:.2f} to {after.held_out_rms:.2f} times the stated noise{closing}."
         )
     return first.sentence + open_ + more + gain
