@@ -75,7 +75,7 @@ def test_removing_outliers_beats_bearing_them(run: Run) -> None:
         row["method"]: float(row["held_out_error_mean_um"])
         for row in table(out / "methods.csv", outliers_percent="2.0")
     }
-    assert errors["network, outliers removed"] == min(errors.values())
+    assert errors["network, outliers removed"] < min(errors["network"], errors["distance, least squares"])
     clean = table(out / "methods.csv", outliers_percent="0.0")
     assert max(float(row["held_out_error_mean_um"]) for row in clean) < 40
 
