@@ -11,7 +11,9 @@ import typer
 from ltsim.cli.options import FormatName, HintList, Jobs, Json, Quiet, recording_of
 from ltsim.cli.summary import recording_line
 from ltsim.cli.terminal import Terminal, table
+from ltsim.diagnose import Diagnosis
 from ltsim.diagnose import diagnose as diagnosis_of
+from ltsim.effects import NoiseEffect, find_effect
 from ltsim.errors import SetupError
 from ltsim.plan.files import next_json, table_text, write_plan
 from ltsim.plan.next_measurement import NextMeasurement, next_measurement
@@ -37,7 +39,7 @@ After = Annotated[
 Between = Annotated[
     str | None,
     typer.Option(
-        "--between", metavar="A,B", help="With --after: two effects to decide between; default as a diagnosis says."
+        "--between", metavar="A,B", help="With --after: effects to decide between; default what a diagnosis left open."
     ),
 ]
 MOST_SHOWN = 6
@@ -68,7 +70,7 @@ def plan(
     if after is not None:
         if source is not None:
             raise SetupError("ltsim plan takes either FILE or --after REC, not both")
-        return _after(terminal, recording_of(after, format_name, hint), _pair(between), out)
+        return _after(terminal, recording_of(after, format_name, hint), _explanations(between), out)
     if between is not None:
         raise SetupError("--between goes with --after REC: it needs a recording whose two explanations it names")
     if source is None:
@@ -163,25 +165,24 @@ def write_pictures(made: Plan, folder: Path) -> None:
         write_bytes(folder / name, buffer.getvalue())
 
 
-def _pair(between: str | None) -> tuple[str, str] | None:
+def _explanations(between: str | None) -> tuple[str, ...]:
     if between is None:
-        return None
-    names = [name.strip() for name in between.split(",")]
-    if len(names) != 2 or not all(names) or names[0] == names[1]:
-        raise SetupError(f"--between {between}: expected two different effects, such as range-step,station-weather")
-    return names[0], names[1]
+        return ()
+    names = tuple(name.strip() for name in between.split(","))
+    if len(names) < 2 or not all(names) or len(set(names)) < len(names):
+        raise SetupError(f"--between {between}: expected different effects, such as range-step,station-weather")
+    return names
 
 
-def _after(terminal: Terminal, recording: Recording, between: tuple[str, str] | None, out: Path | None) -> None:
+def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
     terminal.say(recording_line(recording))
     summary = ""
-    if between is None:
+    if not between:
         with terminal.busy("diagnosing"):
             found = diagnosis_of(recording)
         summary = found.summary
         terminal.say(summary)
-        open_ = [f for f in found.findings if f.known and f.equivalents and f.equivalents[0][0] != "unknown"]
-        between = (open_[0].effect, open_[0].equivalents[0][0]) if open_ else None
+        between = open_question(found)
     with terminal.progress("trying further measurements", 200) as advance:
         tell: dict[str, Any] = {}
         made = next_measurement(
@@ -199,6 +200,19 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, str] | 
         terminal.say(f"\nwritten to {out}")
 
 
+def open_question(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """The explanations that a diagnosis left open: the first such finding and what it cannot exclude."""
+    for finding in diagnosis.findings:
+        others = [name for name, _ in finding.equivalents if name != "unknown" and _shifts(name)]
+        if finding.known and others and _shifts(finding.effect):
+            return (finding.effect, *others)
+    return ()
+
+
+def _shifts(name: str) -> bool:
+    return not issubclass(find_effect(name), NoiseEffect)
+
+
 NEXT_COLUMNS = ("kind", "minutes", "sharper", "serves", "serves_factor", "evidence", "decides", "do")
 
 
@@ -208,9 +222,10 @@ def _json(content: dict[str, Any]) -> str:
 
 def show_next(terminal: Terminal, made: NextMeasurement) -> None:
     """The proposals, the best first."""
-    if made.between is not None:
-        first, second = made.between
-        terminal.say(f"\nBetween {first} and {second} the recording tells a chi-square of {made.evidence_now:.1f}.")
+    if made.between:
+        first, *others = made.between
+        rivals = " or ".join(others)
+        terminal.say(f"\nBetween {first} and {rivals} the recording tells a chi-square of {made.evidence_now:.1f}.")
         best = made.proposals[0]
         if best.decides:
             terminal.say(f"Next: {best.extension.words}; that raises it to {best.evidence:.0f} and decides.")

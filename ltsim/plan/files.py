@@ -10,12 +10,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.plan.detectability import Detectability, detectability
 from ltsim.plan.improvement import Expected
 from ltsim.plan.next_measurement import NextMeasurement
 from ltsim.plan.planner import Evaluated, Option, Plan
 from ltsim.plan.reasons import fewest, reasons
+from ltsim.plan.survey import Survey
 from ltsim.recording.files import write_texts
 from ltsim.simulate.scenario import Scenario, scenario_to_toml
 from ltsim.simulate.sections import Station, Target
@@ -174,19 +176,24 @@ def detectability_json(found: Detectability) -> dict[str, Any]:
 
 def planned_scenario(plan: Plan) -> Scenario:
     """The scenario with the plan's stations, reflectors and way of working: what `ltsim simulate` takes."""
-    survey, gauge = plan.chosen.survey, plan.scenario.gauge
+    return with_layout(plan.scenario, plan.chosen.survey, plan.file.title or plan.scenario.title)
+
+
+def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
+    """A scenario with the stations, reflectors and way of working of a survey."""
     stations = {}
-    for row in _stations(plan.chosen):
-        kept = plan.scenario.stations.get(row["name"])
+    for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True):
+        kept = scenario.stations.get(name)
         levelled = {} if kept is None else {"levelled": kept.levelled}
-        stations[row["name"]] = Station(position_mm=tuple(row["position_mm"]), yaw_deg=row["yaw_deg"], **levelled)
-    fixed = set(gauge.targets) if gauge else set()
+        turn = round(float(yaw) / DEGREE % 360, 2)
+        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=turn, **levelled)
+    fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
-        row["name"]: plan.scenario.targets.get(row["name"]) or Target(position_mm=tuple(row["position_mm"]))
-        for row in _reflectors(plan.chosen)
-        if row["name"] not in fixed
+        name: scenario.targets.get(name) or Target(position_mm=_millimetres(place))
+        for name, place in zip(survey.target_names, survey.points, strict=True)
+        if name not in fixed
     }
-    work = plan.scenario.work.model_copy(
+    work = scenario.work.model_copy(
         update={
             "faces": len(survey.faces),
             "repeats": survey.repeats,
@@ -194,9 +201,14 @@ def planned_scenario(plan: Plan) -> Scenario:
             "minutes_per_move": survey.seconds_per_move / 60.0,
         }
     )
-    return plan.scenario.model_copy(
-        update={"title": plan.file.title or plan.scenario.title, "stations": stations, "targets": targets, "work": work}
+    return scenario.model_copy(
+        update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
     )
+
+
+def _millimetres(place: Floats) -> tuple[float, float, float]:
+    x, y, z = (round(float(v) / MILLIMETRE, 1) for v in place)
+    return x, y, z
 
 
 def write_plan(plan: Plan, folder: Path | None) -> dict[str, Any]:
@@ -212,7 +224,7 @@ def next_json(made: NextMeasurement, summary: str = "") -> dict[str, Any]:
     return {
         "format": "ltsim-next/1",
         "diagnosis": summary,
-        "between": None if made.between is None else list(made.between),
+        "between": list(made.between),
         "evidence_now": made.evidence_now,
         "proposals": [
             {

@@ -111,6 +111,17 @@ class LayoutInformation:
         sigma: Floats = np.sqrt(np.diag(self.instrument_covariance))
         return sigma
 
+    def corrections(self) -> Floats:
+        """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
+
+        Ranges of 1 to 8 m, all azimuths, elevations from -50 to 65 deg; three rows a place. For the G criterion.
+        """
+        axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
+        raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+        _, _, by_value = self.construction.linearised(raw, np.zeros(self.construction.size))
+        rows: Floats = by_value.reshape(-1, self.construction.size) * self.prior_sigma
+        return rows
+
     @cached_property
     def gains(self) -> Floats:
         """(p,) ascending: share of the prior variance removed along each principal combination."""

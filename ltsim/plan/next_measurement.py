@@ -1,4 +1,4 @@
-"""What to measure next: the addition that tells most about the instrument, or that decides between two explanations."""
+"""What to measure next: the addition that tells most about the instrument, or that decides between explanations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Proposal:
     serves : str
         The parameter that gains most, and its factor.
     evidence : float or None
-        Expected difference of chi-square between the two explanations, whichever of them holds.
+        Expected difference of chi-square between the explanations, whichever of them holds.
     """
 
     extension: Extension
@@ -58,14 +58,14 @@ class NextMeasurement:
 
     Attributes
     ----------
-    between : (str, str) or None
-        The two explanations to decide between.
+    between : tuple of str
+        The explanations to decide between; none where the instrument was asked about.
     evidence_now : float or None
         Between them in the recording as it is.
     """
 
     proposals: tuple[Proposal, ...]
-    between: tuple[str, str] | None
+    between: tuple[str, ...]
     evidence_now: float | None
 
 
@@ -80,7 +80,7 @@ class Explanation:
 def next_measurement(
     recording: Recording,
     *,
-    between: tuple[str, str] | None = None,
+    between: tuple[str, ...] = (),
     construction: Construction | None = None,
     minutes_per_move: float = 20.0,
     progress: Progress = quiet,
@@ -89,9 +89,9 @@ def next_measurement(
 
     Parameters
     ----------
-    between : (str, str), optional
-        Names of two effects: rank by the evidence between them, those that decide first and of these the quickest;
-        otherwise by the gain on the instrument's parameters.
+    between : tuple of str
+        Names of two or more effects: rank by the least evidence between the first and any other, those that decide
+        first and of these the quickest; none: rank by the gain on the instrument's parameters.
 
     Raises
     ------
@@ -105,17 +105,17 @@ def next_measurement(
         proposals.append(_informed(adjustment, extension))
         progress("trying further measurements", done / len(extensions))
     proposals.sort(key=lambda p: p.sharper)
-    if between is None:
-        return NextMeasurement(tuple(proposals), None, None)
+    if len(between) < 2:
+        return NextMeasurement(tuple(proposals), (), None)
     room = ResidualRoom(adjustment)
-    pair = explanation(room, between[0]), explanation(room, between[1])
-    now = evidence(room, *pair)
+    first, *rivals = (explanation(room, name) for name in between)
+    now = min(evidence(room, first, rival) for rival in rivals)
     judged = []
     finalists = _finalists(proposals)
     for done, proposal in enumerate(finalists, 1):
         extended = ResidualRoom(proposal.extension.adjustment(adjustment))
-        judged.append(_with_evidence(proposal, evidence(extended, *pair)))
-        progress("weighing the two explanations", done / len(finalists))
+        judged.append(_with_evidence(proposal, min(evidence(extended, first, rival) for rival in rivals)))
+        progress("weighing the explanations", done / len(finalists))
     judged.sort(key=lambda p: (not p.decides, p.extension.seconds if p.decides else 0.0, -(p.evidence or 0.0)))
     return NextMeasurement(tuple(judged), between, now)
 

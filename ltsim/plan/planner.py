@@ -304,6 +304,7 @@ def _reference(
     count = len(own.position)
     least = count if file.stations.seen_from == "all" else min(file.stations.seen_from, count)
     try:
-        return evaluated(site.replace(survey=own, least=least), own, objective_of(file, own), built)
+        where = site.replace(survey=own, least=least, play=0.0)
+        return evaluated(where, own, objective_of(file, own), built)
     except NetworkError:
         return None

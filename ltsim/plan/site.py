@@ -33,6 +33,8 @@ class Site:
     obstacles : Blocker or None
     spacing : float, [m]
         Least distance between stations.
+    play : float, [m]
+        How far an instrument may stand off its place without losing a sight.
     least : int
         Every target is seen from at least so many stations.
     aimed : (T,) bool
@@ -52,6 +54,7 @@ class Site:
     aimed: Bools
     obstacles: Blocker | None = None
     spacing: float = 1.0
+    play: float = 0.0
     least: int = 1
     fixed: tuple[int, ...] = ()
     places: Floats | None = None
@@ -72,10 +75,15 @@ class Site:
         return good
 
     def seen(self, position: Floats, points: Floats | None = None) -> Bools:
-        """(N, T): targets in sight, nests left aside (they are aimed later)."""
-        return visibility(
-            position, self.survey.points if points is None else points, self.limits, obstacles=self.obstacles
-        ).visible
+        """(N, T): targets in sight, also with some play; nests left aside (they are aimed later)."""
+        goal = self.survey.points if points is None else points
+        table = visibility(position, goal, self.limits, obstacles=self.obstacles)
+        turn = self.play / table.range_
+        lowest = max(self.limits.elevation_min, 0.5 * (self.limits.cone_opening - np.pi))
+        good: Bools = table.visible & (table.elevation - turn >= lowest) & (
+            table.elevation + turn <= self.limits.elevation_max
+        )
+        return good & (table.range_ - self.play >= self.limits.range_min)
 
     def joined(self, position: Floats, seen: Bools) -> Bools:
         """(B,): layouts (B, S, 3) that keep stations apart, targets in sight and nests served; `seen` (B, S, T)."""
@@ -91,15 +99,17 @@ class Site:
     def _served(self, position: Floats) -> Bools:
         """(B,): every fixed nest can be aimed so that all stations fall within the reflector's acceptance."""
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]
-        back /= np.linalg.norm(back, axis=3, keepdims=True)
+        range_ = np.linalg.norm(back, axis=3)
+        back /= range_[..., None]
         centre = back.mean(axis=2)
         for i in range(NEST_STEPS):
             cosine = np.einsum("btsk,btk->bts", back, centre)
             worst = np.argmin(cosine, axis=2)[:, :, None, None]
             centre += (np.take_along_axis(back, worst, axis=2)[:, :, 0] - centre) / (i + 2)
             centre /= np.linalg.norm(centre, axis=2, keepdims=True)
-        cosine = np.einsum("btsk,btk->bts", back, centre)
-        return np.asarray(cosine.min(axis=(1, 2)) > np.cos(self.limits.acceptance - NEST_MARGIN))
+        cosine = np.clip(np.einsum("btsk,btk->bts", back, centre), -1.0, 1.0)
+        incidence = np.arccos(cosine) + self.play / range_
+        return np.asarray(incidence.max(axis=(1, 2)) < self.limits.acceptance - NEST_MARGIN)
 
     def grid(self, step: float, yaws: int, heights: int) -> tuple[Floats, Floats]:
         """Candidate set-ups on a grid: positions (N, 3) that are allowed, each with `yaws` turns; yaw (N,)."""

@@ -37,12 +37,16 @@ class Floor(Section):
 
 
 class Stations(Section):
-    """How many stations; `tries` are the numbers of the trade-off curve, `fixed` ones stay where they are."""
+    """How many stations; `tries` are the numbers of the trade-off curve, `fixed` ones stay where they are.
+
+    Every sight holds when an instrument stands up to `play_mm` off its place: nobody sets up to the millimetre.
+    """
 
     count: Few | None = None
     tries: tuple[Few, ...] = ()
     fixed: tuple[str, ...] = ()
     spacing_mm: NonNegative = 1000.0
+    play_mm: NonNegative = 50.0
     seen_from: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
 
 

@@ -98,6 +98,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         floor=np.array(corners, dtype=np.float64) * mm,
         heights=(float(levels.min()), float(levels.max())) if heights is None else (heights[0] * mm, heights[1] * mm),
         limits=sight_limits(scenario),
+        play=plan.stations.play_mm * mm,
         aimed=~layout.reaimed,
         obstacles=obstacles_of(scenario),
         spacing=plan.stations.spacing_mm * mm,
