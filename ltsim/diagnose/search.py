@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
+from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
 from ltsim.effects.effect import ShapeParameter
 
@@ -80,6 +81,13 @@ class Ranking:
             name = family if not family.startswith("unknown") else "unknown"
             total[name] = total.get(name, 0.0) + float(w)
         return total
+
+
+def estimates(left: Floats, residual: Floats) -> Floats:
+    """Least-squares sizes (q,) of signatures (m, q), each column scaled to one: units do not decide what is kept."""
+    norm = np.linalg.norm(left, axis=0)
+    norm[norm == 0] = 1.0
+    return np.asarray(np.linalg.lstsq(left / norm, residual, rcond=1e-6)[0] / norm)
 
 
 def _fine(shape: ShapeParameter, now: float, count: int) -> Floats:
@@ -224,7 +232,8 @@ class Searcher:
             signature = self.space.signature(effect.reshaped(**named))
             left = self.space.project(signature)
             left -= base.extension @ (base.extension.T @ left)
-            inverse = np.linalg.pinv(left.T @ left, rcond=1e-9)
+            norm = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+            inverse = np.linalg.pinv((left / norm).T @ (left / norm), rcond=1e-9) / np.outer(norm, norm)
             found = inverse @ (left.T @ base.residual)
             logs.append(0.5 * float(found @ (left.T @ base.residual)))
             own = np.array([named[s.name] - float(vars(effect)[s.name]) for s in shapes])
@@ -241,7 +250,7 @@ class Searcher:
         signature = self.space.signature(hypothesis.effect)
         left = self.space.project(signature)
         left -= base.extension @ (base.extension.T @ left)
-        values = np.linalg.lstsq(left, base.residual, rcond=1e-6)[0]
+        values = estimates(left, base.residual)
         return values / np.array([p.prior_sigma for p in hypothesis.effect.parameters])
 
     def with_members(self, hypotheses: Sequence[Hypothesis]) -> EffectSet:
@@ -264,7 +273,7 @@ class Searcher:
 
     def _set_plausibility(self, made: EffectSet) -> float:
         whole = np.hstack([m.signature for m in made.members])
-        values = np.linalg.lstsq(self.space.project(whole), self.space.residual, rcond=1e-6)[0]
+        values = estimates(self.space.project(whole), self.space.residual)
         total, at = 0.0, 0
         for member in made.members:
             q = member.signature.shape[1]
@@ -277,7 +286,8 @@ class Searcher:
     def search(self, threshold: float, *, something: bool) -> EffectSet:
         """Find the best set.
 
-        A member is added only where it raises the score by more than `threshold`; but where the caller knows that
+        A member is added only where it raises the score by more than `threshold` and does not raise the error on
+        readings that the fit did not see; but where the caller knows that
         `something` is missing, the first member is the best there is.
         """
         beam = [self.empty]
@@ -292,10 +302,18 @@ class Searcher:
                         grown[key] = made
             beam = sorted(grown.values(), key=lambda s: -s.score)[:BEAM]
             beam[0] = self.reexamined(beam[0])
-            if (depth or not something) and beam[0].score < best.score + threshold:
+            earned = beam[0].score >= best.score + threshold and self._held_out(beam[0]) <= self._held_out(best)
+            if (depth or not something) and not earned:
                 break
             best = beam[0]
         return best
+
+    def _held_out(self, found: EffectSet) -> float:
+        """Normalised error on held-out station-target pairs with the members of a set estimated."""
+        space = self.space
+        if found.members:
+            space = space.extended(np.hstack([m.signature for m in found.members]))
+        return held_out_rms(space, pair_folds(space))
 
     def reexamined(self, found: EffectSet) -> EffectSet:
         """Each member replaced by what fits better beside the others, until nothing changes."""

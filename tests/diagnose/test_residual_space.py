@@ -90,3 +90,12 @@ def test_simulated_evidence_is_that_of_the_same_residuals(space):
     single = log_evidence(drop, rank)
     for f in range(len(bank.families)):
         assert simulated[f, 1] == pytest.approx(log_mean(single[bank.family == f]), abs=1e-3)
+
+
+def test_sizes_do_not_depend_on_the_units_of_other_parameters():
+    from ltsim.diagnose.search import estimates
+
+    rng = stream(5, "columns")
+    columns, truth = rng.standard_normal((60, 3)), np.array([1.0, -2.0, 3.0])
+    units = np.array([1e-9, 1.0, 1e9])
+    np.testing.assert_allclose(estimates(columns * units, columns @ truth) * units, truth, rtol=1e-9)
