@@ -178,7 +178,8 @@ def _limits(plan: Plan) -> list[str]:
         if not site.allowed(moved).all():
             edge.append(name)
     if edge:
-        sentences.append(f"{', '.join(edge)} stand at the edge of the allowed floor; more room there may help.")
+        verb = "stands" if len(edge) == 1 else "stand"
+        sentences.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
     if not survey.seen.all():
         missing = int((~survey.seen).sum())
         lost = plan.chosen.table.lost(survey.station_names, survey.target_names)

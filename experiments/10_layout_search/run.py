@@ -1,0 +1,216 @@
+"""How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import numpy as np  # noqa: E402
+from common import Row, options, spread_out, tell, write_figure, write_manifest, write_table  # noqa: E402
+
+from ltsim.adjust import adjust  # noqa: E402
+from ltsim.arrays import Floats  # noqa: E402
+from ltsim.geometry.alignment import align  # noqa: E402
+from ltsim.model.construction import misalignment  # noqa: E402
+from ltsim.plan.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion  # noqa: E402
+from ltsim.plan.files import plan_json, with_layout  # noqa: E402
+from ltsim.plan.improvement import Predictor  # noqa: E402
+from ltsim.plan.information import LayoutInformation  # noqa: E402
+from ltsim.plan.planner import Plan, make_plan  # noqa: E402
+from ltsim.plan.reasons import fewest  # noqa: E402
+from ltsim.plan.spec import load_plan  # noqa: E402
+from ltsim.plan.workshop import survey_of  # noqa: E402
+from ltsim.report.figures.floor_plan import floor_plan  # noqa: E402
+from ltsim.report.planned import from_scenario  # noqa: E402
+from ltsim.simulate.scenario import Scenario  # noqa: E402
+from ltsim.simulate.simulator import simulate  # noqa: E402
+from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE  # noqa: E402
+
+BLOCK = 50
+MICRO = 1.0 / MICROMETRE
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A layout under test."""
+
+    name: str
+    cone_deg: float
+    scenario: Scenario
+
+
+def candidates_of(plan: Plan, cone: float) -> list[Candidate]:
+    """The paper's own layout, the searched one of as many stations, and the fewest that match the paper's."""
+    few = fewest(plan)
+    found = [
+        Candidate("paper", cone, plan.scenario),
+        Candidate(f"searched, {len(plan.chosen.survey.position)} stations", cone,
+                  with_layout(plan.scenario, plan.chosen.survey)),
+    ]  # fmt: skip
+    if few is not None:
+        name = f"fewest, {len(few.survey.position)} stations"
+        found.append(Candidate(name, cone, with_layout(plan.scenario, few.survey)))
+    return found
+
+
+def quality(candidate: Candidate) -> Row:
+    """Every criterion of a layout, and what calibration is expected to do for the paper's."""
+    information = LayoutInformation.of(survey_of(candidate.scenario))
+    covariance, rows = information.scaled_covariance, information.corrections()
+    expected = Predictor.of(information).expected()
+    values = {
+        "D": d_criterion(covariance),
+        "A": a_criterion(covariance),
+        "E": e_criterion(covariance),
+        "G_um": g_criterion(covariance, rows) * MICRO,
+        "I_um": i_criterion(covariance, rows) * MICRO,
+        "target_rms_um": information.target_rms * MICRO,
+        "distance_before_um": expected.distance_before[0] * MICRO,
+        "distance_after_um": expected.distance_after[0] * MICRO,
+        "distance_improvement_percent": expected.distance_improvement[0],
+        "coordinate_before_um": expected.coordinate_before[0] * MICRO,
+        "coordinate_after_um": expected.coordinate_after[0] * MICRO,
+        "coordinate_improvement_percent": expected.coordinate_improvement[0],
+    }
+    head: Row = {
+        "cone_deg": candidate.cone_deg,
+        "layout": candidate.name,
+        "stations": len(candidate.scenario.stations),
+        "hours": round(information.survey.seconds / 3600, 2),
+    }
+    return head | {name: round(float(value), 4) for name, value in values.items()}
+
+
+def trials_of(scenario: Scenario, seed: int, first: int, count: int) -> tuple[Floats, Floats, int]:
+    """Errors (count, p) [SI] of the parameters and (count, T) squared errors of the targets [m^2]; lost trials."""
+    parameters, targets, lost = [], [], 0
+    for trial in range(first, first + count):
+        recording, truth = simulate(scenario, seed + trial)
+        solved = adjust(recording, misalignment())
+        if not solved.solution.converged or len(recording) < full(scenario) or solved.gross.any():
+            lost += 1
+            continue
+        true = np.array([truth.instrument[name] for name in solved.construction.names])
+        parameters.append(solved.state.instrument[0] - true)
+        rotation, translation = align(solved.state.points, truth.points)
+        gap = solved.state.points @ rotation.T + translation - truth.points
+        targets.append((gap**2).sum(axis=1))
+    return np.array(parameters), np.array(targets), lost
+
+
+def full(scenario: Scenario) -> int:
+    """Pointings of a scenario whose reflectors are all seen."""
+    return len(scenario.stations) * len(scenario.target_names) * scenario.work.faces * scenario.work.repeats
+
+
+def check(candidate: Candidate, trials: int, seed: int, jobs: int) -> tuple[list[Row], Row]:
+    """Predicted against achieved standard deviation of every parameter; and of all together and the targets."""
+    tasks = [(candidate.scenario, seed, first, min(BLOCK, trials - first)) for first in range(0, trials, BLOCK)]
+    parts = spread_out(trials_of, tasks, jobs)
+    errors = np.concatenate([p for p, _, _ in parts if len(p)])
+    squares = np.concatenate([t for _, t, _ in parts if len(t)])
+    information = LayoutInformation.of(survey_of(candidate.scenario))
+    predicted = information.instrument_sigma
+    achieved = np.sqrt(np.mean(errors**2, axis=0))
+    rows: list[Row] = []
+    for k, p in enumerate(information.construction.parameters):
+        rows.append(
+            {
+                "cone_deg": candidate.cone_deg,
+                "layout": candidate.name,
+                "parameter": p.name,
+                "unit": p.unit,
+                "predicted": round(float(predicted[k] / p.factor), 4),
+                "achieved": round(float(achieved[k] / p.factor), 4),
+                "ratio": round(float(achieved[k] / predicted[k]), 4),
+                "z_mean": round(float(errors[:, k].mean() / predicted[k]), 3),
+            }
+        )
+    ratio = achieved / predicted
+    whitened = np.einsum("ti,ij,tj->t", errors, np.linalg.inv(information.instrument_covariance), errors)
+    rms = float(np.sqrt(squares.mean()))
+    summary: Row = {
+        "cone_deg": candidate.cone_deg,
+        "layout": candidate.name,
+        "trials": len(errors),
+        "left_out": sum(n for _, _, n in parts),
+        "ratio_rms": round(float(np.sqrt(np.mean(ratio**2))), 4),
+        "ratio_least": round(float(ratio.min()), 4),
+        "ratio_largest": round(float(ratio.max()), 4),
+        "nees_per_parameter": round(float(whitened.mean() / len(ratio)), 4),
+        "target_rms_predicted_um": round(information.target_rms * MICRO, 3),
+        "target_rms_achieved_um": round(rms * MICRO, 3),
+        "target_ratio": round(rms / information.target_rms, 4),
+    }
+    return rows, summary
+
+
+def station_rows(candidate: Candidate) -> list[Row]:
+    """Where the tripod goes."""
+    survey = survey_of(candidate.scenario)
+    return [
+        {
+            "cone_deg": candidate.cone_deg,
+            "layout": candidate.name,
+            "station": name,
+            **{f"{axis}_mm": round(float(v) / MILLIMETRE, 1) for axis, v in zip("xyz", place, strict=True)},
+            "yaw_deg": round(float(yaw) / DEGREE % 360, 1),
+        }
+        for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
+    ]
+
+
+def curve_rows(plan: Plan, cone: float) -> list[Row]:
+    """Cost against quality."""
+    return [
+        {
+            "cone_deg": cone,
+            "stations": len(o.survey.position),
+            "faces": len(o.survey.faces),
+            "pointings": o.survey.pointings,
+            "hours": round(o.hours, 2),
+            "D": round(o.value, 5),
+            "efficient": o.efficient,
+        }
+        for o in plan.options
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Search under both readings of the shadow cone, then simulate."""
+    given = options(__file__, arguments)
+    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    trials = given.trials or config["trials"]
+    file, base = load_plan(HERE / "plan.toml")
+    layouts, curve, stations, checks, summaries, reasons = [], [], [], [], [], {}
+    for cone in config["cones_deg"]:
+        workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
+        plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
+        content = plan_json(plan)
+        reasons[str(cone)] = [content["summary"], *content["reasons"]]
+        curve += curve_rows(plan, cone)
+        for candidate in candidates_of(plan, cone):
+            layouts.append(quality(candidate))
+            stations += station_rows(candidate)
+            if cone == config["cones_deg"][0] or candidate.name.startswith("searched"):
+                rows, summary = check(candidate, trials, config["seed"], given.jobs)
+                checks += rows
+                summaries.append(summary)
+                tell(str(summary))
+            figure = floor_plan(from_scenario(candidate.scenario))
+            write_figure(given.out / f"floor_{cone}_{candidate.name.split(',')[0]}.svg", figure)
+    for name, table in (
+        ("layouts", layouts), ("tradeoff", curve), ("stations", stations), ("parameters", checks), ("check", summaries),
+    ):  # fmt: skip
+        write_table(given.out / f"{name}.csv", table)
+    write_manifest(__file__, given, config["seed"], trials, reasons=reasons)
+
+
+if __name__ == "__main__":
+    main()

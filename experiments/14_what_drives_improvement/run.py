@@ -1,0 +1,87 @@
+"""Which errors decide how much calibration improves the paper's criteria? Sobol indices."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import numpy as np  # noqa: E402
+from common import Row, options, tell, write_manifest, write_table  # noqa: E402
+
+from ltsim.effects import find_effect  # noqa: E402
+from ltsim.effects.effect import Effect  # noqa: E402
+from ltsim.plan.improvement import Predictor  # noqa: E402
+from ltsim.plan.information import LayoutInformation  # noqa: E402
+from ltsim.plan.sensitivity import Index, sensitivity  # noqa: E402
+from ltsim.plan.workshop import survey_of  # noqa: E402
+from ltsim.simulate.scenario import load_scenario  # noqa: E402
+from ltsim.units import MICROMETRE  # noqa: E402
+
+
+def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
+    """The effects that calibration does not know; one of a single station acts on all, each with its own size."""
+    found: list[Effect] = []
+    for name in names:
+        kind = find_effect(name)
+        found += [kind(stations=(s,)) for s in stations] if kind.scope == "station" else [kind()]
+    return found
+
+
+def index_row(scenario: str, index: Index) -> Row:
+    """One line of the table."""
+    return {
+        "scenario": scenario,
+        "output": index.output,
+        "input": index.input,
+        "first": round(index.first, 4),
+        "first_low": round(index.first_interval[0], 4),
+        "first_high": round(index.first_interval[1], 4),
+        "total": round(index.total, 4),
+        "total_low": round(index.total_interval[0], 4),
+        "total_high": round(index.total_interval[1], 4),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Predict, then take the predictions apart."""
+    given = options(__file__, arguments)
+    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    samples = given.trials or config["samples"]
+    indices: list[Row] = []
+    spread: list[Row] = []
+    for name in config["scenarios"]:
+        survey = survey_of(load_scenario(name))
+        effects = effects_of(config["left_out"], survey.station_names)
+        predictor = Predictor.of(LayoutInformation.of(survey), effects)
+        left_out = {effect.name for effect in effects}
+        ranges = {
+            group: tuple(config["range_left_out" if group in left_out else "range"]) for group in predictor.groups
+        }
+        rng = np.random.default_rng(config["seed"])
+        sizes = {g: np.exp(rng.uniform(np.log(low), np.log(high), 2000)) for g, (low, high) in ranges.items()}
+        expected = predictor.expected(sizes)
+        for kind in ("distance", "coordinate"):
+            gain = getattr(expected, f"{kind}_improvement")
+            after = getattr(expected, f"{kind}_after") / MICROMETRE
+            five, middle, most = np.percentile(gain, [5, 50, 95])
+            line: Row = {
+                "scenario": name, "criterion": kind, "improvement_p5": round(five, 1),
+                "improvement_median": round(middle, 1), "improvement_p95": round(most, 1),
+                "after_median_um": round(float(np.median(after)), 2),
+            }  # fmt: skip
+            spread.append(line)
+            tell(str(line))
+        found = sensitivity(predictor, ranges, samples=samples, seed=config["seed"])
+        indices += [index_row(name, index) for index in found]
+    write_table(given.out / "indices.csv", indices)
+    write_table(given.out / "improvement.csv", spread)
+    write_manifest(__file__, given, config["seed"], samples)
+
+
+if __name__ == "__main__":
+    main()
