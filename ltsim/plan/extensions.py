@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +21,8 @@ from ltsim.units import DEGREE, MILLIMETRE
 
 CLOSING = 3
 """Targets measured again before leaving a station."""
-ROUNDS = 4
-"""Further rounds at the last station."""
+ROUNDS, AGAIN = 4, 3
+"""Further rounds at the last station, and pointings at a target worth another look."""
 GRID, TURNS = 5, 4
 """Places along each side of the floor, and turns at each, that are tried for a further station."""
 NEAR = 0.8
@@ -133,8 +133,8 @@ def seconds_per_pointing(recording: Recording) -> float:
     return float(np.median(np.diff(np.sort(recording.time)))) or 15.0
 
 
-def further_pointings(adjustment: Adjustment) -> Iterator[Extension]:
-    """What can be done from the last station before it is left."""
+def further_pointings(adjustment: Adjustment, suspects: Iterable[str] = ()) -> Iterator[Extension]:
+    """What can be done from the last station before it is left; `suspects` are targets worth another look."""
     recording, state = adjustment.recording, adjustment.state
     last = int(recording.station[np.argmax(recording.time)])
     name, step = recording.stations[last], seconds_per_pointing(recording)
@@ -154,6 +154,13 @@ def further_pointings(adjustment: Adjustment) -> Iterator[Extension]:
         yield extension(f"measure all targets from {name} in the other face as well", order[::-1], 3 - usual)
     yield extension(f"measure the first {CLOSING} targets of {name} again before leaving it", order[:CLOSING], usual)
     yield extension(f"measure all targets of {name} again in the reverse order", order[::-1], usual)
+    again = [recording.targets.index(t) for t in dict.fromkeys(suspects) if t in recording.targets]
+    again = [t for t in again if t in order]
+    if again:
+        listed = " and ".join(recording.targets[t] for t in again)
+        repeated = np.tile(np.array(again, dtype=np.int64), AGAIN)
+        words = f"measure {listed} from {name} {AGAIN} more times, without touching the reflector"
+        yield extension(words, repeated, usual)
     rounds = np.tile(np.r_[order[::-1], order], ROUNDS // 2)
     yield extension(f"measure all targets of {name} {ROUNDS} more times, to and fro", rounds, usual)
     if len(unseen):

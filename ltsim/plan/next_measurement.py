@@ -99,7 +99,12 @@ def next_measurement(
         When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
     """
     adjustment = solved(recording, construction or misalignment())
-    extensions = [*further_pointings(adjustment), *further_stations(adjustment, 60.0 * minutes_per_move)]
+    room = ResidualRoom(adjustment)
+    explanations = [explanation(room, name) for name in between]
+    suspects = [target for found in explanations for target in found.effect.targets]
+    extensions = [
+        *further_pointings(adjustment, suspects), *further_stations(adjustment, 60.0 * minutes_per_move)
+    ]  # fmt: skip
     proposals = []
     for done, extension in enumerate(extensions, 1):
         proposals.append(_informed(adjustment, extension))
@@ -107,8 +112,7 @@ def next_measurement(
     proposals.sort(key=lambda p: p.sharper)
     if len(between) < 2:
         return NextMeasurement(tuple(proposals), (), None)
-    room = ResidualRoom(adjustment)
-    first, *rivals = (explanation(room, name) for name in between)
+    first, *rivals = explanations
     now = min(evidence(room, first, rival) for rival in rivals)
     judged = []
     finalists = _finalists(proposals)
@@ -188,7 +192,7 @@ def _one_sided(room: ResidualRoom, truth: Explanation, rival: Effect) -> float:
     """What the best instance of the rival leaves of the true signature."""
     signature = room.left(room.signature(truth.effect) @ truth.values)
     smallest = float(signature @ signature)
-    for effect in thinned(type(rival).candidates(room.adjustment.sightings)):
+    for effect in [rival, *thinned(type(rival).candidates(room.adjustment.sightings))]:
         left = room.left(room.signature(effect))
         if not np.isfinite(left).all():
             continue

@@ -205,9 +205,10 @@ def fewest(plan: Plan) -> Option | None:
 def _curve(plan: Plan) -> list[str]:
     sentences = []
     few = fewest(plan)
-    if few is not None and plan.reference is not None:
+    reference = plan.reference
+    if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
         sentences.append(
-            f"{len(few.survey.position)} stations are enough to match the {len(plan.reference.survey.position)} of the "
+            f"{len(few.survey.position)} stations are enough to match the {len(reference.survey.position)} of the "
             f"scenario's own layout ({few.value:.3f} against {_own_value(plan):.3f}) in {few.hours:.1f} h."
         )
     now = next((o for o in plan.options if o.survey is plan.chosen.survey or _is_chosen(plan, o)), None)

@@ -126,3 +126,18 @@ def test_the_command_ranks_and_writes(drifting: tuple[Recording, Truth], tmp_pat
     assert content["evidence_now"] > 0
     assert run([*arguments[:3], "--between", "index-drift"]) == 2
     assert run([*arguments[:3], "--between", "index-drift,range-stp"]) == 2
+
+
+def test_a_suspicious_reflector_is_looked_at_again() -> None:
+    """A lifted reflector or a wrong reading: three more pointings decide, and are proposed first."""
+    entry = EffectEntry(
+        name="nest-lift", stations=("S5",), targets=("T14",), values={"lift-y": 60.0}, shape={"kind": "free"}
+    )
+    made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
+    found = next_measurement(simulate(made, 2)[0], between=("nest-lift", "outlier"))
+    best = found.proposals[0]
+    assert found.evidence_now is not None
+    assert found.evidence_now < 5
+    assert best.decides
+    assert best.extension.words == "measure T14 from S5 3 more times, without touching the reflector"
+    assert best.extension.seconds == pytest.approx(45)

@@ -1,0 +1,86 @@
+"""A machine on the floor: what it does to sight, information and plan."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+from common import Row, options, tell, write_figure, write_manifest, write_table  # noqa: E402
+
+from ltsim.errors import NetworkError  # noqa: E402
+from ltsim.plan.criteria import d_criterion  # noqa: E402
+from ltsim.plan.files import plan_json, planned_scenario  # noqa: E402
+from ltsim.plan.information import LayoutInformation  # noqa: E402
+from ltsim.plan.planner import Plan, make_plan  # noqa: E402
+from ltsim.plan.spec import load_plan  # noqa: E402
+from ltsim.plan.survey import Survey  # noqa: E402
+from ltsim.plan.workshop import survey_of  # noqa: E402
+from ltsim.report.figures.floor_plan import floor_plan  # noqa: E402
+from ltsim.report.planned import from_scenario  # noqa: E402
+from ltsim.simulate.scenario import Scenario  # noqa: E402
+from ltsim.simulate.sections import Obstacle  # noqa: E402
+from ltsim.simulate.workshop import obstacles_of, visibility_of  # noqa: E402
+from ltsim.units import MICROMETRE  # noqa: E402
+
+MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(2400, 1500, 0), yaw_deg=20)
+
+
+def with_machine(scenario: Scenario) -> Scenario:
+    """The scenario with the machine on its floor."""
+    return scenario.model_copy(
+        update={"workshop": scenario.workshop.model_copy(update={"obstacles": (MACHINE,)})}
+    )
+
+
+def row(name: str, scenario: Scenario, survey: Survey) -> Row:
+    """Sights and information of a layout in a workshop."""
+    obstacles = obstacles_of(scenario)
+    inside = 0 if obstacles is None else int(obstacles.encloses(survey.position).sum())
+    head: Row = {"layout": name, "sights_lost": int((~survey.seen).sum()), "stations_inside": inside}
+    try:
+        information = LayoutInformation.of(survey)
+    except NetworkError as problem:
+        return head | {"D": "", "target_rms_um": "", "largest_target_um": "", "problem": str(problem)}
+    return head | {
+        "D": round(float(d_criterion(information.scaled_covariance)), 4),
+        "target_rms_um": round(information.target_rms / MICROMETRE, 2),
+        "largest_target_um": round(float(information.target_sigma.max()) / MICROMETRE, 2),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The paper's layout and the plan, each in the empty workshop and with the machine."""
+    given = options(__file__, arguments)
+    file, empty = load_plan(HERE / "machine.toml")
+    full = with_machine(empty)
+    plans: dict[str, Plan] = {name: make_plan(file, scenario, jobs=given.jobs)
+                              for name, scenario in (("empty", empty), ("machine", full))}  # fmt: skip
+    moved = planned_scenario(plans["empty"])
+    layouts = (
+        ("paper's layout, empty workshop", empty, survey_of(empty)),
+        ("paper's layout, with the machine", full, survey_of(full)),
+        ("plan for the empty workshop, empty", empty, survey_of(moved)),
+        ("plan for the empty workshop, with the machine", full, survey_of(with_machine(moved))),
+        ("plan for the machine, with the machine", full, survey_of(planned_scenario(plans["machine"]))),
+    )
+    rows = [row(name, scenario, survey) for name, scenario, survey in layouts]
+    for line in rows:
+        tell(str(line))
+    write_table(given.out / "layouts.csv", rows)
+    lost = visibility_of(full).lost(tuple(full.stations), full.target_names)
+    write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
+    for name, scenario in (
+        ("paper_empty", empty), ("paper_machine", full), ("plan_empty", moved),
+        ("plan_machine", planned_scenario(plans["machine"])),
+    ):  # fmt: skip
+        write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
+    reasons = {name: plan_json(plan)["reasons"] for name, plan in plans.items()}
+    write_manifest(__file__, given, file.search.seed, file.search.starts, machine=MACHINE.model_dump(), reasons=reasons)
+
+
+if __name__ == "__main__":
+    main()
