@@ -96,7 +96,7 @@ def _search(
     if folder is not None:
         write_pictures(made, folder)
         terminal.say(f"\nwritten to {folder}: floor.png shows where the tripod goes, stations.csv its coordinates")
-        terminal.say(f"in 3D: ltsim view {folder / 'scenario.toml'}; a recording of it: ltsim simulate the same file")
+        terminal.say(f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}")
 
 
 def _percent(advance: Any) -> Any:
