@@ -249,7 +249,7 @@ def adjust(
     robust : bool
         Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
     variance_components : str, optional
-        Estimate the noise of each ``observable``, or of each observable of each ``instrument``.
+        Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
 
     Returns
     -------

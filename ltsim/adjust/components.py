@@ -1,4 +1,4 @@
-"""Variance components: how large the noise of each observable, or of each instrument, shows itself to be."""
+"""Variance components: how large the noise of each observable (or of each instrument) and of the levels is."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjust.problem import NetworkProblem
-from ltsim.adjust.reliability import redundancy_of
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import State
 from ltsim.recording.recording import OBSERVABLES
-from ltsim.solve.gauss_newton import Solution
+from ltsim.solve.gauss_newton import Solution, solve
 
 Grouping = Literal["observable", "instrument"]
 CLOSE = 2e-3
-PASSES = 50
+PASSES = 30
+ROUNDS = 6
 LEAST = 3.0
 """Redundancy below which a group says too little about its noise: it keeps the stated one."""
 
@@ -29,6 +29,7 @@ class Component:
     Attributes
     ----------
     observable : str
+        One of the readings, or ``level``.
     instrument : str
         '' where all instruments are one group.
     factor : float
@@ -60,7 +61,8 @@ def estimated_components(
 ) -> tuple[NetworkProblem, Solution[State], tuple[Component, ...]]:
     """The problem with its standard deviations scaled group by group until each agrees with its residuals.
 
-    `find` solves a problem, perhaps leaving readings out; it is offered all of `use` (n, 3) anew each time.
+    `find` solves a problem, perhaps leaving readings out; it is offered all of `use` (n, 3) again with the noise found,
+    until it leaves out the same.
 
     References
     ----------
@@ -69,26 +71,42 @@ def estimated_components(
     maximum likelihood of the residuals (Helmert's estimate).
     """
     group = _groups(problem, grouping)
-    count = int(group.max()) + 1
-    factor = np.ones(count)
-    stated, redundancy = problem.sigma, np.zeros(count, dtype=np.float64)
-    available = problem.use if use is None else use
-    for _ in range(PASSES):
-        if solution.factor is None:
-            break
-        used = problem.use
-        share = redundancy_of(problem, solution.factor)[used]
-        whitened = (problem.residuals(problem.model.predict(solution.x)) / problem.sigma)[used]
-        redundancy = np.bincount(group[used], share, count).astype(np.float64)
-        square = np.bincount(group[used], whitened**2, count)
-        enough = redundancy > LEAST
-        change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
-        factor = factor * np.maximum(change, 0.1)
-        whole = replace(problem, sigma=stated * factor[group], use=available)
-        problem, solution = find(whole, solution.x)
-        if np.max(np.abs(change - 1.0)) < CLOSE:
+    factor, redundancy = np.ones(int(group.max()) + 2), np.zeros(int(group.max()) + 2)
+    stated, available = problem, problem.use if use is None else use
+    for _ in range(ROUNDS):
+        for _ in range(PASSES):
+            if solution.factor is None:
+                return problem, solution, ()
+            square, redundancy = _sums(problem, solution, group, len(factor))
+            enough = redundancy > LEAST
+            change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
+            factor = factor * np.maximum(change, 0.1)
+            problem = _scaled(stated, factor, group, problem.use)
+            solution = solve(problem, solution.x)
+            if np.max(np.abs(change - 1.0)) < CLOSE:
+                break
+        before = problem.use
+        problem, solution = find(replace(problem, use=available), solution.x)
+        if np.array_equal(problem.use, before):
             break
     return problem, solution, _components(problem, grouping, factor, redundancy)
+
+
+def _scaled(stated: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
+    """The problem with other standard deviations: a factor for each group, the last for the levels."""
+    levels = replace(stated.levels, sigma=stated.levels.sigma * factor[-1])
+    return replace(stated, sigma=stated.sigma * factor[group], levels=levels, use=use)
+
+
+def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:
+    """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are the last."""
+    assert solution.factor is not None
+    share = 1.0 - solution.factor.leverage()
+    residual = problem.residual(solution.x)
+    readings, rows = slice(0, int(problem.use.sum())), problem.level_rows
+    square, redundancy = (np.bincount(group[problem.use], values[readings], count) for values in (residual**2, share))
+    square[-1], redundancy[-1] = float(np.sum(residual[rows] ** 2)), float(np.sum(share[rows]))
+    return square.astype(np.float64), redundancy.astype(np.float64)
 
 
 def _groups(problem: NetworkProblem, grouping: Grouping) -> Ints:
@@ -104,7 +122,9 @@ def _components(
 ) -> tuple[Component, ...]:
     names = problem.model.recording.instruments if grouping == "instrument" else ("",)
     sigma = np.where(redundancy > LEAST, factor / np.sqrt(2 * np.maximum(redundancy, LEAST)), np.inf)
+    kinds = [(observable, name) for name in names for observable in OBSERVABLES]
+    kinds += [("level", "")] if len(problem.levels) else []
     return tuple(
-        Component(OBSERVABLES[k % 3], names[k // 3], float(factor[k]), float(sigma[k]), float(redundancy[k]))
-        for k in range(len(factor))
+        Component(observable, name, float(factor[k]), float(sigma[k]), float(redundancy[k]))
+        for k, (observable, name) in zip([*range(len(factor) - 1), -1], kinds, strict=False)
     )

@@ -259,6 +259,12 @@ class NetworkProblem:
         rows = np.concatenate([shift, turn if turned else np.zeros_like(shift)], axis=2)
         return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
+    @cached_property
+    def level_rows(self) -> slice:
+        """The rows of the system that are levels, two a station."""
+        first = int(self.use.sum()) + len(self.gauge) + self.control.count + self.known_marks.count
+        return slice(first, first + 2 * len(self.levels))
+
     @property
     def dof(self) -> int:
         """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""

@@ -17,8 +17,10 @@ from ltsim.solve.robust import median_deviation
 HUBER = 2.0
 RELAXATIONS = 8
 ROUNDS = 20
-STATED = (0.8, 1.25)
-"""Robust sigma0 within which the stated noise is believed; outside, residuals are judged by the noise they show."""
+BELIEVED = 1.25
+"""Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
+CHECKED = 0.1
+"""Redundancy from which a residual says something about the noise."""
 
 
 def snooped(
@@ -54,9 +56,14 @@ def snooped(
             continue
         state = solution.x
         seen.add(rejected.tobytes())
-        rejected = _retested(problem, kept, solution, rejected, limit)
-        if rejected.tobytes() in seen or len(seen) == ROUNDS:
+        new = _retested(problem, kept, solution, rejected, limit)
+        if np.array_equal(new, rejected):
             return kept, solution
+        if new.tobytes() in seen or len(seen) == ROUNDS:  # On the edge: what is out in either stays out.
+            last = replace(problem, use=problem.use & ~(new | rejected))
+            ended = solve(last, state)
+            return (kept, solution) if ended.factor is None else (last, ended)
+        rejected = new
 
 
 def _relaxed(problem: NetworkProblem, state: State) -> State:
@@ -76,17 +83,20 @@ def _relaxed(problem: NetworkProblem, state: State) -> State:
     return state
 
 
-def _scale(w: Floats) -> float:
-    """What the stated noise must be multiplied with: one where it is believed."""
-    shown = median_deviation(w[np.isfinite(w)])
-    return 1.0 if STATED[0] <= shown <= STATED[1] else max(shown, 1e-6)
+def _scale(w: Floats, redundancy: Floats) -> float:
+    """What the stated noise is multiplied with: never less than one, more where the residuals show more.
+
+    Noise smaller than stated makes no reading an outlier that the stated noise allows.
+    """
+    shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
+    return shown if shown > BELIEVED else 1.0
 
 
 def _doubtful(problem: NetworkProblem, state: State, factor: Factor, limit: float) -> Bools:
     """Readings (n, 3) far off the relaxed network that others check."""
     redundancy = redundancy_of(problem, factor)
     w = normalised(problem, problem.residuals(problem.model.predict(state)), redundancy)
-    doubtful: Bools = np.nan_to_num(np.abs(w)) > limit * _scale(w)
+    doubtful: Bools = np.nan_to_num(np.abs(w)) > limit * _scale(w, redundancy)
     return doubtful
 
 
@@ -107,7 +117,7 @@ def _retested(
     redundancy = redundancy_of(kept, solution.factor)
     residuals = problem.residuals(problem.model.predict(solution.x))
     w = normalised(kept, residuals, redundancy)
-    scale = _scale(w)
+    scale = _scale(w, redundancy)
     new: Bools = (np.nan_to_num(np.abs(w)) > limit * scale) & (redundancy > UNCHECKED)
     if new.any():
         most = np.nan_to_num(np.abs(w)).max()

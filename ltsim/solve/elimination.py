@@ -92,7 +92,7 @@ class DenseElimination:
         back = self._design[:, kept:]
         reduced = self._design[:, :kept] - back @ self._carry.T
         shared = np.sum((reduced @ self._kept_inverse) * reduced, axis=1)
-        triples = back.reshape(-1, count, 3)
+        triples = back.reshape(len(back), count, 3)
         own = np.sum((np.swapaxes(triples, 0, 1) @ self._inverse) * np.swapaxes(triples, 0, 1), axis=(0, 2))
         return blocks, shared + own
 

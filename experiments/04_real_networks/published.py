@@ -1,0 +1,137 @@
+"""What others published about the recordings beside the checkout: GNU Gama's results, the scanner's true parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from defusedxml.ElementTree import parse
+
+from ltsim.adjust import Adjustment
+from ltsim.arrays import Floats
+from ltsim.geometry.polar import to_polar
+from ltsim.recording import Recording
+from ltsim.recording.recording import SIGMA_COLUMNS
+from ltsim.recording.setup import Instrument, Prior, Setup, Target
+from ltsim.units import ARCSECOND
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "recordings"
+GAMA = ("local_3d", "2020-barta-phase_0-1TK", "2019-prager")
+_SPACE = "{http://www.gnu.org/software/gama/gama-local-adjustment}"
+
+
+@dataclass(frozen=True)
+class GamaResult:
+    """An adjustment by gama-local.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Point of each coordinate.
+    axis : (k,) int
+    value, sigma : (k,) float, [m]
+        y of left-handed systems turned over, as the reader does it.
+    square_sum : float
+    dof : int
+    apriori, aposteriori : float
+        sigma0.
+    """
+
+    names: tuple[str, ...]
+    axis: Floats
+    value: Floats
+    sigma: Floats
+    square_sum: float
+    dof: int
+    apriori: float
+    aposteriori: float
+
+
+def gama_result(name: str) -> GamaResult:
+    """Read the published result of one network."""
+    root: Element = parse(DATA / "gama-3d-networks" / f"{name}.xml").getroot()
+
+    def number(tag: str) -> float:
+        found = root.find(f".//{_SPACE}{tag}")
+        return float((found.text if found is not None else None) or "nan")
+
+    coordinates = root.find(f".//{_SPACE}coordinates")
+    assert coordinates is not None
+    names, axis, value = [], [], []
+    for point in coordinates.find(f"{_SPACE}adjusted") or []:
+        for child in point:
+            tag = child.tag.removeprefix(_SPACE).lower()
+            if tag in ("x", "y", "z"):
+                names.append(str(point.findtext(f"{_SPACE}id")))
+                axis.append("xyz".index(tag))
+                value.append(float(child.text or "nan") * (-1 if tag == "y" else 1))
+    band = coordinates.find(f"{_SPACE}cov-mat")
+    assert band is not None
+    size, width = int(band.findtext(f"{_SPACE}dim") or 0), int(band.findtext(f"{_SPACE}band") or 0)
+    entries = [float(entry.text or "nan") for entry in band.findall(f"{_SPACE}flt")]
+    at = np.cumsum([0, *(min(width, size - 1 - i) + 1 for i in range(size - 1))])
+    sigma = 1e-3 * np.sqrt(np.array(entries)[at])[: len(value)]
+    return GamaResult(
+        tuple(names), np.array(axis), np.array(value), sigma, number("sum-of-squares"),
+        int(number("degrees-of-freedom")), number("apriori"), number("aposteriori"),
+    )  # fmt: skip
+
+
+def coordinates_of(adjustment: Adjustment, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """Coordinates (k, 3) [m] of targets or marks under stations, and their covariances (k, 3, 3) by stated noise."""
+    recording, marks = adjustment.recording, adjustment.problem.marks
+    places, covariances = [], []
+    for name in names:
+        if name in recording.targets:
+            at = recording.targets.index(name)
+            places.append(adjustment.state.points[at])
+            covariances.append(adjustment.target_covariance[at])
+        else:
+            at = marks.names.index(name)
+            places.append(adjustment.state.position[at] - marks.offset[at])
+            covariances.append(adjustment.pose_covariance[at, :3, :3])
+    return np.array(places), np.array(covariances)
+
+
+SCANNER_TRUTH = {"range-offset": 4000.0, "beam-tilt": -1000.0, "transit-tilt": -1000.0, "vertical-index": 2000.0}
+"""[um, urad] The exercise's a0 = -4 mm, b1 = 1, b2 = -1, c0 = -2 mrad, which it adds to a reading: corrections here."""
+ROUNDING = 1e-4 / np.sqrt(12)
+"""[m] Standard deviation of coordinates printed to a tenth of a millimetre."""
+
+
+def scanner(known: bool = True) -> Recording:
+    """The two scans of the scanner exercise, as readings; object points known or not."""
+    folder = DATA / "eth-tls-calibration-simulated"
+    scans = [_points(folder / f"PPE_TLS_T1_Scan{i}.dat") for i in (1, 2)]
+    return scanner_recording(scans, _points(folder / "PPE_TLS_T1_OP.txt"), known)
+
+
+def scanner_recording(scans: list[dict[str, Floats]], objects: dict[str, Floats], known: bool) -> Recording:
+    """Scanned points in the scanner's frame as a recording; noise is the rounding of coordinates."""
+    rows = [(s, n, p) for s, scan in enumerate(scans) for n, p in scan.items()]
+    points = np.array([p for _, _, p in rows])
+    readings, names = to_polar(points), tuple(objects)
+    across = np.hypot(points[:, 0], points[:, 1])
+    sigma = (np.full(len(rows), 1e3 * ROUNDING), ROUNDING / across / ARCSECOND, ROUNDING / readings[:, 0] / ARCSECOND)
+    wide = Prior(angle_arcsec=2000, range_offset_mm=50, offset_mm=50, range_scale_ppm=1000)
+    targets = {n: Target(known_mm=tuple(1e3 * p), known_sigma_mm=1e3 * ROUNDING) for n, p in objects.items()}
+    ones = np.ones(len(rows), dtype=np.int64)
+    return Recording(
+        Setup(instrument=Instrument(prior=wide), targets=targets if known else {}),
+        tuple(f"S{i + 1}" for i in range(len(scans))), names,
+        np.array([s for s, _, _ in rows]), np.array([names.index(n) for _, n, _ in rows]),
+        ones, ones, np.arange(len(rows), dtype=np.float64), readings, dict(zip(SIGMA_COLUMNS, sigma, strict=True)),
+    )  # fmt: skip
+
+
+def _points(file: Path) -> dict[str, Floats]:
+    """Number and coordinates [m] of every line that begins with four numbers."""
+    found = {}
+    for line in file.read_text(encoding="latin-1").splitlines():
+        words = line.partition("%")[0].split()
+        if len(words) >= 4 and words[0].isdigit():
+            found[words[0]] = np.array([float(word) for word in words[1:4]])
+    return found

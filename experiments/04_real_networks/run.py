@@ -1,0 +1,351 @@
+"""Networks that nobody here made: GNU Gama's, CERN's trackers, a total station, a scanner with known truth.
+
+    python experiments/04_real_networks/run.py [gama] [cern] [geoeasy] [scanner]
+
+Reads ../shared/recordings beside the checkout; writes only figures found to results/04_real_networks: rows and set-ups
+are numbers in the order of the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+import time
+
+import numpy as np
+from published import DATA, GAMA, ROOT, SCANNER_TRUTH, coordinates_of, gama_result, scanner, scanner_recording
+from scipy import stats
+
+from ltsim.adjust import Adjustment, adjust
+from ltsim.adjust.precision import ellipsoids
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.verdict import verdict
+from ltsim.effects import BASELINE
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.model.construction import ideal, misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording import Recording, read
+from ltsim.recording.recording import HEIGHT_COLUMNS, OBSERVABLES
+from ltsim.solve.blocks import BlockSystem
+from ltsim.solve.gauss_newton import solve
+from ltsim.units import ARCSECOND, MILLIMETRE
+
+OUT = ROOT / "results" / "04_real_networks"
+UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
+Rows = list[dict[str, object]]
+
+
+def save(name: str, rows: Rows) -> None:
+    """Write a table and show it."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    with (OUT / name).open("w", newline="", encoding="utf-8") as stream_:
+        writer = csv.DictWriter(stream_, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    print(f"\n{name}")
+    for row in rows:
+        print("  " + "  ".join(f"{k} {v}" for k, v in row.items()))
+
+
+# --- GNU Gama -----------------------------------------------------------------------------------------------------
+
+
+def gama() -> None:
+    """Coordinates, sigma0, standard deviations and sums of squares beside those that gama-local published."""
+    rows: Rows = []
+    for name in GAMA:
+        recording, theirs = read(DATA / "gama-3d-networks" / f"{name}.gkf"), gama_result(name)
+        ours = adjust(recording)
+        reduced = adjust(to_marks(ours), start=ours.state)
+        unit = theirs.apriori**2
+        rows.append(
+            {
+                "network": name,
+                "dof": ours.dof,
+                "dof_gama": theirs.dof,
+                "sigma0": f"{ours.sigma0 * theirs.apriori:.5f}",
+                "sigma0_gama": f"{theirs.aposteriori:.5f}",
+                "largest_difference_mm": f"{1e3 * np.abs(difference(ours, name)).max():.6f}",
+                "sum_of_squares": f"{ours.chi2 * unit:.5f}",
+                "sum_of_squares_gama": f"{theirs.square_sum:.5f}",
+                "at_the_coordinates_of_gama": f"{best_turns(ours, name) * unit:.5f}",
+                "sigma_ratio_off_percent": f"{100 * np.abs(sigma_ratio(ours, name) - 1).max():.3f}",
+                "by_lines_between_marks_percent": f"{100 * np.abs(sigma_ratio(reduced, name) - 1).max():.3f}",
+            }
+        )
+    save("gama.csv", rows)
+
+
+def difference(ours: Adjustment, name: str) -> np.ndarray:
+    """Coordinates less those of gama-local (k,) [m]."""
+    theirs = gama_result(name)
+    return coordinates_of(ours, theirs.names)[0][np.arange(len(theirs.names)), theirs.axis] - theirs.value
+
+
+def sigma_ratio(ours: Adjustment, name: str) -> np.ndarray:
+    """Standard deviations over those of gama-local, both by the stated noise (k,)."""
+    theirs = gama_result(name)
+    used = theirs.aposteriori / theirs.apriori if name == "2019-prager" else 1.0
+    at = np.arange(len(theirs.names))
+    mine = np.sqrt(coordinates_of(ours, theirs.names)[1][at, theirs.axis, theirs.axis])
+    return mine * used / theirs.sigma
+
+
+def to_marks(ours: Adjustment) -> Recording:
+    """The recording with readings between marks instead of between instrument and prism, as gama-local reduces them."""
+    recording = ours.recording
+    targets = {n: t.model_copy(update={"height_mm": 0.0}) for n, t in recording.setup.targets.items()}
+    stations = {n: s.model_copy(update={"instrument_height_mm": 0.0}) for n, s in recording.setup.stations.items()}
+    flat = recording.replace(
+        setup=recording.setup.model_copy(update={"targets": targets, "stations": stations}),
+        covariates={k: v for k, v in recording.covariates.items() if k not in HEIGHT_COLUMNS},
+    )
+    marks = ours.state.position - ours.problem.marks.offset
+    state = State(marks, ours.state.rotation, ours.state.points, ours.state.instrument)
+    return flat.with_readings(MeasurementModel(flat, ideal()).predict(state) + ours.residuals)
+
+
+class Turns:
+    """The sum of squares over the stations' turns alone, everything else held."""
+
+    def __init__(self, problem: NetworkProblem) -> None:
+        self.problem = problem
+        self.free = np.isin(np.arange(problem.layout.size), problem.layout.pose[:, 3:])
+
+    def linearise(self, state: State) -> BlockSystem:
+        """The system with the columns of the turns."""
+        system = self.problem.linearise(state)
+        rows = system.design[:, self.free]
+        return BlockSystem(rows.tocsr(), system.residual, rows.shape[1])
+
+    def residual(self, state: State) -> np.ndarray:
+        """The whitened residual."""
+        return self.problem.residual(state)
+
+    def retract(self, state: State, step: np.ndarray) -> State:
+        """The state with its stations turned."""
+        whole = np.zeros(self.problem.layout.size)
+        whole[self.free] = step
+        return self.problem.retract(state, whole)
+
+
+def best_turns(ours: Adjustment, name: str) -> float:
+    """Least sum of squares with all points at the coordinates that gama-local printed."""
+    theirs, recording, marks = gama_result(name), ours.recording, ours.problem.marks
+    points, position = ours.state.points.copy(), ours.state.position.copy()
+    for point, axis, value in zip(theirs.names, theirs.axis, theirs.value, strict=True):
+        if point in recording.targets:
+            points[recording.targets.index(point), axis] = value
+        for s, mark in enumerate(marks.names):
+            if mark == point:
+                position[s, axis] = value + marks.offset[s, axis]
+    state = State(position, ours.state.rotation, points, ours.state.instrument)
+    return solve(Turns(ours.problem), state).cost
+
+
+# --- CERN ---------------------------------------------------------------------------------------------------------
+
+CERN = {
+    "ESA": "20697_V2_Dirk_ESA_experimental.lgc",
+    "arc": "Arc_2_3.lgc",
+    "single free set-up": "totalStationConvergence.lgc",
+    "simulated example": "Title-Example-SIMULATED.lgc2",
+}
+
+
+def cern() -> None:
+    """Adjusted as stated, robustly, and with the noise of each instrument; what does not fit, reading by reading."""
+    summary, misfits, noise = [], [], []
+    for name, file in CERN.items():
+        recording = read(DATA / "cern-lgc-trackers" / file)
+        for way, options in WAYS.items():
+            start = time.process_time()
+            found = adjust(recording, **options)
+            used = time.process_time() - start
+            summary.append({"network": name, "way": way, **state_of(found), "seconds": f"{used:.2f}"})
+        misfits += [{"network": name, **row} for row in what_does_not_fit(found)]
+        noise += [{"network": name, "instrument": k, **row} for k, row in enumerate_instruments(found)]
+        levels = found.problem.levels
+        if len(levels):
+            tilt = levels.predict(found.state.rotation) / ARCSECOND
+            checked = float(np.sum(1 - found.factor.leverage()[found.problem.level_rows]))
+            print(
+                f'{name}: {len(levels)} levels, tilts {np.sqrt(np.mean(tilt**2)):.2f}" rms, '
+                f'largest {np.abs(tilt).max():.2f}", redundancy {checked:.1f}'
+            )
+    save("cern.csv", summary)
+    save("cern_misfits.csv", misfits)
+    save("cern_noise.csv", noise)
+
+
+WAYS: dict[str, dict[str, object]] = {
+    "as stated": {},
+    "robust": {"robust": True},
+    "robust, noise estimated": {"robust": True, "variance_components": "instrument"},
+}
+
+
+def state_of(found: Adjustment) -> dict[str, object]:
+    """The figures of an adjustment."""
+    recording = found.recording
+    spread = ellipsoids(found.target_covariance).axes[:, 0]
+    return {
+        "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
+        "converged": found.solution.converged, "left_out": int(found.rejected.sum()), "dof": found.dof,
+        "sigma0": f"{found.sigma0:.4f}", "outliers_w": len(found.outliers()),
+        "outliers_tau": len(found.outliers(estimated=True)),
+        "median_axis_mm": f"{1e3 * np.nanmedian(spread):.3f}", "largest_axis_mm": f"{1e3 * np.nanmax(spread):.3f}",
+        "verdict": verdict(found).case.value,
+    }  # fmt: skip
+
+
+def what_does_not_fit(found: Adjustment) -> Rows:
+    """Readings left out, with the error they show against the network without them."""
+    rows: Rows = []
+    for i, j in np.argwhere(found.rejected):
+        miss = found.residuals[i, j]
+        arm = 1.0 if j == 0 else found.recording.readings[i, 0]
+        rows.append(
+            {
+                "row": int(i) + 1,
+                "set_up": int(found.recording.station[i]) + 1,
+                "reading": OBSERVABLES[j],
+                "error": f"{miss / UNIT[j]:.3f} {'mm' if j == 0 else 'arcsec'}",
+                "error_at_target_mm": f"{1e3 * miss * arm:.3f}",
+                "in_sigma": f"{miss / found.problem.sigma[i, j]:.1f}",
+                "range_m": f"{found.recording.readings[i, 0]:.1f}",
+            }
+        )
+    return rows
+
+
+def enumerate_instruments(found: Adjustment) -> Rows:
+    """Variance components with instruments numbered."""
+    number = {name: i + 1 for i, name in enumerate(found.recording.instruments)}
+    return [
+        (
+            number.get(c.instrument, "all"),
+            {
+                "reading": c.observable,
+                "factor": f"{c.factor:.3f}",
+                "sigma": f"{c.sigma:.3f}",
+                "redundancy": f"{c.redundancy:.1f}",
+            },
+        )
+        for c in found.components
+    ]
+
+
+# --- GeoEasy ------------------------------------------------------------------------------------------------------
+
+
+def geoeasy() -> None:
+    """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
+    recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
+    rows: Rows = []
+    for name, built in (("none", ideal()), ("16", misalignment())):
+        for way, options in (("as stated", {}), ("noise estimated", {"variance_components": "observable"})):
+            found = adjust(recording, built, robust=bool(options), **options)
+            factors = {c.observable: f"{c.factor:.2f}" for c in found.components}
+            rows.append(
+                {
+                    "parameters": name,
+                    "way": way,
+                    **state_of(found),
+                    **dict.fromkeys(("distance", "azimuth", "elevation", "level"), ""),
+                    **factors,
+                }
+            )
+    save("geoeasy.csv", rows)
+    values, sigma = found.state.instrument[0], np.sqrt(np.diag(found.instrument_covariance))
+    save("geoeasy_parameters.csv", [
+        {"parameter": p.name, "value": f"{v / p.factor:.2f}", "sigma": f"{s / p.factor:.2f}", "unit": p.unit}
+        for p, v, s in zip(built.parameters, values, sigma, strict=True) if abs(v) > 3 * s
+    ])  # fmt: skip
+
+
+# --- the simulated scanner ----------------------------------------------------------------------------------------
+
+
+FIRST_ORDER = [e for e in BASELINE if set(SCANNER_TRUTH) & {p.name for p in e.parameters}]
+PARAMETERS = [p for e in FIRST_ORDER for p in e.parameters]
+UNITS = np.array([p.factor for p in PARAMETERS])
+TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])
+
+
+def scanner_truth() -> None:
+    """Four parameters of a scanner that others simulated, to first order as they did and by the exact chain."""
+    rows: Rows = []
+    for known in (True, False):
+        recording = scanner(known)
+        errors = np.array([fitted(rounded(trial), known)[0] - TRUTH for trial in range(80)])
+        found, sigma = fitted(recording, known)
+        exact = adjust(recording, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS
+        by_form = (
+            adjust(rounded(None), misalignment(FIRST_ORDER))
+            if known
+            else adjust(without_points(rounded(None)), misalignment(FIRST_ORDER))
+        )
+        form = by_form.state.instrument[0] / UNITS - TRUTH
+        gap = found - TRUTH
+        joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
+        for k, p in enumerate(PARAMETERS):
+            rows.append({
+                "points": "known" if known else "unknown", "parameter": p.name, "unit": p.unit, "truth": TRUTH[k],
+                "found": f"{found[k]:.1f}", "sigma": f"{sigma[k]:.1f}",
+                "spread_by_rounding": f"{errors[:, k].std():.1f}",
+                "off_in_spreads": f"{gap[k] / errors[:, k].std():.1f}", "joint_p": f"{stats.chi2.sf(joint, 4):.2f}",
+                "exact_chain": f"{exact[k]:.1f}", "exact_less_first_order": f"{form[k]:.2f}",
+            })  # fmt: skip
+    save("scanner.csv", rows)
+
+
+def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters and their standard deviations, to first order."""
+    found = adjust(recording if known else without_points(recording), effects=FIRST_ORDER)
+    return found.state.extra / UNITS, np.sqrt(np.diag(found.extra_covariance)) / UNITS
+
+
+def without_points(recording: Recording) -> Recording:
+    """The recording with unknown object points."""
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": {}}))
+
+
+def rounded(trial: int | None) -> Recording:
+    """The scans made again from the stated truth, rounded to 0.1 mm as the files are; from poses 0.1 mm and mrad off.
+
+    The points of a ring have nearly one height and round alike, so that their errors are not independent. Without a
+    trial nothing is moved and nothing rounded.
+    """
+    base = scanner(True)
+    start = adjust(base, effects=FIRST_ORDER).state
+    objects = {n: np.array(base.target_setup(n).known_mm) * MILLIMETRE for n in base.targets}
+    moved = np.zeros((2, 2, 3)) if trial is None else stream(4, "rounding", trial).normal(0, 1e-4, (2, 2, 3))
+    state = State(
+        start.position + moved[0], from_rotation_vector(moved[1]) @ start.rotation, np.array(list(objects.values())),
+        np.zeros((1, 0)), TRUTH * UNITS,
+    )  # fmt: skip
+    local = from_polar(MeasurementModel(base, ideal(), tuple(FIRST_ORDER)).predict(state))
+    local = local if trial is None else np.round(local, 4)
+    scans = [{base.targets[t]: local[i] for i, t in enumerate(base.target) if base.station[i] == s} for s in range(2)]
+    return scanner_recording(scans, objects, True)
+
+
+STEPS = {"gama": gama, "cern": cern, "geoeasy": geoeasy, "scanner": scanner_truth}
+
+
+def main(names: list[str]) -> None:
+    """Run the named steps, or all."""
+    if not DATA.is_dir():
+        sys.exit(f"{DATA} is not there: these recordings are no part of the project")
+    for name in names or STEPS:
+        STEPS[name]()
+    versions = {"numpy": np.__version__, "command": "python experiments/04_real_networks/run.py"}
+    (OUT / "manifest.json").write_text(json.dumps(versions, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
