@@ -198,7 +198,7 @@ def agree(one: Recording, other: Recording) -> None:
         np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_an_export_reads_back(tmp_path: Path, data: st.DataObject) -> None:
     recording = workshop(faces=1)
@@ -221,10 +221,12 @@ def test_an_export_reads_back(tmp_path: Path, data: st.DataObject) -> None:
     back = read(tmp_path / "out.gkf")
     agree(truth, back)
     assert back.setup.title == "yard & (hall)"
+    # Without any anchor the export lets the first set-up's targets define the datum, which has a test of its own.
+    anchored = any(t.known_mm is not None or t.datum for t in targets.values())
     for name, target in targets.items():
         got = back.setup.targets[name]
         assert got.known_axes == target.known_axes
-        assert got.datum == target.datum
+        assert got.datum == target.datum or not anchored
         for field in ("known_mm", "approximate_mm"):
             want = getattr(target, field)
             if want is None:
