@@ -232,7 +232,8 @@ class Searcher:
             signature = self.space.signature(effect.reshaped(**named))
             left = self.space.project(signature)
             left -= base.extension @ (base.extension.T @ left)
-            norm = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+            norm = np.linalg.norm(left, axis=0)
+            norm[norm == 0] = 1.0
             inverse = np.linalg.pinv((left / norm).T @ (left / norm), rcond=1e-9) / np.outer(norm, norm)
             found = inverse @ (left.T @ base.residual)
             logs.append(0.5 * float(found @ (left.T @ base.residual)))
