@@ -19,7 +19,7 @@ from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
-from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
+from ltsim.diagnose.residual_space import VISIBLE, ResidualSpace, orthonormal
 from ltsim.effects.effect import ShapeParameter
 
 BEAM = 4
@@ -83,11 +83,25 @@ class Ranking:
         return total
 
 
-def estimates(left: Floats, residual: Floats) -> Floats:
-    """Least-squares sizes (q,) of signatures (m, q), each column scaled to one: units do not decide what is kept."""
-    norm = np.linalg.norm(left, axis=0)
+def estimates(left: Floats, whole: Floats, residual: Floats) -> Floats:
+    """Sizes (q,) of signatures of which `left` (m, q) remains of `whole`; what is not visible is estimated as zero.
+
+    Columns are scaled by the whole signature, so units do not decide what is kept.
+    """
+    norm = np.linalg.norm(whole, axis=0)
     norm[norm == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(left / norm, residual, rcond=1e-6)[0] / norm)
+    u, s, vt = np.linalg.svd(left / norm, full_matrices=False)
+    seen = s**2 > VISIBLE
+    return np.asarray(vt[seen].T @ ((u[:, seen].T @ residual) / s[seen]) / norm)
+
+
+def _visible_inverse(left: Floats, whole: Floats) -> Floats:
+    """Covariance (q, q) of the visible part of `estimates`."""
+    norm = np.linalg.norm(whole, axis=0)
+    norm[norm == 0] = 1.0
+    _, s, vt = np.linalg.svd(left / norm, full_matrices=False)
+    seen = s**2 > VISIBLE
+    return np.asarray((vt[seen].T / s[seen] ** 2) @ vt[seen] / np.outer(norm, norm))
 
 
 def _fine(shape: ShapeParameter, now: float, count: int) -> Floats:
@@ -232,10 +246,8 @@ class Searcher:
             signature = self.space.signature(effect.reshaped(**named))
             left = self.space.project(signature)
             left -= base.extension @ (base.extension.T @ left)
-            norm = np.linalg.norm(left, axis=0)
-            norm[norm == 0] = 1.0
-            inverse = np.linalg.pinv((left / norm).T @ (left / norm), rcond=1e-9) / np.outer(norm, norm)
-            found = inverse @ (left.T @ base.residual)
+            found = estimates(left, signature, base.residual)
+            inverse = _visible_inverse(left, signature)
             logs.append(0.5 * float(found @ (left.T @ base.residual)))
             own = np.array([named[s.name] - float(vars(effect)[s.name]) for s in shapes])
             rows.append(np.concatenate([np.diag(inverse) + (found - values) ** 2, own**2]))
@@ -251,7 +263,7 @@ class Searcher:
         signature = self.space.signature(hypothesis.effect)
         left = self.space.project(signature)
         left -= base.extension @ (base.extension.T @ left)
-        values = estimates(left, base.residual)
+        values = estimates(left, signature, base.residual)
         return values / np.array([p.prior_sigma for p in hypothesis.effect.parameters])
 
     def with_members(self, hypotheses: Sequence[Hypothesis]) -> EffectSet:
@@ -274,7 +286,7 @@ class Searcher:
 
     def _set_plausibility(self, made: EffectSet) -> float:
         whole = np.hstack([m.signature for m in made.members])
-        values = estimates(self.space.project(whole), self.space.residual)
+        values = estimates(self.space.project(whole), whole, self.space.residual)
         total, at = 0.0, 0
         for member in made.members:
             q = member.signature.shape[1]

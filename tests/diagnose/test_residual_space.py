@@ -98,4 +98,5 @@ def test_sizes_do_not_depend_on_the_units_of_other_parameters():
     rng = stream(5, "columns")
     columns, truth = rng.standard_normal((60, 3)), np.array([1.0, -2.0, 3.0])
     units = np.array([1e-9, 1.0, 1e9])
-    np.testing.assert_allclose(estimates(columns * units, columns @ truth) * units, truth, rtol=1e-9)
+    found = estimates(columns * units, columns * units, columns @ truth)
+    np.testing.assert_allclose(found * units, truth, rtol=1e-9)
