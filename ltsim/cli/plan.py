@@ -16,7 +16,7 @@ from ltsim.diagnose import diagnose as diagnosis_of
 from ltsim.effects import NoiseEffect, find_effect
 from ltsim.errors import SetupError
 from ltsim.plan.files import next_json, table_text, write_plan
-from ltsim.plan.next_measurement import NextMeasurement, next_measurement
+from ltsim.plan.next_measurement import DECISIVE, NextMeasurement, next_measurement
 from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.spec import load_plan, plan_names, plan_text
 from ltsim.recording import Recording
@@ -193,6 +193,7 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
     content = next_json(made, summary)
     if out is not None:
         rows = [[p[key] for key in NEXT_COLUMNS] for p in content["proposals"]]
+        rows = [[" ".join(v) if isinstance(v, list) else v for v in row] for row in rows]
         write_texts(out, {"next.json": _json(content), "next.csv": table_text(NEXT_COLUMNS, rows)})
     terminal.answer(content)
     show_next(terminal, made)
@@ -213,7 +214,7 @@ def _shifts(name: str) -> bool:
     return not issubclass(find_effect(name), NoiseEffect)
 
 
-NEXT_COLUMNS = ("kind", "minutes", "sharper", "serves", "serves_factor", "evidence", "decides", "do")
+NEXT_COLUMNS = ("kind", "minutes", "sharper", "serves", "serves_factor", "tells_apart", "decides", "do")
 
 
 def _json(content: dict[str, Any]) -> str:
@@ -222,24 +223,22 @@ def _json(content: dict[str, Any]) -> str:
 
 def show_next(terminal: Terminal, made: NextMeasurement) -> None:
     """The proposals, the best first."""
+    best = made.proposals[0]
     if made.between:
-        first, *others = made.between
-        rivals = " or ".join(others)
-        terminal.say(f"\nBetween {first} and {rivals} the recording tells a chi-square of {made.evidence_now:.1f}.")
-        best = made.proposals[0]
-        if best.decides:
-            terminal.say(f"Next: {best.extension.words}; that raises it to {best.evidence:.0f} and decides.")
-        else:
-            terminal.say("Nothing that was tried decides (10 would); an independent measurement of the cause would.")
+        now = ", ".join(f"{name} {value:.1f}" for name, value in made.evidence_now.items())
+        terminal.say(f"\nChi-square between {made.between[0]} and what else it may be, as it is: {now}.")
+    if made.between and not best.tells_apart:
+        terminal.say(f"Nothing that was tried decides ({DECISIVE:g} would); an independent measurement would.")
     else:
-        terminal.say(f"\nNext: {made.proposals[0].extension.words}.")
+        apart = f"; that tells {made.between[0]} from {' and '.join(best.tells_apart)}" if made.between else ""
+        terminal.say(f"Next: {best.extension.words}{apart}.")
     rows = [
         [
             p.extension.words,
             f"{p.extension.seconds / 60:.0f}",
             f"{100 * (1 - p.sharper):.0f} %",
             f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)",
-            "" if p.evidence is None else f"{p.evidence:.1f}",
+            " ".join(f"{value:.0f}" for value in p.evidence.values()),
         ]
         for p in made.proposals[:MOST_SHOWN]
     ]

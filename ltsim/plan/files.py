@@ -235,6 +235,7 @@ def next_json(made: NextMeasurement, summary: str = "") -> dict[str, Any]:
                 "serves": p.serves,
                 "serves_factor": p.serves_factor,
                 "evidence": p.evidence,
+                "tells_apart": list(p.tells_apart),
                 "decides": p.decides,
                 "position_mm": None
                 if p.extension.place is None

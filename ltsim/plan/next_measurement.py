@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,20 +36,31 @@ class Proposal:
         Factor on the geometric mean of the parameters' standard deviations; below one is a gain.
     serves : str
         The parameter that gains most, and its factor.
-    evidence : float or None
-        Expected difference of chi-square between the explanations, whichever of them holds.
+    evidence : dict of str to float
+        Expected difference of chi-square between the first explanation and each other, whichever of the two holds.
     """
 
     extension: Extension
     sharper: float
     serves: str
     serves_factor: float
-    evidence: float | None = None
+    evidence: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def tells_apart(self) -> tuple[str, ...]:
+        """Explanations that would be told from the first."""
+        return tuple(name for name, value in self.evidence.items() if value >= DECISIVE)
 
     @property
     def decides(self) -> bool:
-        """The explanations would be told apart."""
-        return self.evidence is not None and self.evidence >= DECISIVE
+        """All would be told from the first."""
+        return bool(self.evidence) and len(self.tells_apart) == len(self.evidence)
+
+    @property
+    def rank(self) -> tuple[int, float, float]:
+        """The smaller, the better: how many are told apart, then how quickly, then how nearly."""
+        near = sum(min(value, DECISIVE) for value in self.evidence.values())
+        return -len(self.tells_apart), self.extension.seconds if self.tells_apart else 0.0, -near
 
 
 @dataclass(frozen=True)
@@ -60,13 +71,13 @@ class NextMeasurement:
     ----------
     between : tuple of str
         The explanations to decide between; none where the instrument was asked about.
-    evidence_now : float or None
-        Between them in the recording as it is.
+    evidence_now : dict of str to float
+        Between the first and each other in the recording as it is.
     """
 
     proposals: tuple[Proposal, ...]
-    between: tuple[str, ...]
-    evidence_now: float | None
+    between: tuple[str, ...] = ()
+    evidence_now: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,8 +101,8 @@ def next_measurement(
     Parameters
     ----------
     between : tuple of str
-        Names of two or more effects: rank by the least evidence between the first and any other, those that decide
-        first and of these the quickest; none: rank by the gain on the instrument's parameters.
+        Names of two or more effects: rank by how many are told from the first, of these the quickest first, then by
+        the evidence between them; none: rank by the gain on the instrument's parameters.
 
     Raises
     ------
@@ -111,16 +122,17 @@ def next_measurement(
         progress("trying further measurements", done / len(extensions))
     proposals.sort(key=lambda p: p.sharper)
     if len(between) < 2:
-        return NextMeasurement(tuple(proposals), (), None)
+        return NextMeasurement(tuple(proposals))
     first, *rivals = explanations
-    now = min(evidence(room, first, rival) for rival in rivals)
+    now = {name: evidence(room, first, rival) for name, rival in zip(between[1:], rivals, strict=True)}
     judged = []
     finalists = _finalists(proposals)
     for done, proposal in enumerate(finalists, 1):
         extended = ResidualRoom(proposal.extension.adjustment(adjustment))
-        judged.append(_with_evidence(proposal, min(evidence(extended, first, rival) for rival in rivals)))
+        found = {name: evidence(extended, first, rival) for name, rival in zip(between[1:], rivals, strict=True)}
+        judged.append(replace(proposal, evidence=found))
         progress("weighing the explanations", done / len(finalists))
-    judged.sort(key=lambda p: (not p.decides, p.extension.seconds if p.decides else 0.0, -(p.evidence or 0.0)))
+    judged.sort(key=lambda p: p.rank)
     return NextMeasurement(tuple(judged), between, now)
 
 
@@ -150,10 +162,6 @@ def _informed(adjustment: Adjustment, extension: Extension) -> Proposal:
     ratio = np.sqrt(np.diag(after) / np.diag(before))
     best = int(np.argmin(ratio))
     return Proposal(extension, sharper, adjustment.construction.names[best], float(ratio[best]))
-
-
-def _with_evidence(proposal: Proposal, found: float) -> Proposal:
-    return Proposal(proposal.extension, proposal.sharper, proposal.serves, proposal.serves_factor, found)
 
 
 def explanation(room: ResidualRoom, name: str) -> Explanation:
