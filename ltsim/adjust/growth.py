@@ -56,7 +56,8 @@ class Growth:
     def __init__(self, recording: Recording, cloud: Floats, seen: Bools, frame: Frame) -> None:
         self._recording, self._cloud, self._seen, self._frame = recording, cloud, seen, frame
         stations, targets = seen.shape
-        self._front = to_face(recording.readings, recording.face)
+        self._read = self._front = to_face(recording.readings, recording.face)
+        self._whole = seen
         self._flat = recording.is_horizontal
         lift = lift_of(recording)
         self._lift = np.zeros((len(recording), 3)) if lift is None else lift
@@ -78,7 +79,8 @@ class Growth:
         """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
         getattr(self, f"_begin_with_{beginning}")()
         while not self.is_complete:
-            if not (self._join_by_cloud() or self._locate() or self._join_by_fit() or self._anchor()):
+            steps = self._join_by_cloud, self._locate, self._join_by_fit, self._anchor, self._rescale
+            if not any(step() for step in steps):
                 break
         self._settle()
 
@@ -242,9 +244,7 @@ class Growth:
 
     def _settle(self) -> None:
         """Scale and frame of the finished network."""
-        if self._unscaled:
-            self._rescale()
-            self._unscaled = False
+        self._rescale()
         if self._anchored or not self._joined.any() or self._anchor():
             return
         first = int(np.argmax(self._joined))
@@ -256,13 +256,14 @@ class Growth:
         if len(here):
             self._move(np.eye(3), (there - here).mean(axis=0))
 
-    def _rescale(self) -> None:
-        """Bring a network of beams to scale by ranges, known lengths or known points."""
+    def _rescale(self) -> bool:
+        """Bring a network of beams to scale by ranges, known lengths or known points; ranges count from then on."""
+        if not self._unscaled:
+            return False
         known, recording = self._known(), self._recording
         length = np.linalg.norm(known[recording.target] + self._lift - self._position[recording.station], axis=1)
-        ratio = (self._front[:, 0] / length)[np.isfinite(self._front[:, 0])]
         gauge = GaugeRows.of(recording)
-        ratio = np.concatenate([ratio, gauge.length / gauge.predict(known)])
+        ratio = np.concatenate([self._read[:, 0] / length, gauge.length / gauge.predict(known)])
         here, there = self._frame.common(self._position, known)
         if len(here) > 1:
             spread = [np.sqrt(np.sum((x - x.mean(axis=0)) ** 2)) for x in (there, here)]
@@ -272,6 +273,11 @@ class Growth:
             raise NetworkError("no range, no known length and no two known points give the network a scale")
         scale = float(np.median(ratio))
         self._position, self._placed, self._located = (scale * x for x in (self._position, self._placed, self._located))
+        self._front, self._seen, self._unscaled = self._read, self._whole, False
+        self._tried.clear()
+        for station in np.flatnonzero(self._joined):
+            self._place(int(station), self._position[station], self._rotation[station])
+        return True
 
     # --- beginnings ------------------------------------------------------------------------------------------------
 
@@ -309,7 +315,9 @@ class Growth:
             both = has[a] & has[b]
             found = relative_orientation(beams[a, both], beams[b, both])
             if found is not None:
-                self._unscaled = True
+                self._unscaled = True  # No range and no point measured whole fits until there is a scale.
+                self._front = np.column_stack([np.full(len(self._read), np.nan), self._read[:, 1:]])
+                self._seen = np.zeros_like(self._whole)
                 self._place(int(a), np.zeros(3), np.eye(3))
                 self._place(int(b), *found)
                 return

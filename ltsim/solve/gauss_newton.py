@@ -13,6 +13,10 @@ from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
 X = TypeVar("X")
 NEAR = 1.0
 """Squared length [standard deviations] of a step after which the last design is tried once more."""
+SLIGHT = 1e-5
+"""Damping that leaves a step what it is: a short step under more of it proves nothing."""
+ROUNDED = 1e-4
+"""Squared length below which steps that no longer become shorter are rounding error (large coordinates)."""
 
 
 class Problem(Protocol[X]):
@@ -86,27 +90,29 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
         Converged when the squared length of the step, measured by the normal matrix (that is in standard
         deviations), falls below it.
     """
-    x, damping = start, 0.0
+    x, damping, before = start, 0.0, float("inf")
     system = problem.linearise(x)
     for iteration in range(1, cap + 1):
         step, factor, damping = _damped_step(system, damping)
         if step is None or factor is None:
             return Solution(x, system.cost, iteration, Status.SINGULAR, None, system)
         length = _length(system, step)
-        trial = problem.retract(x, step)
+        if not damping and length < ROUNDED and length > before / 4:
+            return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
+        trial, before = problem.retract(x, step), length
         if length < NEAR and not damping:
             final = _last_step(problem, trial, system, factor, tolerance)
             if final is not None:
                 x, system = final
                 return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
-        ahead = problem.linearise(trial)
-        if ahead.cost <= system.cost * (1 + 1e-12) + tolerance:
+        ahead, whole = problem.linearise(trial), damping < SLIGHT
+        if ahead.cost <= system.cost * (1 + 1e-12) + tolerance or (whole and length < ROUNDED):
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
-            if length < tolerance:
+            if whole and length < tolerance:
                 return _finish(x, system, iteration, Status.CONVERGED)
-        elif damping > 1e8 or length < tolerance:
-            return _finish(x, system, iteration, Status.STALLED if damping > 1e-6 else Status.CONVERGED)
+        elif damping > 1e8:
+            return _finish(x, system, iteration, Status.STALLED)
         else:
             damping = max(10 * damping, 1e-6)
     return _finish(x, system, cap, Status.CAPPED)

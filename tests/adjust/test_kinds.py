@@ -338,3 +338,30 @@ def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
     np.testing.assert_allclose(gap.mean(axis=0), 0, atol=1e-10)
     np.testing.assert_allclose(np.cross(arms, gap).sum(axis=0), 0, atol=1e-6)
     assert found.datum is not None
+
+
+# --- anything missing anywhere ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("kind", ["tracker", "levelled", "known", "marks"])
+def test_any_readings_may_be_missing(kind, seed):
+    """Sixty per cent of the ranges, a quarter of everything, or nine ranges of ten: it starts, converges and fits."""
+    if kind == "marks":
+        recording, points = total_stations(seed)
+    else:
+        recording, truth = network(seed=seed)
+        points = truth.state.points
+    if kind == "levelled":
+        recording = levelled(recording)
+    if kind == "known":  # In the coordinates of a country: 1e-10 m is all that is left of the digits.
+        recording = known(recording, points + 1e6, stream(seed, "known").permutation(28)[:4])
+    lost = stream(seed, "lost").uniform(size=recording.readings.shape)
+    share = [(0.6, 0, 0), (0.25, 0.25, 0.25), (0.9, 0, 0)][seed % 3]
+    recording = recording.with_readings(np.where(lost < share, np.nan, recording.readings))
+    recording = recording.select(recording.measured.any(axis=1))
+    found = adjust(recording)
+    assert found.p_value > 1e-5
+    assert not found.gross.any()
+    rough = 0.02 if kind == "marks" else 1e-3
+    assert_same_shape(found, points, atol=rough)

@@ -73,3 +73,40 @@ def test_the_cap_is_a_status_and_not_an_endless_loop():
     solution = solve(Valley(1e4), np.array([-1.2, 1.0]), cap=2)
     assert solution.status is Status.CAPPED
     assert solution.iterations == 2
+
+
+class Coarse:
+    """A line fitted to points whose predictions are rounded, as with coordinates of thousands of kilometres."""
+
+    def __init__(self, grain: float) -> None:
+        self.grain = grain
+        self.at = np.linspace(-1, 1, 9)
+        self.observed = 3.0 * self.at + 0.1 * stream(0, "line").standard_normal(9)
+
+    def residual(self, x):
+        predicted = np.round((x[0] + x[1] * self.at) / self.grain) * self.grain
+        return self.observed - predicted
+
+    def linearise(self, x):
+        return BlockSystem(sp.csr_array(np.stack([np.ones(9), self.at], axis=1)), self.residual(x), 2)
+
+    def retract(self, x, step):
+        return x + step
+
+
+def test_steps_of_rounding_errors_end_the_loop():
+    solution = solve(Coarse(2e-4), np.array([40.0, -10.0]))
+    assert solution.status is Status.CONVERGED
+    assert solution.iterations < 8
+    np.testing.assert_allclose(solution.x, [0, 3], atol=0.2)
+
+
+def test_short_steps_under_heavy_damping_are_no_convergence():
+    class Wall(Valley):
+        """A valley whose derivative is wrong: no step of the design lowers the sum of squares."""
+
+        def linearise(self, x):
+            system = super().linearise(x)
+            return BlockSystem(-1.0 * system.design, system.residual, 2)
+
+    assert solve(Wall(10.0), np.array([-1.2, 1.0]), cap=60).status is not Status.CONVERGED
