@@ -277,6 +277,7 @@ def adjust(
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
     whole = NetworkProblem.of(model, sigma=sigma, use=chosen)
+    start = replace(start, position=whole.marks.on_marks(start.position, start.points))
     problem, solution = find(whole, start)
     components: tuple[Component, ...] = ()
     if variance_components is not None:

@@ -355,11 +355,7 @@ class Growth:
     def result(self) -> tuple[Floats, Floats, Floats]:
         """Positions, rotations and targets."""
         known = self._known()
-        marks = self._frame.marks
-        over = np.flatnonzero(marks.target >= 0)
-        position = self._position[marks.first] - marks.offset[marks.first] + marks.offset
-        position[over] = known[marks.target[over]] + marks.offset[over]
-        return position, self._rotation, known
+        return self._frame.marks.on_marks(self._position, known), self._rotation, known
 
 
 def _groups(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:

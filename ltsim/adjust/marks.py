@@ -48,3 +48,10 @@ class Marks:
         vertical = verticals(recording)
         height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
+
+    def on_marks(self, position: Floats, points: Floats) -> Floats:
+        """Positions (S, 3) put onto their marks: targets at `points` (T, 3), else that of the first set-up."""
+        settled = position[self.first] - self.offset[self.first] + self.offset
+        over = np.flatnonzero(self.target >= 0)
+        settled[over] = points[self.target[over]] + self.offset[over]
+        return settled

@@ -18,7 +18,9 @@ LARGEST_ERROR = 1e-3
 WORKSHOP = 10.0
 """[m] range up to which that holds; beyond, errors of the angles grow with the range."""
 FACTOR = 30.0
-PASSES = 12
+PASSES = 20
+SETTLED = 0.9
+"""A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
 
 
 def gross_pointings(recording: Recording, position: Floats, rotation: Floats, points: Floats) -> Bools:
@@ -47,8 +49,8 @@ def screened(
             state = problem.retract(state, Factor(problem.linearise(state)).step())
         except SingularSystemError:
             break
-        before, excess = excess > 1.0, _excess(model, state)
-        if np.array_equal(before, excess > 1.0):
+        before, excess = excess, _excess(model, state)
+        if not np.any((excess > 1.0) & (excess < SETTLED * before)):
             break
     return (state.position, state.rotation, state.points), excess > 1.0
 

@@ -90,6 +90,21 @@ def test_swapped_reflectors_are_screened_and_the_rest_adjusts():
     assert np.abs(found.state.points - in_first_frame(truth.state)).max() < 1e-4
 
 
+def test_one_wrong_pointing_of_three_is_screened_alone():
+    """Its target starts half way to it: only as the network relaxes it shows which of the three is wrong."""
+    recording, truth = network(seed=5)
+    keep = (recording.target != 7) | np.isin(recording.station, [1, 2])
+    recording = recording.select(keep)
+    at = recording.targets.index("T08")
+    first = int(np.flatnonzero((recording.station == 1) & (recording.target == at))[0])
+    twice = recording.select(np.append(np.arange(len(recording)), first))
+    readings = twice.readings.copy()
+    readings[-1] += [1.5, 0.6, 0.1]
+    found = adjust(twice.with_readings(readings), misalignment())
+    assert np.flatnonzero(found.gross).tolist() == [len(twice) - 1]
+    assert np.abs(found.state.points - in_first_frame(truth.state)).max() < 1e-3
+
+
 def test_the_datum_does_not_change_what_is_measured():
     """Adjusted readings are the same in a frame set by levels and control points as in the first station's."""
     recording, truth = network(seed=2)

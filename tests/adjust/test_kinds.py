@@ -248,6 +248,15 @@ def test_instruments_on_marks_share_the_place_of_the_target():
     np.testing.assert_array_equal(found.state.position[0][:2], found.state.position[6][:2])
 
 
+def test_a_start_off_the_marks_is_put_onto_them():
+    recording, _ = total_stations(3)
+    found = adjust(recording)
+    off = dataclasses.replace(found.state, position=found.state.position + 0.3)
+    again = adjust(recording, start=off)
+    np.testing.assert_allclose(again.state.position, found.state.position, atol=1e-9)
+    assert again.chi2 == pytest.approx(found.chi2, abs=1e-6)
+
+
 def test_heights_of_single_pointings_and_horizontal_distances():
     recording, marks = total_stations()
     heights = recording.heights()
