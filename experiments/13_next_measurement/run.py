@@ -1,0 +1,115 @@
+"""Does the proposed measurement decide a diagnosis that was left open? It is simulated, added, and diagnosed again."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import numpy as np  # noqa: E402
+from common import Row, options, spread_out, tell, write_manifest, write_table  # noqa: E402
+
+from ltsim.cli.plan import open_question  # noqa: E402
+from ltsim.diagnose import Diagnosis, diagnose  # noqa: E402
+from ltsim.geometry.rotations import about_z  # noqa: E402
+from ltsim.model.construction import misalignment  # noqa: E402
+from ltsim.model.measurement import MeasurementModel, State, sightings_of  # noqa: E402
+from ltsim.plan.extensions import Extension  # noqa: E402
+from ltsim.plan.next_measurement import next_measurement  # noqa: E402
+from ltsim.randomness import stream  # noqa: E402
+from ltsim.recording import Recording  # noqa: E402
+from ltsim.simulate.scenario import load_scenario  # noqa: E402
+from ltsim.simulate.sections import EffectEntry  # noqa: E402
+from ltsim.simulate.simulator import simulate  # noqa: E402
+from ltsim.simulate.truth import Truth  # noqa: E402
+from ltsim.units import MICROMETRE  # noqa: E402
+
+
+def measured(extension: Extension, before: Recording, truth: Truth, seed: int) -> Recording:
+    """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
+    recording, construction = extension.recording, misalignment()
+    position, rotation = truth.position, truth.rotation
+    if extension.place is not None and extension.yaw is not None:
+        position = np.vstack([position, extension.place])
+        rotation = np.concatenate([rotation, about_z(extension.yaw)[None]])
+    order = [truth.targets.index(name) for name in recording.targets]
+    values = np.array([[truth.instrument[name] for name in construction.names]])
+    state = State(position, rotation, truth.points[order], values)
+    readings = MeasurementModel(recording, construction).predict(state)
+    for applied in truth.effects:
+        readings = readings + applied.effect.shift(sightings_of(recording, state), applied.values)
+    noise = stream(seed, "added").normal(size=readings.shape) * recording.sigma()
+    added = np.arange(len(recording)) >= len(before)
+    return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))
+
+
+def words(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
+    """What a diagnosis said, and whether it was right."""
+    if not diagnosis.findings:
+        return {"named": diagnosis.verdict, "probability": 0.0, "not_excluded": "", "right": False}
+    first = diagnosis.findings[0]
+    return {
+        "named": f"{first.effect} {' '.join(first.where.stations)}".strip(),
+        "probability": round(first.evidence.probability, 3),
+        "not_excluded": " ".join(name for name, _ in first.equivalents),
+        "right": first.effect == effect and tuple(first.where.stations) == tuple(stations),
+    }
+
+
+def recorded(scenario_name: str, case: dict[str, Any], seed: int) -> tuple[Recording, Truth]:
+    """A recording of the case. A wrong reading is no effect of the simulated world: it is written into the file."""
+    scenario = load_scenario(scenario_name)
+    if "values" in case:
+        places = {key: tuple(case.get(key, ())) for key in ("stations", "targets")}
+        entry = EffectEntry(name=case["name"], **places, values=case["values"], shape=case.get("shape", {}))
+        return simulate(scenario.model_copy(update={"effects": (entry,)}), seed)
+    recording, truth = simulate(scenario, seed)
+    station, target = recording.stations.index(case["stations"][0]), recording.targets.index(case["targets"][0])
+    readings = recording.readings.copy()
+    readings[(recording.station == station) & (recording.target == target), 0] += case["range_um"] * MICROMETRE
+    return recording.with_readings(readings), truth
+
+
+def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row:
+    """One recording: diagnosed, extended as proposed, diagnosed again."""
+    recording, truth = recorded(scenario_name, case, seed + 1000 * number)
+    first = diagnose(recording, seed=seed)
+    row: Row = {"true": case["name"], "recording": number}
+    row |= {f"before_{key}": value for key, value in words(first, case["name"], case["stations"]).items()}
+    between = open_question(first)
+    if not between:
+        return row | {"between": "", "proposal": ""}
+    proposals = next_measurement(recording, between=between)
+    best = proposals.proposals[0]
+    second = diagnose(measured(best.extension, recording, truth, seed + number), seed=seed)
+    row |= {
+        "between": " ".join(between),
+        "proposal": best.extension.words,
+        "minutes": round(best.extension.seconds / 60, 1),
+        "evidence_before": " ".join(f"{value:.1f}" for value in proposals.evidence_now.values()),
+        "evidence_after": " ".join(f"{value:.1f}" for value in best.evidence.values()),
+        "tells_apart": " ".join(best.tells_apart),
+    }
+    return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """All cases and recordings."""
+    given = options(__file__, arguments)
+    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    count = given.trials or config["recordings"]
+    tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
+    rows = spread_out(one, tasks, given.jobs)
+    for row in rows:
+        tell(str(row))
+    write_table(given.out / "cases.csv", rows)
+    write_manifest(__file__, given, config["seed"], count)
+
+
+if __name__ == "__main__":
+    main()
