@@ -11,6 +11,7 @@ from scipy import stats
 
 from ltsim.adjust.components import Component, Grouping, estimated_components
 from ltsim.adjust.inner import InnerDatum, moved_to_datum, stated_datum
+from ltsim.adjust.loose import without_loose
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.reliability import (
     FAMILY_LEVEL,
@@ -22,9 +23,10 @@ from ltsim.adjust.reliability import (
 )
 from ltsim.adjust.screening import screened
 from ltsim.adjust.snooping import snooped
-from ltsim.adjust.start import start_network
+from ltsim.adjust.start import reached_network
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
+from ltsim.errors import ModelError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import OBSERVABLES, Recording
@@ -148,6 +150,13 @@ class Adjustment:
         return detectable_bias(self.problem, self.redundancy)
 
     @property
+    def lost_targets(self) -> tuple[str, ...]:
+        """Targets that were measured, but that the readings in use do not determine: the rest is adjusted."""
+        measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
+        lost = self.problem.unseen_targets & (measured > 0)
+        return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
+
+    @property
     def rejected(self) -> Bools:
         """(n, 3) bool: measured readings that were not used."""
         return self.recording.measured & ~self.problem.use
@@ -254,37 +263,44 @@ def adjust(
     Returns
     -------
     Adjustment
-        In the frame of the first station unless control points, levels or a datum define another. Its solution
+        In the frame of the first station unless control points, levels or a datum define another. Targets that the
+        readings in use do not determine are left out (`lost_targets`). Its solution
         carries a status; an adjustment that did not converge is returned, not raised.
 
     Raises
     ------
     NetworkError
-        When the readings do not tie a station or a target to the rest.
+        When the readings do not tie a station to the rest.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
     built = construction or ideal()
     model = MeasurementModel(recording, built, tuple(effects))
-    gross = np.zeros(len(recording), dtype=bool)
+    gross, tied = np.zeros(len(recording), dtype=bool), np.ones(len(recording), dtype=bool)
     if start is None:
-        (position, rotation, points), gross = screened(recording, *start_network(recording))
+        reached, lost = reached_network(recording)
+        tied = ~lost[recording.target]
+        usable = recording.with_readings(np.where(tied[:, None], recording.readings, np.nan))
+        (position, rotation, points), gross = screened(usable, *reached)
         parameters = np.zeros((len(recording.instruments), built.size))
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
         start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
-    keep = np.broadcast_to((~gross | robust)[:, None], recording.readings.shape)
+    keep = np.broadcast_to(((~gross | robust) & tied)[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
     whole = NetworkProblem.of(model, sigma=sigma, use=chosen)
     start = replace(start, position=whole.marks.on_marks(start.position, start.points))
+    whole = without_loose(whole, start)
     problem, solution = find(whole, start)
     components: tuple[Component, ...] = ()
     if variance_components is not None:
         given = problem, solution, variance_components
         problem, solution, components = estimated_components(*given, find, whole.use)
     found = Adjustment(problem, solution, gross & ~problem.use.any(axis=1), components=components)
-    names = stated_datum(problem) if datum is None else tuple(datum)
+    names = tuple(n for n in stated_datum(problem) if n not in found.lost_targets) if datum is None else tuple(datum)
+    if datum is not None and set(names) & set(found.lost_targets):
+        raise ModelError(f"the readings do not determine {', '.join(set(names) & set(found.lost_targets))} of the datum")
     if not names or solution.factor is None or not problem.free.shape[1]:
         return found
     return _in_datum(found, names)

@@ -86,7 +86,7 @@ def estimated_components(
             if np.max(np.abs(change - 1.0)) < CLOSE:
                 break
         before = problem.use
-        problem, solution = find(replace(problem, use=available), solution.x)
+        problem, solution = find(_scaled(stated, factor, group, available), solution.x)
         if np.array_equal(problem.use, before):
             break
     return problem, solution, _components(problem, grouping, factor, redundancy)

@@ -334,8 +334,8 @@ class Growth:
 
     # --- the end ---------------------------------------------------------------------------------------------------
 
-    def require_everything(self) -> None:
-        """NetworkError with the names of what has no place."""
+    def require_stations(self) -> None:
+        """NetworkError with the names of the stations that have no place, or of the targets where none has one."""
         recording = self._recording
         if not self._joined.all():
             lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~self._joined))
@@ -344,7 +344,12 @@ class Growth:
                 f"station {lost}: shares only {most} targets with the rest of the network; "
                 "at least three are needed (two between levelled stations, more where ranges or angles are missing)"
             )
-        missing = ~self._have
+        if not self._have.any():
+            self.require_targets()
+
+    def require_targets(self) -> None:
+        """NetworkError with the names of the targets that have no place."""
+        recording, missing = self._recording, ~self._have
         if missing.any():
             lost = ", ".join(recording.targets[t] for t in np.flatnonzero(missing)[:10])
             raise NetworkError(

@@ -269,7 +269,8 @@ class NetworkProblem:
     def dof(self) -> int:
         """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
         priors = int(np.isfinite(self.prior_sigma).sum())
-        known = len(self.gauge) + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
+        lengths = int(np.isfinite(self.gauge.sigma).sum())
+        known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
         unknown = self.layout.size - self.free.shape[1] - len(self._held_columns)
         return int(self.use.sum()) + known - unknown
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltsim.adjust.loose import without_loose
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
@@ -44,7 +45,7 @@ def screened(
     excess = _excess(model, state)
     for _ in range(PASSES if np.any(excess > 1.0) else 0):
         loose = np.maximum(excess, 1.0)[:, None]
-        problem = NetworkProblem.of(model, sigma=recording.sigma() * loose)
+        problem = without_loose(NetworkProblem.of(model, sigma=recording.sigma() * loose), state)
         try:
             state = problem.retract(state, Factor(problem.linearise(state)).step())
         except SingularSystemError:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ltsim.adjust.loose import without_loose
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of
 from ltsim.arrays import Bools, Floats
@@ -49,7 +50,7 @@ def snooped(
     rejected = _doubtful(problem, state, factor, limit)
     seen: set[bytes] = set()
     while True:
-        kept = replace(problem, use=problem.use & ~rejected)
+        kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
         solution = solve(kept, state)
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             rejected = _half(problem, state, rejected)
@@ -60,7 +61,7 @@ def snooped(
         if np.array_equal(new, rejected):
             return kept, solution
         if new.tobytes() in seen or len(seen) == ROUNDS:  # On the edge: what is out in either stays out.
-            last = replace(problem, use=problem.use & ~(new | rejected))
+            last = without_loose(replace(problem, use=problem.use & ~(new | rejected)), state)
             ended = solve(last, state)
             return (kept, solution) if ended.factor is None else (last, ended)
         rejected = new
@@ -130,5 +131,6 @@ def _retested(
         miss = np.abs((residuals / problem.sigma)[rejected & problem.use]) / spread
         still = np.zeros_like(rejected)
         still[rejected & problem.use] = miss > limit * scale
-        new |= still
+        # A target that is left out by now cannot speak for its readings.
+        new |= still | (rejected & kept.unseen_targets[problem.model.recording.target][:, None])
     return new

@@ -45,6 +45,29 @@ def start_network(recording: Recording) -> tuple[Floats, Floats, Floats]:
     NetworkError
         When the readings do not tie a station or a target to the rest.
     """
+    growth = _grown(recording)
+    growth.require_stations()
+    growth.require_targets()
+    return growth.result()
+
+
+def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
+    """The same, and the targets (T,) that the readings tie to nothing: these stand amid the others, to be left out.
+
+    Raises
+    ------
+    NetworkError
+        When the readings do not tie a station to the rest.
+    """
+    growth = _grown(recording)
+    growth.require_stations()
+    position, rotation, points = growth.result()
+    lost: Bools = np.isnan(points).any(axis=1)
+    return (position, rotation, np.where(lost[:, None], points[~lost].mean(axis=0), points)), lost
+
+
+def _grown(recording: Recording) -> Growth:
+    """The network as far as it grows."""
     cloud, seen = station_clouds(recording, _flat_points(recording))
     frame = Frame.of(recording)
     farthest: Growth | None = None
@@ -52,12 +75,11 @@ def start_network(recording: Recording) -> tuple[Floats, Floats, Floats]:
         growth = Growth(recording, cloud, seen, frame)
         growth.run(beginning)
         if growth.is_complete:
-            return growth.result()
+            return growth
         if farthest is None or growth.reach > farthest.reach:
             farthest = growth
     assert farthest is not None
-    farthest.require_everything()
-    return farthest.result()
+    return farthest
 
 
 def _flat_points(recording: Recording) -> Floats | None:

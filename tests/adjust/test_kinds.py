@@ -7,6 +7,7 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.adjust.seeds import multilaterate, relative_orientation
+from ltsim.adjust.start import start_network
 from ltsim.errors import NetworkError
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z, from_rotation_vector
@@ -130,7 +131,68 @@ def test_what_no_reading_ties_is_named():
     lonely = blanked(recording, (recording.target == 5) & (recording.station != 2), [0, 1, 2])
     lonely = blanked(lonely, (recording.target == 5) & (recording.station == 2), [0])
     with pytest.raises(NetworkError, match="target T06"):
-        adjust(lonely.select(lonely.measured.any(axis=1)))
+        start_network(lonely.select(lonely.measured.any(axis=1)))
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("target", [5, 25])
+def test_a_target_that_loses_its_azimuths_is_left_out_and_the_rest_adjusted(robust, target):
+    recording, _ = network(seed=3, stations=3)
+    here = recording.target == target
+    lonely = blanked(recording, here & (recording.station == 2), [0, 1, 2])
+    lonely = blanked(lonely, here & (recording.station < 2), [1, 2] if robust else [1])
+    lonely = blanked(lonely, here & (recording.station == 1), [0])
+    lonely = lonely.select(lonely.measured.any(axis=1))
+    found = adjust(lonely, misalignment(), robust=robust)
+    name = f"T{target + 1:02d}"
+    assert found.lost_targets == (name,)
+    found.solution.require_success()
+    without = with_setup(recording.select(~here), gauge=gauge_without(recording, name))
+    rest = adjust(without, misalignment(), robust=robust)
+    assert found.dof == rest.dof
+    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    others = [i for i, n in enumerate(found.recording.targets) if n != name]
+    np.testing.assert_allclose(found.state.points[others], rest.state.points, atol=1e-10)
+    np.testing.assert_allclose(found.target_covariance[others], rest.target_covariance, rtol=1e-5, atol=1e-16)
+    assert np.isnan(found.target_covariance[found.recording.targets.index(name)]).all()
+
+
+def test_a_target_left_open_by_readings_out_of_use_is_left_out():
+    """Two stations see T06; one reading of each is not used: a range and an elevation leave a circle."""
+    recording, _ = network(seed=3)
+    recording = recording.select((recording.target != 5) | (recording.station < 2))
+    use = np.ones(recording.readings.shape, dtype=bool)
+    rows = np.flatnonzero(recording.target == 5)
+    use[rows] = [[True, False, True], [False, False, False]]
+    found = adjust(recording, misalignment(), use=use)
+    assert found.lost_targets == ("T06",)
+    assert found.rejected[rows].all()
+    rest = adjust(recording.select(recording.target != 5), misalignment())
+    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    use[rows[1], 1] = True
+    assert adjust(recording, misalignment(), use=use).lost_targets == ()
+
+
+def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustment():
+    """Azimuths of both of its stations apart by 700 urad: which is right nobody can say, what is left does not do."""
+    recording, _ = network(seed=5)
+    recording = recording.select((recording.target != 5) | (recording.station < 2))
+    rows = np.flatnonzero(recording.target == 5)
+    readings = recording.readings.copy()
+    readings[rows, 1] += [4e-4, -3e-4]
+    readings[rows[1], [0, 2]] = np.nan
+    found = adjust(recording.with_readings(readings), misalignment(), robust=True)
+    found.solution.require_success()
+    assert found.lost_targets == ("T06",)
+    assert found.rejected.sum() == 4
+    rest = adjust(recording.select(recording.target != 5), misalignment())
+    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+
+
+def gauge_without(recording, name):
+    gauge = recording.gauge
+    kept = tuple(d for d in gauge.distance if name not in (d.from_, d.to))
+    return gauge.model_copy(update={"distance": kept})
 
 
 # --- what is known beforehand -------------------------------------------------------------------------------------
