@@ -27,7 +27,7 @@ from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.diagnose.search import EffectSet, Searcher
 from ltsim.diagnose.separate import separating_measurement
-from ltsim.diagnose.stations import mend_stations
+from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import NoiseEffect
@@ -97,10 +97,11 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
         Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
     """
     construction = misalignment()
-    converted, wrong = mend_stations(recording)
+    faced, confused = mend_faces(recording)
+    converted, wrong = mend_stations(faced)
     first = adjust(converted, construction)
     mended, use, gross = explain_gross(first)
-    gross = [*wrong, *gross]
+    gross = [*confused, *wrong, *gross]
     case = _Case(mended, construction, use, mended.sigma(), first.state, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
@@ -155,16 +156,26 @@ def _change(searcher: Searcher, hypothesis: Hypothesis, others: EffectSet) -> tu
     return () if found is None else (Estimate("time", found[0], found[1], "s"),)
 
 
+WIDER = 1.15
+"""Where shapes leave a parameter so many times less certain than the curvature at the optimum, a posterior is told."""
+
+
 def _widened(
     searcher: Searcher, hypothesis: Hypothesis, others: EffectSet, fitted: Refit, member: int
 ) -> list[Estimate]:
-    """Estimates with the uncertainty that the shape leaves, where it is larger than the refit's."""
-    spread = searcher.shape_spread(hypothesis, others, fitted.values(member))
+    """Estimates of a refit; where the shape leaves them less certain, mean and deviation over all shapes."""
     factors = {p.name: p.factor for p in hypothesis.effect.parameters}
     factors |= {s.name: FACTOR[s.unit] for s in type(hypothesis.effect).shape}
+    told = fitted.estimates[member]
+    spread = {e.name: e.sigma * factors.get(e.name, 1.0) for e in told}
+    posterior = searcher.shape_posterior(hypothesis, others, spread)
+    if not any(posterior.get(name, (0.0, 0.0))[1] > WIDER * sigma for name, sigma in spread.items()):
+        return list(told)
     return [
-        replace(e, sigma=max(e.sigma, spread.get(e.name, 0.0) / factors.get(e.name, 1.0)))
-        for e in fitted.estimates[member]
+        replace(e, value=posterior[e.name][0] / factors[e.name], sigma=posterior[e.name][1] / factors[e.name])
+        if e.name in posterior
+        else e
+        for e in told
     ]
 
 

@@ -9,7 +9,7 @@ averaged over a grid, so these hypotheses compete with mean shifts by the same e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -197,9 +197,10 @@ SMALLEST, LARGEST = 0.0, 400.0
 def _most_likely(
     space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats
 ) -> tuple[tuple[float, ...], float, tuple[float, ...]]:
-    """Sizes at the maximum of the restricted likelihood, twice its log ratio there, standard deviations.
+    """Sizes, twice the log ratio of the restricted likelihood at its maximum, standard deviations.
 
-    Starts from the hypothesis, then every parameter of the effect is moved in turn.
+    The maximum is found by moving every parameter of the effect in turn; sizes and standard deviations are those of the
+    posterior around it, since the likelihood of a variance is skew and ends at zero.
     """
     used = space.use
     share = space.redundancy[: int(used.sum())]
@@ -226,11 +227,37 @@ def _most_likely(
             found = minimize_scalar(lost, bounds=bounds, method="bounded")
             if -found.fun > gain(values):
                 values[k] = scale[k] * (np.exp(found.x) - 1.0)
-    sigma = []
-    for k, step in enumerate(0.05 * np.maximum(np.abs(values), 0.2 * scale)):
-        ahead, behind = values.copy(), values.copy()
-        ahead[k] += step
-        behind[k] -= step
-        curvature = (2 * gain(values) - gain(ahead) - gain(behind)) / step**2
-        sigma.append(float(np.sqrt(2.0 / curvature)) if 0 < curvature < np.inf else float(scale[k]))
-    return tuple(float(v) for v in values), gain(values), tuple(sigma)
+    reach = np.array([_reach(gain, values, k, scale[k]) for k in range(len(values))])
+    mean, sigma = _posterior(lambda v: gain(v) - 2.0 * float(np.log1p(v / scale).sum()), values, reach)
+    return tuple(mean.tolist()), gain(values), tuple(sigma.tolist())
+
+
+def _reach(gain: Callable[[Floats], float], values: Floats, k: int, scale: float) -> float:
+    """How far upward a parameter can go before its likelihood falls by a factor of e^-2 (two standard deviations)."""
+    top, step = gain(values), 0.05 * max(float(values[k]), 0.2 * scale)
+    while step < LARGEST * scale:
+        tried = values.copy()
+        tried[k] += step
+        if gain(tried) < top - 4.0:
+            return step
+        step *= 1.5
+    return step
+
+
+GRID = 13
+"""Points an axis of the grid on which the posterior of the sizes is summed."""
+
+
+def _posterior(twice_log: Callable[[Floats], float], values: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (q,) of non-negative sizes around the maximum of the likelihood."""
+    mean, sigma = values, 0.5 * reach
+    for width in (4.0, 4.5):
+        low = np.maximum(np.zeros_like(mean), mean - width * sigma)
+        axes = [np.linspace(a, b, GRID) for a, b in zip(low, mean + width * sigma, strict=True)]
+        points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+        logs = 0.5 * np.array([twice_log(point) for point in points])
+        weight = np.exp(logs - logs.max())
+        weight /= weight.sum()
+        mean = weight @ points
+        sigma = np.sqrt(weight @ (points - mean) ** 2)
+    return mean, sigma

@@ -8,7 +8,7 @@ time; then every member is examined again beside the others, and replaced or dro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -29,6 +29,8 @@ MOST_BASINS = 3
 BASIN_DEPTH = 12.0
 UNKNOWN_ODDS = 0.05
 """Prior odds of all physics outside the catalogue together against one effect of it."""
+LARGEST = 20.0
+"""Sizes are held to so many prior sigmas where a shape leaves hardly anything of an effect to measure it by."""
 
 
 @dataclass(frozen=True)
@@ -95,20 +97,20 @@ def estimates(left: Floats, whole: Floats, residual: Floats) -> Floats:
     return np.asarray(vt[seen].T @ ((u[:, seen].T @ residual) / s[seen]) / norm)
 
 
-def _visible_inverse(left: Floats, whole: Floats) -> Floats:
-    """Covariance (q, q) of the visible part of `estimates`."""
-    norm = np.linalg.norm(whole, axis=0)
-    norm[norm == 0] = 1.0
-    _, s, vt = np.linalg.svd(left / norm, full_matrices=False)
-    seen = s**2 > VISIBLE
-    return np.asarray((vt[seen].T / s[seen] ** 2) @ vt[seen] / np.outer(norm, norm))
+def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
+    """Values of a shape constant over its bounds, denser within four `sigma` of the estimate, and widths of cells."""
 
+    def even(x: Floats) -> Floats:
+        return np.log(x) if shape.logarithmic else (1.0 / x if shape.reciprocal else x)
 
-def _fine(shape: ShapeParameter, now: float, count: int) -> Floats:
-    """Values of a shape constant over its bounds, the estimate among them."""
     low, high = min(shape.low, now), max(shape.high, now)
     grid = np.geomspace(low, high, count) if shape.logarithmic else np.linspace(low, high, count)
-    return np.unique(np.append(grid, now))
+    if shape.reciprocal:
+        grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
+    near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
+    values = np.unique(np.concatenate([grid, near, [now]]))
+    edges = even(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
+    return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
 class Searcher:
@@ -228,33 +230,42 @@ class Searcher:
         gap = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         return mean, float(np.sqrt(weight @ (times - mean) ** 2 + gap**2 / 12.0))
 
-    def shape_spread(self, hypothesis: Hypothesis, base: EffectSet, values: Floats) -> dict[str, float]:
-        """Root mean square distance of parameters and shape constants from their estimates over all plausible shapes.
+    def shape_posterior(
+        self, hypothesis: Hypothesis, base: EffectSet, spread: Mapping[str, float]
+    ) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation [SI] of parameters and shape constants over all shapes within their bounds.
 
-        Shapes on a fine grid are weighed by their likelihood, each with the uncertainty it leaves the parameters;
-        unlike a
-        curvature at the optimum this holds where the likelihood of a shape is flat, skew or cut off by its bounds.
+        Shapes on a grid, finer around the estimate (`spread`: standard deviations there), are weighed by their
+        likelihood and the room they stand for; each brings the uncertainty it leaves the parameters. Unlike a
+        curvature at the optimum this holds where the likelihood of a shape is flat, skew, cut off by its bounds, or has
+        two tops. Empty for effects without such constants.
         """
         effect = hypothesis.effect
         shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
         if not shapes or len(shapes) > 2:
             return {}
-        axes = [_fine(s, float(vars(effect)[s.name]), 33 if len(shapes) == 1 else 9) for s in shapes]
-        rows, logs = [], []
-        for constants in product(*axes):
+        count = 33 if len(shapes) == 1 else 15
+        axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
+        prior = np.diag([(LARGEST * p.prior_sigma) ** -2 for p in effect.parameters])
+        means, seconds, logs = [], [], []
+        for point in product(*(zip(*axis, strict=True) for axis in axes)):
+            constants = np.array([value for value, _ in point])
             named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
-            signature = self.space.signature(effect.reshaped(**named))
-            left = self.space.project(signature)
+            left = self.space.project(self.space.signature(effect.reshaped(**named)))
             left -= base.extension @ (base.extension.T @ left)
-            found = estimates(left, signature, base.residual)
-            inverse = _visible_inverse(left, signature)
-            logs.append(0.5 * float(found @ (left.T @ base.residual)))
-            own = np.array([named[s.name] - float(vars(effect)[s.name]) for s in shapes])
-            rows.append(np.concatenate([np.diag(inverse) + (found - values) ** 2, own**2]))
+            inverse = np.linalg.inv(left.T @ left + prior)
+            score = left.T @ base.residual
+            found = inverse @ score
+            room = float(np.sum(np.log([width for _, width in point])))
+            logs.append(0.5 * float(found @ score) + room)
+            means.append(np.concatenate([found, constants]))
+            seconds.append(np.concatenate([np.diag(inverse) + found**2, constants**2]))
         weight = np.exp(np.array(logs) - max(logs))
-        spread = np.sqrt(weight / weight.sum() @ np.array(rows))
+        weight /= weight.sum()
+        mean = weight @ np.array(means)
+        deviation = np.sqrt(np.maximum(weight @ np.array(seconds) - mean**2, 0.0))
         names = [p.name for p in effect.parameters] + [s.name for s in shapes]
-        return dict(zip(names, spread.tolist(), strict=True))
+        return {n: (float(m), float(d)) for n, m, d in zip(names, mean, deviation, strict=True)}
 
     def _sizes(self, hypothesis: Hypothesis, base: EffectSet) -> Floats:
         """Estimated parameters over their prior sigma."""

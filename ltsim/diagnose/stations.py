@@ -1,8 +1,8 @@
-"""Whole stations recorded in another unit or convention: seen by shape, before anything is adjusted.
+"""Whole stations recorded in another unit, convention or face: seen before anything is adjusted.
 
 The targets that a station measured, as a cloud of points, must have the shape that other stations saw. One that
-does not is
-tried with the mistakes people make; the mend that gives the shape back is the explanation.
+does not is tried with the mistakes people make; the mend that gives the shape back is the explanation. The face is
+written in the raw elevation itself, which exceeds 90 degrees on face 2.
 """
 
 from __future__ import annotations
@@ -95,6 +95,37 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
                 recording = mended
                 break
     return recording, findings
+
+
+def mend_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+    """Put pointings into the face that their raw elevations show, where the stored one is another.
+
+    Where most pointings of face 2 read like face 1, that is how the file states elevations, and nobody's mistake.
+
+    Returns
+    -------
+    recording : Recording
+    findings : list of GrossFinding
+        One a station.
+    """
+    shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
+    wrong = np.isfinite(recording.readings[:, 2]) & (shown != recording.face)
+    back = recording.face == 2
+    if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (back, ~back)):
+        return recording, []
+    findings = []
+    for s in np.unique(recording.station[wrong]):
+        rows = np.flatnonzero(wrong & (recording.station == s))
+        name, stored = recording.stations[s], sorted(set(recording.face[rows].tolist()))
+        far = float(np.nanmax(recording.readings[rows, 0]))
+        faces = " and ".join(str(face) for face in stored)
+        sentence = (
+            f"{len(rows)} pointings at station {name} are stored as face {faces}, but their raw elevations are those "
+            "of the other face."
+        )
+        observables = ("azimuth", "elevation")
+        findings.append(GrossFinding("face-confusion", rows, (name,), (), observables, 2 * far, sentence))
+    return recording.replace(face=np.where(wrong, shown, recording.face)), findings
 
 
 def _odd_stations(recording: Recording) -> list[int]:

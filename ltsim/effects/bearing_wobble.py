@@ -73,7 +73,7 @@ class BearingWobble(Effect):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 2) of the raw readings per unit of either amplitude, first order."""
         acts, response = self.mask(sightings)[:, None], sightings.slot_responses
-        phase = self.order * sightings.raw[:, 2 if self.kind == "transit" else 1]
+        phase = self.order * sightings.read[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]
         if self.kind == "transit":
             yaw = response["beam-tilt"]

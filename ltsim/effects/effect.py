@@ -242,7 +242,7 @@ class SlotEffect(Effect):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
         acts = self.mask(sightings)
-        columns = [sightings.slot_responses[t.slot] * (acts * t.basis(sightings.raw))[:, None] for t in self.terms]
+        columns = [sightings.slot_responses[t.slot] * (acts * t.basis(sightings.read))[:, None] for t in self.terms]
         return np.stack(columns, axis=2)
 
 

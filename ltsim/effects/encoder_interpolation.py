@@ -4,8 +4,8 @@ Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods 
 Like: white noise of that angle. Unlike noise it repeats at the same angle.
 Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
 Valid: where N is known, from the data sheet: a network of some hundred pointings cannot search N over all integers,
-so the usual counts are tried. The phase N x is taken at the ideal reading; a pointing error e blurs it by N e, 15 urad
-by 0.5 rad at N = 36 000, so the first-order design fades above that. The exact chain uses the reading itself.
+so the usual counts are tried. An error e of x blurs the phase by N e, 15 urad by 0.5 rad at N = 36 000: an adjustment
+takes it at the reading with the instrument's own errors in it (`sightings.read`), as the exact chain does.
 Source: physics.md entry 9 [S16, K].
 Status: validated against the exact chain for N up to 36 000.
 """

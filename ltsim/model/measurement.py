@@ -156,10 +156,17 @@ class MeasurementModel:
         return flat if flat.any() else None
 
     def sightings(self, state: State) -> Sightings:
-        """The sightings of the pointings with stations and targets at `state`."""
+        """The sightings of the pointings with stations, targets and instruments at `state`."""
         found = self._geometry(state)
+        return self._completed(found, state, self._instrument_readings(found, state))
+
+    def _completed(self, found: Sightings, state: State, raw: Floats) -> Sightings:
+        """What effects need beyond the geometry: nest normals in the network frame, the instrument's readings."""
         turn = plan_rotation(self.recording, state.position, state.rotation)
-        return replace(found, nest_normal=found.nest_normal @ turn.T)
+        return replace(found, nest_normal=found.nest_normal @ turn.T, encoder=raw)
+
+    def _instrument_readings(self, geometry: Sightings, state: State) -> Floats:
+        return self.construction.readings(geometry.local, geometry.face, self._instrument_values(state))
 
     def _geometry(self, state: State) -> Sightings:
         """The same as far as no effect is concerned."""
@@ -172,8 +179,10 @@ class MeasurementModel:
 
     def predict(self, state: State) -> Floats:
         """Predicted raw readings (n, 3)."""
-        sightings = self.sightings(state) if self.effects else self._geometry(state)
-        raw = self.construction.readings(sightings.local, sightings.face, self._instrument_values(state))
+        sightings = self._geometry(state)
+        raw = self._instrument_readings(sightings, state)
+        if self.effects:
+            sightings = self._completed(sightings, state, raw)
         for effect, values in zip(self.effects, self._split(state.extra), strict=True):
             raw = raw + effect.shift(sightings, values)
         if self._horizontal is not None:
@@ -186,9 +195,11 @@ class MeasurementModel:
 
     def linearised(self, state: State) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and further effects."""
-        sightings = self.sightings(state) if self.effects else self._geometry(state)
+        sightings = self._geometry(state)
         values = self._instrument_values(state)
-        raw = self.construction.readings(sightings.local, sightings.face, values)
+        raw = self._instrument_readings(sightings, state)
+        if self.effects:
+            sightings = self._completed(sightings, state, raw)
         by_point, by_instrument = self.construction.reading_design(raw, values)
         by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
         by_pose = np.concatenate([-by_target, by_target @ cross_matrix(sightings.arm)], axis=2)

@@ -38,6 +38,9 @@ class Sightings:
     covariates : mapping of str to (n,) float
     lift : (n, 3) float or None, [m]
         From the target's mark to the reflector, less what the instrument stood higher than `position`.
+    encoder : (n, 3) float or None
+        Raw readings with the instrument's own errors in them, where they are known: the phase of fine periodic
+        errors is taken there.
     """
 
     station: Ints
@@ -55,13 +58,14 @@ class Sightings:
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
     lift: Floats | None = None
+    encoder: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.station)
 
     def at(self, position: Floats, rotation: Floats, points: Floats) -> Sightings:
         """The same pointings with stations and targets elsewhere."""
-        return replace(self, position=position, rotation=rotation, points=points)
+        return replace(self, position=position, rotation=rotation, points=points, encoder=None)
 
     @cached_property
     def arm(self) -> Floats:
@@ -84,6 +88,11 @@ class Sightings:
     def raw(self) -> Floats:
         """(n, 3): ideal raw readings on the face that was used."""
         return to_face(self.polar, self.face)
+
+    @property
+    def read(self) -> Floats:
+        """(n, 3): raw readings of the instrument as far as its errors are known, ideal ones otherwise."""
+        return self.raw if self.encoder is None else self.encoder
 
     @property
     def range_(self) -> Floats:
@@ -133,9 +142,7 @@ class Sightings:
         """
         slots = {motion.slot for motion in MISALIGNMENT}
         _, by_slot = point_and_derivatives(MISALIGNMENT, self.raw, {}, slots)
-        return {
-            slot: -np.einsum("nij,nj->ni", self.jacobian, moved) for slot, moved in by_slot.items()
-        }
+        return {slot: -np.einsum("nij,nj->ni", self.jacobian, moved) for slot, moved in by_slot.items()}
 
     @cached_property
     def station_time(self) -> Floats:
