@@ -63,6 +63,8 @@ class Adjustment:
         Datum of the covariances where it is not that of the factor (the pose of the first station).
     components : tuple of Component
         Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it.
+    untied : tuple of str
+        Targets that the whole recording does not place, amid the others in the state.
     """
 
     problem: NetworkProblem
@@ -70,6 +72,7 @@ class Adjustment:
     gross: Bools
     datum: InnerDatum | None = None
     components: tuple[Component, ...] = ()
+    untied: tuple[str, ...] = ()
 
     @property
     def recording(self) -> Recording:
@@ -276,7 +279,7 @@ def adjust(
     """
     built = construction or ideal()
     model = MeasurementModel(recording, built, tuple(effects))
-    gross, tied = np.zeros(len(recording), dtype=bool), np.ones(len(recording), dtype=bool)
+    gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     if start is None:
         reached, lost = reached_network(recording)
         tied = ~lost[recording.target]
@@ -286,7 +289,7 @@ def adjust(
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
         start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
-    keep = np.broadcast_to(((~gross | robust) & tied)[:, None], recording.readings.shape)
+    keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
     whole = NetworkProblem.of(model, sigma=sigma, use=chosen)
@@ -297,13 +300,23 @@ def adjust(
     if variance_components is not None:
         given = problem, solution, variance_components
         problem, solution, components = estimated_components(*given, find, whole.use)
-    found = Adjustment(problem, solution, gross & ~problem.use.any(axis=1), components=components)
-    names = tuple(n for n in stated_datum(problem) if n not in found.lost_targets) if datum is None else tuple(datum)
-    if datum is not None and set(names) & set(found.lost_targets):
-        raise ModelError(f"the readings do not determine {', '.join(set(names) & set(found.lost_targets))} of the datum")
+    untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
+    found = Adjustment(problem, solution, gross & ~problem.use.any(axis=1), components=components, untied=untied)
+    names = _datum_names(found, datum)
     if not names or solution.factor is None or not problem.free.shape[1]:
         return found
     return _in_datum(found, names)
+
+
+def _datum_names(adjustment: Adjustment, chosen: Sequence[str] | None) -> tuple[str, ...]:
+    """The targets that were chosen for the datum, or those of the set-up that the readings determine."""
+    lost = adjustment.lost_targets
+    if chosen is None:
+        return tuple(name for name in stated_datum(adjustment.problem) if name not in lost)
+    for name in chosen:
+        if name in lost:
+            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
+    return tuple(chosen)
 
 
 def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:

@@ -110,6 +110,8 @@ class InnerDatum:
         U.
     middle : (f, f) float
         M.
+    names : tuple of str
+        The points it is tied to.
 
     References
     ----------
@@ -119,6 +121,7 @@ class InnerDatum:
     motion: Floats
     carried: Floats
     middle: Floats
+    names: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
@@ -146,7 +149,7 @@ class InnerDatum:
             raise ModelError("these targets do not define a datum: choose at least three off one line")
         back = np.linalg.inv(square)
         response = factor.covariance_columns(held)
-        return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
+        return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T, tuple(names))
 
     def transformed(self, covariance: Floats, columns: Ints) -> Floats:
         """Covariances (c, k, k) of sets of unknowns (c, k), moved from the datum of the factor to this one."""

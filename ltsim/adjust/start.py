@@ -62,7 +62,7 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     growth = _grown(recording)
     growth.require_stations()
     position, rotation, points = growth.result()
-    lost: Bools = np.isnan(points).any(axis=1)
+    lost = np.asarray(np.isnan(points).any(axis=1))
     return (position, rotation, np.where(lost[:, None], points[~lost].mean(axis=0), points)), lost
 
 

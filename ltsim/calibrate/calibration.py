@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.verdict import Verdict
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
@@ -61,7 +62,10 @@ class StationPose:
 
 @dataclass(frozen=True)
 class OutlierRow:
-    """A reading that does not belong; `row` counts from 1 as in the table, `size` and `unit` as shown."""
+    """A reading that does not belong; `row` counts from 1 as in the table, `size` and `unit` as shown.
+
+    A `gross` one is the largest of a whole pointing that was left out; what was `left_out` had no say in the result.
+    """
 
     row: int
     station: str
@@ -71,6 +75,24 @@ class OutlierRow:
     unit: str
     w: float
     gross: bool = False
+    left_out: bool = False
+
+
+@dataclass(frozen=True)
+class NoiseRow:
+    """Noise found from the readings of one observable of one instrument, or of the levels.
+
+    `factor` multiplies the stated standard deviation, `factor_sigma` is its own (infinite where the `redundancy` is
+    too small to estimate it); `typical` is the median standard deviation that results, in `unit`.
+    """
+
+    observable: str
+    instrument: str
+    factor: float
+    factor_sigma: float
+    redundancy: float
+    typical: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -97,6 +119,16 @@ class Calibration:
     criteria : Criteria or None
         None where a single station leaves nothing to compare.
     outliers : tuple of OutlierRow
+    verdict : Verdict or None
+        Which test to trust where they disagree; None for the distance methods and for what was read from a file.
+    robust : bool
+        Whether readings that do not belong were left out.
+    noise : tuple of NoiseRow
+        The noise found, where it was estimated from the readings.
+    lost_targets : tuple of str
+        Measured targets that the readings in use do not determine; they have no coordinates.
+    notes : tuple of str
+        What a reader should know of how this came about.
     adjustment : Adjustment or None
         The adjusted network; None for a calibration that was read from a file.
     """
@@ -116,6 +148,11 @@ class Calibration:
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     criteria: Criteria | None = None
     outliers: tuple[OutlierRow, ...] = ()
+    verdict: Verdict | None = None
+    robust: bool = False
+    noise: tuple[NoiseRow, ...] = ()
+    lost_targets: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
 
     @cached_property

@@ -79,6 +79,7 @@ def calibrate_distance(
         target_covariance=adjustment.target_covariance + added[layout.target[:, :, None], layout.target[:, None, :]],
         criteria=criteria_of(recording, adjustment, built, values),
         outliers=outliers_of(adjustment),
+        lost_targets=adjustment.lost_targets,
         adjustment=adjustment,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import io
 import json
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.amplitude import harmonics
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, StationPose
-from ltsim.calibrate.result import SHOWN_UNITS
+from ltsim.calibrate.result import SHOWN_UNITS, named
 from ltsim.errors import ModelError, RecordError
 from ltsim.model.construction import Construction, construction
 from ltsim.recording.files import read_text, shown, write_texts
@@ -71,7 +72,23 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
         "criteria": calibration.criteria.as_json() if calibration.criteria else {},
         "outliers": [vars(outlier) for outlier in calibration.outliers],
     }
-    return entry
+    return entry | _treatment(calibration)
+
+
+def _treatment(calibration: Calibration) -> dict[str, Any]:
+    """What was done to the readings and which test to trust; a factor that could not be estimated has no sigma."""
+    judged = calibration.verdict
+    noise = [vars(n) | {"factor_sigma": n.factor_sigma if np.isfinite(n.factor_sigma) else None}
+             for n in calibration.noise]  # fmt: skip
+    said: dict[str, Any] = {}
+    if judged is not None:
+        said = {"case": judged.case.value, "sentence": judged.sentence, "scale_by_sigma0": judged.by_estimate}
+    return {
+        "robust": calibration.robust,
+        "noise": noise,
+        "verdict": said,
+        "lost_targets": list(calibration.lost_targets),
+    }
 
 
 def _factors(calibration: Calibration) -> Floats:
@@ -123,11 +140,12 @@ def _station(station: StationPose) -> dict[str, Any]:
 
 
 def targets_csv(names: Sequence[str], points: Floats, covariance: Floats) -> str:
-    """The content of `targets.csv` for points (T, 3) [m] with covariance (T, 3, 3) [m^2]."""
+    """The content of `targets.csv` for points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row."""
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     rows = [
         [name, *_digits(point / MILLIMETRE), *_digits(spread)]
         for name, point, spread in zip(names, points, sigma, strict=True)
+        if np.isfinite(spread).all()
     ]
     header = "target,x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm"
     return _csv(header, rows)
@@ -175,15 +193,15 @@ class _Table(BaseModel):
 class _ParameterRow(_Table):
     name: str
     value: FiniteFloat
-    sigma: NonNegativeFloat
+    sigma: NonNegativeFloat | None = None
     unit: str
-    prior_sigma: PositiveFloat
+    prior_sigma: PositiveFloat | None = None
     instrument: str = ""
 
 
 class _FitRow(_Table):
-    chi2: FiniteFloat
-    dof: int
+    chi2: FiniteFloat = 0.0
+    dof: int = 0
     sigma0: FiniteFloat | None = None
     p_value: FiniteFloat | None = None
     iterations: int = 0
@@ -201,9 +219,9 @@ class _File(_Table):
     """What a program needs of the file; the rest is for the reader."""
 
     format: str
-    method: str
+    method: str = "network"
     construction: str
-    fit: _FitRow
+    fit: _FitRow = _FitRow(status="not stated")
     frame: str = ""
     parameters: tuple[_ParameterRow, ...]
     covariance: tuple[tuple[FiniteFloat, ...], ...] = Field(default=())
@@ -214,7 +232,8 @@ def read_calibration(path: Path) -> Calibration:
     """The parameters of a `calibration.json` (or of the folder that holds one), with covariance and fit.
 
     Stations, targets and criteria belong to the network of that calibration and are not read back. A file
-    without a covariance gets a diagonal one.
+    without a covariance gets a diagonal one; parameters that it lacks are zero with their prior sigma, which the
+    notes of the result say.
 
     Raises
     ------
@@ -239,19 +258,16 @@ def _calibration(content: _File, file: Path) -> Calibration:
     built = _construction(content.construction, file)
     instruments = tuple(dict.fromkeys(row.instrument for row in content.parameters)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
-    count = len(place)
-    values, prior = np.zeros(count), np.array([p.prior_sigma for _ in instruments for p in built.parameters])
-    sigma, factor, at = np.zeros(count), np.ones(count), []
-    for number, row in enumerate(content.parameters, start=1):
-        k = place.get((row.instrument, row.name))
-        if k is None or k in at:
-            found = "stands there twice" if k in at else f"is none of construction {built.name}"
-            raise RecordError(f"parameters: '{shown(row.name)}' {found}", file=file, row=number)
-        if row.unit not in FACTOR:
-            raise RecordError(f"parameters: unknown unit '{shown(row.unit)}'", file=file, row=number)
-        at.append(k)
+    prior = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
+    values, sigma, factor = np.zeros(len(place)), prior.copy(), np.ones(len(place))
+    at = [_place(row, place, built, number, file) for number, row in enumerate(content.parameters, start=1)]
+    for number, (k, row) in enumerate(zip(at, content.parameters, strict=True), start=1):
+        if at.index(k) != number - 1:
+            raise RecordError(f"parameters: '{shown(row.name)}' stands there twice", file=file, row=number)
         factor[k] = FACTOR[row.unit]
-        values[k], sigma[k], prior[k] = np.array([row.value, row.sigma, row.prior_sigma]) * factor[k]
+        values[k] = row.value * factor[k]
+        prior[k] = prior[k] if row.prior_sigma is None else row.prior_sigma * factor[k]
+        sigma[k] = prior[k] if row.sigma is None else row.sigma * factor[k]
     covariance = np.diag(sigma**2)
     if content.covariance:
         given = _square(content.covariance, len(at), file)
@@ -268,7 +284,31 @@ def _calibration(content: _File, file: Path) -> Calibration:
         undetermined=tuple(Combination(c.combination, c.gain, c.cure) for c in content.undetermined),
         frame=content.frame,
         stations=(),
+        notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
     )
+
+
+def _place(row: _ParameterRow, place: dict[tuple[str, str], int], built: Construction, number: int, file: Path) -> int:
+    """Where a parameter of the file belongs; its name and unit are checked."""
+    if (row.instrument, row.name) not in place:
+        close = difflib.get_close_matches(row.name, built.names, n=1, cutoff=0.4)
+        instead = f"; did you mean {close[0]}?" if close else f": those are {', '.join(built.names)}"
+        raise RecordError(
+            f"parameters: '{shown(row.name)}' is none of construction {built.name}{instead}", file=file, row=number
+        )
+    if row.unit not in FACTOR:
+        raise RecordError(
+            f"parameters: unknown unit '{shown(row.unit)}'; expected one of {', '.join(FACTOR)}", file=file, row=number
+        )
+    return place[row.instrument, row.name]
+
+
+def _missing(names: list[str], file: Path) -> tuple[str, ...]:
+    """What to say of parameters that a file lacks."""
+    if not names:
+        return ()
+    which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
+    return (f"{file}: {which} not in the file and taken as zero: {named(names)}",)
 
 
 def _construction(name: str, file: Path) -> Construction:

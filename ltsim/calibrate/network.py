@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
-from ltsim.adjust.adjustment import adjust
+from collections.abc import Sequence
+
+from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust.components import Grouping
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.result import (
     criteria_of,
     directions_of,
     fit_of,
     frame_of,
+    noise_of,
     outliers_of,
     stations_of,
     undetermined_of,
+    verdict_of,
 )
+from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, misalignment
 from ltsim.recording.recording import Recording
 
 
 def calibrate_network(
-    recording: Recording, construction: Construction | None = None, *, advise: bool = True
+    recording: Recording,
+    construction: Construction | None = None,
+    *,
+    advise: bool = True,
+    robust: bool = False,
+    noise_from_data: bool = False,
+    datum: Sequence[str] | None = None,
 ) -> Calibration:
     """Estimate the parameters of an instrument from a network, with everything else that is unknown.
 
@@ -29,25 +41,52 @@ def calibrate_network(
         Default: the geometric misalignment model with its 16 parameters.
     advise : bool
         Compute which further measurements would cure undetermined combinations (half of the time it takes).
+    robust : bool
+        Leave out readings that do not belong, each tested again at the end.
+    noise_from_data : bool
+        Estimate the noise of each observable of each instrument, and of the levels, from the residuals.
+    datum : sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
 
     Raises
     ------
     NetworkError
-        When stations share too few targets.
+        When stations share too few targets, or control points leave nothing to a datum that was asked for.
+    ModelError
+        When the datum names a target that does not exist, or too few.
     ConvergenceError
         When the adjustment does not converge.
     """
-    return _calibration(recording, construction or misalignment(), "network", advise=advise)
+    built = construction or misalignment()
+    found = _adjusted(recording, built, robust, noise_from_data, datum)
+    return _calibration(found, "network", advise=advise, robust=robust)
 
 
-def adjust_network(recording: Recording) -> Calibration:
-    """The same network without instrument parameters, in the same form; raises as `calibrate_network`."""
-    return _calibration(recording, ideal(), "adjustment", advise=False)
+def adjust_network(
+    recording: Recording,
+    *,
+    robust: bool = False,
+    noise_from_data: bool = False,
+    datum: Sequence[str] | None = None,
+) -> Calibration:
+    """The same network without instrument parameters, in the same form; arguments and errors of `calibrate_network`."""
+    found = _adjusted(recording, ideal(), robust, noise_from_data, datum)
+    return _calibration(found, "adjustment", advise=False, robust=robust)
 
 
-def _calibration(recording: Recording, construction: Construction, method: str, *, advise: bool) -> Calibration:
-    adjustment = adjust(recording, construction)
-    adjustment.solution.require_success()
+def _adjusted(
+    recording: Recording, construction: Construction, robust: bool, noise_from_data: bool, datum: Sequence[str] | None
+) -> Adjustment:
+    grouping: Grouping | None = "instrument" if noise_from_data else None
+    found = adjust(recording, construction, robust=robust, variance_components=grouping, datum=datum)
+    found.solution.require_success()
+    if datum and not found.problem.free.shape[1]:
+        raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
+    return found
+
+
+def _calibration(adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
+    recording, construction = adjustment.recording, adjustment.construction
     at = adjustment.problem.layout.instrument.ravel()
     covariance = adjustment.kept_covariance[at[:, None], at]
     prior = adjustment.problem.prior_sigma
@@ -68,5 +107,9 @@ def _calibration(recording: Recording, construction: Construction, method: str, 
         target_covariance=adjustment.target_covariance,
         criteria=criteria_of(recording, adjustment, construction, values),
         outliers=outliers_of(adjustment),
+        verdict=verdict_of(adjustment),
+        robust=robust,
+        noise=noise_of(adjustment),
+        lost_targets=adjustment.lost_targets,
         adjustment=adjustment,
     )

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, observable_name
 from ltsim.adjust.screening import gross_pointings
 from ltsim.adjust.start import start_network
+from ltsim.adjust.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibrate.calibration import Combination, Fit, OutlierRow, StationPose, flat_names
+from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose, flat_names
 from ltsim.calibrate.cures import cures
 from ltsim.calibrate.undetermined import Direction, undetermined
 from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
+AGREES = 0.01
+"""Level at which chi-square says that readings and model disagree."""
+CONTRADICTS = 3.0
+"""Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
+MOST_NAMED = 6
 
 
 def gross_rows(recording: Recording) -> Bools:
@@ -54,21 +62,57 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
 
 
 def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Gross pointings first, then single readings by the w-test."""
+    """Gross pointings first, other readings that were left out, then those by the test that the verdict trusts."""
     recording = adjustment.recording
+    scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
-    def row(i: int, column: int, size: float, w: float, *, gross: bool) -> OutlierRow:
+    def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        return OutlierRow(i + 1, station, target, observable_name(column), size / factor, unit, w, gross)
+        observable = observable_name(column)
+        return OutlierRow(i + 1, station, target, observable, size / factor, unit, w, gross, left_out)
 
     found = []
-    for i in np.flatnonzero(adjustment.gross):
-        scaled = np.nan_to_num(adjustment.residuals[i] / adjustment.problem.sigma[i])
-        column = int(np.argmax(np.abs(scaled)))
-        found.append(row(int(i), column, adjustment.residuals[i, column], float(scaled[column]), gross=True))
-    single = [row(o.row, o.observable, o.size, o.w, gross=False) for o in adjustment.outliers()]
-    return tuple(found + single)
+    for i in np.flatnonzero(adjustment.gross).tolist():
+        k = int(np.argmax(np.abs(scaled[i])))
+        found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, left_out=True))
+    single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
+    for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
+        found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
+    estimated = verdict_of(adjustment).case is Case.SMALLER_NOISE and verdict_of(adjustment).by_estimate
+    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in adjustment.outliers(estimated=estimated)))
+
+
+def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
+    """(n, 3) Readings whose residual tells an error: of a target that lost its place, those that contradict others."""
+    recording = adjustment.recording
+    lost = np.isin(recording.targets, adjustment.lost_targets)[recording.target]
+    untied = np.isin(recording.targets, adjustment.untied)[recording.target]
+    told: Bools = ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > CONTRADICTS))
+    return told
+
+
+def verdict_of(adjustment: Adjustment) -> Verdict:
+    """Which test to trust, the global one at the level at which fits are said to agree."""
+    return verdict(adjustment, level=2 * AGREES)
+
+
+def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
+    """The noise that was estimated, group by group."""
+    problem, recording = adjustment.problem, adjustment.recording
+    rows = []
+    for c in adjustment.components:
+        if c.observable == "level":
+            unit, factor, sigmas = "arcsec", ARCSECOND, problem.levels.sigma
+        else:
+            column = OBSERVABLES.index(c.observable)
+            unit, factor = SHOWN_UNITS[column]
+            own = recording.instrument == recording.instruments.index(c.instrument)
+            sigmas = problem.sigma[own & problem.use[:, column], column]
+        if len(sigmas):
+            typical = float(np.median(sigmas)) / factor
+            rows.append(NoiseRow(c.observable, c.instrument, c.factor, c.sigma, c.redundancy, typical, unit))
+    return tuple(rows)
 
 
 def frame_of(adjustment: Adjustment) -> str:
@@ -78,14 +122,34 @@ def frame_of(adjustment: Adjustment) -> str:
     first = recording.stations[0]
     control = [recording.targets[i] for i in problem.control.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
-    if free == 6:
-        return f"the frame of station {first}"
     if free == 0:
-        return f"the frame of the control points {', '.join(control)}"
+        return f"the frame of the control points {named(control)}"
+    rest = f"is the frame of station {first}" + _inner(adjustment)
+    if free == 6:
+        return rest.removeprefix("is ")
     if not control:
-        return f"z follows the levels of {', '.join(levelled)}; the rest is the frame of station {first}"
-    held = f"the control points {', '.join(control)}" + (" and the levels" if levelled else "")
-    return f"{held}; what these leave free is held by station {first}"
+        return f"z follows the levels of {named(levelled)}; the rest {rest}"
+    held = f"the control points {named(control)}" + (" and the levels" if levelled else "")
+    return f"{held}; what these leave free {rest}"
+
+
+def _inner(adjustment: Adjustment) -> str:
+    """How inner constraints define the datum, if they do."""
+    if adjustment.datum is None:
+        return ""
+    setups = [adjustment.recording.target_setup(name) for name in adjustment.datum.names]
+    moved = (
+        " moved to the approximate coordinates of the datum's targets"
+        if any(s.approximate_mm or s.known_mm for s in setups)
+        else ""
+    )
+    return f"{moved}, standard deviations by inner constraints over {named(adjustment.datum.names)}"
+
+
+def named(names: Sequence[str]) -> str:
+    """Names with commas; of many the first few."""
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def undetermined_of(
@@ -115,11 +179,12 @@ def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Directio
 def criteria_of(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats
 ) -> Criteria | None:
-    """The paper's criteria without the gross pointings; None where stations cannot be compared."""
+    """The paper's criteria without the pointings that were left out; None where stations cannot be compared."""
+    use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
     try:
         if not construction.size:
-            return evaluate(recording, use=~adjustment.gross)
+            return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
-        return evaluate(recording, construction, applied, use=~adjustment.gross)
+        return evaluate(recording, construction, applied, use=use)
     except NetworkError:
         return None

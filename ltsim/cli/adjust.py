@@ -4,14 +4,31 @@ from __future__ import annotations
 
 from ltsim.calibrate import adjust_network
 from ltsim.cli.calibrate import finish
-from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.options import (
+    Datum,
+    FormatName,
+    HintList,
+    Json,
+    NoiseFromData,
+    Out,
+    PointsFile,
+    Quiet,
+    Robust,
+    Source,
+    names_of,
+    recording_of,
+)
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 
 
 def adjust(
     source: Source,
+    robust: Robust = False,
+    noise_from_data: NoiseFromData = False,
+    datum: Datum = None,
     out: Out = None,
+    points: PointsFile = None,
     format_name: FormatName = None,
     hint: HintList = None,
     quiet: Quiet = False,
@@ -21,12 +38,12 @@ def adjust(
 
     Writes calibration.json, targets.csv and residuals.csv to --out.
 
-    Example: ltsim adjust my-recording --out adjusted
+    Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
     terminal = Terminal(quiet, as_json)
     recording = recording_of(source, format_name, hint)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("adjusting"):
-        found = adjust_network(recording)
-    finish(terminal, found, out)
+        found = adjust_network(recording, robust=robust, noise_from_data=noise_from_data, datum=names_of(datum))
+    finish(terminal, found, out, points)

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network, write_calibration
 from ltsim.calibrate.files import calibration_json
-from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.options import (
+    Datum,
+    FormatName,
+    HintList,
+    Json,
+    NoiseFromData,
+    Out,
+    PointsFile,
+    Quiet,
+    Robust,
+    Source,
+    names_of,
+    recording_of,
+)
 from ltsim.cli.summary import recording_line, show_calibration, show_notes
 from ltsim.cli.terminal import Terminal
+from ltsim.errors import SetupError
 from ltsim.model.construction import construction as construction_called
 from ltsim.recording import Recording
 
@@ -44,7 +58,11 @@ def calibrate(
     source: Source,
     method: MethodOption = Method.NETWORK,
     construction: ConstructionOption = ConstructionName.MISALIGNMENT,
+    robust: Robust = False,
+    noise_from_data: NoiseFromData = False,
+    datum: Datum = None,
     out: Out = None,
+    points: PointsFile = None,
     format_name: FormatName = None,
     hint: HintList = None,
     quiet: Quiet = False,
@@ -57,12 +75,18 @@ def calibrate(
     Example: ltsim calibrate my-recording --out my-calibration
     """
     terminal = Terminal(quiet, as_json)
+    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": names_of(datum)}
+    if method is not Method.NETWORK and any(options.values()):
+        raise SetupError(f"--robust, --noise-from-data and --datum go with --method network, not {method.value}")
     recording = recording_of(source, format_name, hint)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("calibrating"):
-        found = calibrated(recording, method.value, construction.value)
-    finish(terminal, found, out)
+        if method is Method.NETWORK:
+            found = calibrate_network(recording, construction_called(construction.value), **options)
+        else:
+            found = calibrated(recording, method.value, construction.value)
+    finish(terminal, found, out, points)
 
 
 def calibrated(recording: Recording, method: str, construction_name: str, *, advise: bool = True) -> Calibration:
@@ -73,8 +97,12 @@ def calibrated(recording: Recording, method: str, construction_name: str, *, adv
     return calibrate_distance(recording, built, method=method, advise=advise)
 
 
-def finish(terminal: Terminal, calibration: Calibration, out: Path | None) -> None:
+def finish(terminal: Terminal, calibration: Calibration, out: Path | None, points: Path | None = None) -> None:
     """Write, then show."""
+    if points is not None:
+        from ltsim.report.points import write_points  # most runs need no export
+
+        write_points(calibration, points)
     if out is not None:
         write_calibration(calibration, out)
     terminal.answer(calibration_json(calibration))

@@ -9,9 +9,8 @@ import numpy as np
 import typer
 
 from ltsim.calibrate import correct as corrected_by
-from ltsim.calibrate import read_calibration
 from ltsim.cli.options import CalibrationFile, FormatName, HintList, Json, Quiet, Source, recording_of
-from ltsim.cli.summary import show_notes
+from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.geometry.polar import wrap
 from ltsim.recording import write
@@ -36,7 +35,7 @@ def correct(
     terminal = Terminal(quiet, as_json)
     recording = recording_of(source, format_name, hint)
     show_notes(terminal, recording)
-    found = read_calibration(calibration)
+    found = calibration_of(terminal, calibration)
     if not found.names:
         terminal.note("note: this calibration holds no instrument parameters; nothing changes")
     corrected = corrected_by(recording, found)

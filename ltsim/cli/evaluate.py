@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.arrays import Bools
-from ltsim.calibrate import read_calibration
 from ltsim.calibrate.result import gross_rows
 from ltsim.cli.options import (
     FormatName,
@@ -20,7 +19,7 @@ from ltsim.cli.options import (
     Source,
     recording_of,
 )
-from ltsim.cli.summary import criteria_table, recording_line, show_notes
+from ltsim.cli.summary import calibration_of, criteria_table, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.evaluate import Criteria
 from ltsim.evaluate import evaluate as criteria_of
@@ -51,14 +50,14 @@ def evaluate(
     if gross.any():
         rows = ", ".join(str(i + 1) for i in np.flatnonzero(gross)[:12])
         terminal.note(f"note: {gross.sum()} pointings miss their target by far and are left out (rows {rows})")
-    show(terminal, criteria_with(recording, calibration, ~gross), out)
+    show(terminal, criteria_with(terminal, recording, calibration, ~gross), out)
 
 
-def criteria_with(recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
+def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
     """The criteria of a recording with the parameters of a calibration file."""
     if calibration is None:
         return criteria_of(recording, use=use)
-    found = read_calibration(calibration)
+    found = calibration_of(terminal, calibration)
     return criteria_of(recording, found.construction, found.values_for(recording), use=use)
 
 

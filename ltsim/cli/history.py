@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from ltsim.calibrate import Calibration, calibrate_network, read_calibration
+from ltsim.calibrate import Calibration, calibrate_network
 from ltsim.calibrate.files import JSON as CALIBRATION_JSON
 from ltsim.calibrate.history import Change, History, history_json
 from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, recording_of
-from ltsim.cli.summary import show_notes
+from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import Recording
@@ -78,7 +78,7 @@ def _calibrations(
     """One calibration of a file, or one a set-up of a recording."""
     if source.name == CALIBRATION_JSON or (source / CALIBRATION_JSON).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == CALIBRATION_JSON else source.stem
-        return [(label or source.stem, read_calibration(source))]
+        return [(label or source.stem, calibration_of(terminal, source))]
     recording = recording_of(source, format_name, hint)
     show_notes(terminal, recording)
     label = source.stem if source.is_file() else source.name

@@ -37,6 +37,25 @@ HintList = Annotated[
         help="What an ambiguous file means: angle=gon, vertical=zenith, azimuth=clockwise, length=m, points=FILE.",
     ),
 ]
+Robust = Annotated[
+    bool, typer.Option("--robust", help="Leave out readings that do not belong; each is tested again at the end.")
+]
+NoiseFromData = Annotated[
+    bool,
+    typer.Option("--noise-from-data", help="Estimate the noise of each observable and instrument from the readings."),
+]
+Datum = Annotated[
+    str | None,
+    typer.Option("--datum", metavar="T01,T02,...", help="Targets that define the datum, by inner constraints."),
+]
+PointsFile = Annotated[
+    Path | None, typer.Option("--points", metavar="FILE", help="Write the adjusted points too: .csv, .ply or .glb.")
+]
+
+
+def names_of(listed: str | None) -> tuple[str, ...] | None:
+    """Names from a list with commas; None for none."""
+    return None if listed is None else tuple(dict.fromkeys(n.strip() for n in listed.split(",") if n.strip()))
 
 
 def hints_of(pairs: list[str] | None) -> Hints:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from ltsim.calibrate import Calibration
+from ltsim.calibrate import Calibration, read_calibration
+from ltsim.calibrate.result import AGREES
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.evaluate import Comparison, Criteria
 from ltsim.recording import Recording
@@ -16,8 +19,6 @@ METHODS = {
     "distance": "distances, least squares (the paper's)",
     "distance-l1": "distances, least absolute deviations (the paper's)",
 }
-AGREES = 0.01
-"""Level at which chi-square says that readings and model disagree."""
 MOST_SHOWN = 12
 
 
@@ -38,10 +39,19 @@ def show_notes(terminal: Terminal, recording: Recording) -> None:
         terminal.note(f"note: {note}")
 
 
+def calibration_of(terminal: Terminal, path: Path) -> Calibration:
+    """A calibration that was written before, with what it lacks said; raises RecordError."""
+    found = read_calibration(path)
+    for note in found.notes:
+        terminal.note(f"note: {note}")
+    return found
+
+
 def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     """Fit, parameters, what was not determined, outliers, criteria."""
     fit = calibration.fit
     terminal.say(f"{METHODS[calibration.method]}, {fit_line(calibration)}")
+    show_treatment(terminal, calibration)
     terminal.say(f"coordinates in {calibration.frame}")
     if calibration.names:
         terminal.say()
@@ -65,12 +75,43 @@ def fit_line(calibration: Calibration) -> str:
     ended = f"{fit.status} after {fit.iterations} iterations ({fit.sentence})"
     if fit.sigma0 is None or fit.p_value is None:
         return f"construction {calibration.construction.name}: {ended}; no redundancy to test it with"
-    verdict = "agree" if fit.p_value >= AGREES else "do not agree"
+    verb = "agree" if fit.p_value >= AGREES else "do not agree"
+    verdict = f"readings, model and stated noise {verb}"
+    if calibration.noise:
+        verdict = "no test, the noise was estimated from the same readings"
     return (
         f"construction {calibration.construction.name}: {ended}\n"
-        f"chi2/dof = {fit.chi2:.1f}/{fit.dof} = {fit.chi2 / fit.dof:.3f}, p = {fit.p_value:.2g}: readings, model and "
-        f"stated noise {verdict}"
+        f"chi2/dof = {fit.chi2:.1f}/{fit.dof} = {fit.chi2 / fit.dof:.3f}, p = {fit.p_value:.2g}: {verdict}"
     )
+
+
+def show_treatment(terminal: Terminal, calibration: Calibration) -> None:
+    """Which test to trust, the noise found, how much was left out, and what would be left out or found on request."""
+    judged = calibration.verdict
+    if judged is not None and not calibration.noise:
+        terminal.say(judged.sentence)
+        if judged.by_estimate:
+            terminal.say("--noise-from-data would estimate the noise of each observable and instrument")
+        if judged.outliers and not calibration.robust:
+            terminal.say("--robust would leave out the readings that do not belong")
+    if calibration.noise:
+        rows = [
+            [
+                f"{n.observable} {n.instrument}".strip(),
+                *(digits(n.factor, n.factor_sigma) if np.isfinite(n.factor_sigma) else ("as stated", "")),
+                f"{n.typical:.3g} {n.unit}",
+                f"{n.redundancy:.1f}",
+            ]
+            for n in calibration.noise
+        ]
+        terminal.say("noise found from the readings (factor on the stated one; median sigma of a reading):")
+        terminal.say(table(["noise", "factor", "sigma", "reading", "redundancy"], rows))
+    if calibration.robust:
+        left = sum(outlier.left_out for outlier in calibration.outliers)
+        terminal.say(f"robust: {left} of the readings left out" if left else "robust: no reading had to be left out")
+    if calibration.lost_targets:
+        lost = ", ".join(calibration.lost_targets[:MOST_SHOWN])
+        terminal.say(f"without coordinates, what is left of their readings does not determine them: {lost}")
 
 
 def parameter_table(calibration: Calibration) -> str:
@@ -114,10 +155,10 @@ def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
     """Readings that do not belong."""
     terminal.say(f"readings that do not belong ({len(calibration.outliers)}):")
     for outlier in calibration.outliers[:MOST_SHOWN]:
-        left = ", left out of the adjustment" if outlier.gross else ""
+        left = ", left out of the adjustment" if outlier.left_out else ""
         terminal.say(
             f"  row {outlier.row}: {outlier.station} to {outlier.target}, {outlier.observable} off by "
-            f"{outlier.size:.3g} {outlier.unit} (w = {outlier.w:.1f}){left}"
+            f"{float(f'{outlier.size:.3g}'):g} {outlier.unit} (w = {outlier.w:.1f}){left}"
         )
     if len(calibration.outliers) > MOST_SHOWN:
         terminal.say(f"  and {len(calibration.outliers) - MOST_SHOWN} more")

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ltsim.calibrate import read_calibration
 from ltsim.cli.evaluate import show
 from ltsim.cli.options import CalibrationFile, FormatName, HintList, Json, Out, Quiet, Source, recording_of
-from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.summary import calibration_of, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.evaluate import read_nominal
 from ltsim.evaluate import verify as verified
@@ -40,6 +39,6 @@ def verify(
     recording = recording_of(source, format_name, hint)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
-    found = read_calibration(calibration)
+    found = calibration_of(terminal, calibration)
     criteria = verified(recording, read_nominal(nominal), found.construction, found.values_for(recording))
     show(terminal, criteria, out)

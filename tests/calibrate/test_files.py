@@ -73,7 +73,11 @@ def test_read_back_is_the_same(calibration, tmp_path: Path) -> None:
     [
         (lambda c: c.update(format="ltsim-calibration/9"), "format is 'ltsim-calibration/9'"),
         (lambda c: c.pop("parameters"), "parameters: Field required"),
-        (lambda c: c["parameters"][0].update(name="beam-tlt"), "'beam-tlt' is none of construction"),
+        (
+            lambda c: c["parameters"][0].update(name="beam-tlt"),
+            r"'beam-tlt' is none of construction misalignment; did you mean beam-tilt\?",
+        ),
+        (lambda c: c["parameters"][0].update(name="???"), "none of construction misalignment: those are range-offset"),
         (lambda c: c["parameters"].append(c["parameters"][0]), "stands there twice"),
         (lambda c: c["parameters"][0].update(unit="furlong"), "unknown unit 'furlong'"),
         (lambda c: c["parameters"][0].update(value="much"), "parameters.0.value"),
@@ -91,6 +95,37 @@ def test_wrong_files_get_one_sentence(calibration, tmp_path: Path, change, messa
         read_calibration(file)
     assert "\n" not in str(caught.value)
     assert str(file) in str(caught.value)
+
+
+def test_what_a_file_lacks_is_zero_and_said(calibration, tmp_path: Path) -> None:
+    write_calibration(calibration, tmp_path)
+    content = json.loads((tmp_path / "calibration.json").read_text())
+    kept = [0, 4]
+    content["parameters"] = [content["parameters"][i] for i in kept]
+    content["covariance"] = [[content["covariance"][i][j] for j in kept] for i in kept]
+    (tmp_path / "calibration.json").write_text(json.dumps(content))
+    found = read_calibration(tmp_path)
+    rest = np.setdiff1d(np.arange(16), kept)
+    assert found.names == calibration.names
+    assert np.allclose(found.values[0, kept], calibration.values[0, kept], rtol=1e-12)
+    assert np.allclose(found.sigma[0, kept], calibration.sigma[0, kept], rtol=1e-9)
+    assert np.all(found.values[0, rest] == 0)
+    assert np.array_equal(found.sigma[0, rest], found.prior_sigma[0, rest])
+    (note,) = found.notes
+    assert "14 parameters are not in the file and taken as zero: range-scale, " in note
+    assert note.endswith("and 8 more")
+
+
+def test_a_file_written_by_hand_needs_name_value_and_unit(tmp_path: Path) -> None:
+    text = {"format": "ltsim-calibration/1", "construction": "misalignment"}
+    rows = [{"name": "beam-tilt", "value": 5.9, "unit": "urad"}]
+    (tmp_path / "hand.json").write_text(json.dumps(text | {"parameters": rows}))
+    found = read_calibration(tmp_path / "hand.json")
+    at = found.names.index("beam-tilt")
+    assert found.values[0, at] == pytest.approx(5.9e-6)
+    assert np.count_nonzero(found.values) == 1
+    assert found.sigma[0, at] == found.prior_sigma[0, at]
+    assert "15 parameters" in found.notes[0]
 
 
 def test_files_that_are_not_json(tmp_path: Path) -> None:

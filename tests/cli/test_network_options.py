@@ -1,0 +1,94 @@
+"""What users of real data ask of `adjust` and `calibrate`: robust, noise from the readings, a datum, points."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from ltsim.adjust import adjust
+from ltsim.cli.main import run
+from ltsim.recording import read, write
+from tests.networks import network
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory) -> Path:
+    """A recording with one wrong range and one wrong azimuth."""
+    recording, _ = network(faces=2, seed=6)
+    readings = recording.readings.copy()
+    readings[20, 0] += 200e-6
+    readings[150, 1] += 60e-6
+    folder = tmp_path_factory.mktemp("work") / "rec"
+    write(recording.with_readings(readings), folder)
+    return folder
+
+
+def test_robust_and_noise_are_printed_and_written(source: Path, tmp_path: Path, capsys) -> None:
+    assert run(["calibrate", str(source), "--robust", "--noise-from-data", "--out", str(tmp_path / "cal")]) == 0
+    text = capsys.readouterr().out
+    assert "no test, the noise was estimated from the same readings" in text
+    assert "robust: 2 of the readings left out" in text
+    assert "noise found from the readings" in text
+    assert "row 21: " in text
+    assert "left out of the adjustment" in text
+    content = json.loads((tmp_path / "cal" / "calibration.json").read_text())
+    assert {(o["row"], o["observable"], o["left_out"]) for o in content["outliers"]} == {
+        (21, "distance", True),
+        (151, "azimuth", True),
+    }
+    assert [n["observable"] for n in content["noise"]] == ["distance", "azimuth", "elevation"]
+
+
+def test_without_the_options_the_summary_says_which_test_to_trust(source: Path, capsys) -> None:
+    assert run(["calibrate", str(source)]) == 0
+    text = capsys.readouterr().out
+    assert "Trust the " in text
+    assert "--robust would leave out" in text
+
+
+@pytest.mark.parametrize("verb", ["adjust", "calibrate"])
+def test_a_datum_is_chosen_by_names(verb: str, source: Path, tmp_path: Path, capsys) -> None:
+    names = ["T01", "T08", "T20", "T23"]
+    assert run([verb, str(source), "--datum", ",".join(names), "--out", str(tmp_path / "free"), "-q"]) == 0
+    assert run([verb, str(source), "--out", str(tmp_path / "first"), "-q"]) == 0
+    content = json.loads((tmp_path / "free" / "calibration.json").read_text())
+    assert "inner constraints over T01, T08, T20, T23" in content["frame"]
+    trace = {}
+    for folder in ("free", "first"):
+        rows = list(csv.DictReader((tmp_path / folder / "targets.csv").read_text().splitlines()))
+        sigmas = [float(r[f"sigma_{a}_mm"]) ** 2 for r in rows if r["target"] in names for a in "xyz"]
+        trace[folder] = sum(sigmas)
+    assert trace["free"] < 0.7 * trace["first"]
+    if verb == "adjust":
+        wanted = adjust(read(source), datum=names).target_covariance
+        chosen = [read(source).targets.index(name) for name in names]
+        assert trace["free"] == pytest.approx(1e6 * np.einsum("tii->", wanted[chosen]), rel=1e-2)
+    assert run([verb, str(source), "--datum", "T01,T99,T02"]) == 2
+    assert capsys.readouterr().err.startswith("error: there is no target of the datum called 'T99'")
+
+
+def test_points_go_to_other_programs(source: Path, tmp_path: Path) -> None:
+    ply = tmp_path / "points.ply"
+    assert run(["adjust", str(source), "--points", str(ply), "--out", str(tmp_path / "out"), "-q"]) == 0
+    rows = list(csv.DictReader((tmp_path / "out" / "targets.csv").read_text().splitlines()))
+    table = [[float(row[f"{axis}_mm"]) for axis in "xyz"] for row in rows]
+    np.testing.assert_allclose(trimesh.load(ply).vertices, table, atol=1.1e-6)
+
+
+def test_distance_methods_refuse_what_they_cannot_do(source: Path, capsys) -> None:
+    assert run(["calibrate", str(source), "--method", "distance", "--robust"]) == 2
+    assert "--datum go with --method network, not distance" in capsys.readouterr().err
+
+
+def test_a_calibration_that_lacks_parameters_is_used_with_a_note(source: Path, tmp_path: Path, capsys) -> None:
+    hand = tmp_path / "hand.json"
+    rows = [{"name": "beam-tilt", "value": 5.9, "unit": "urad"}]
+    hand.write_text(json.dumps({"format": "ltsim-calibration/1", "construction": "misalignment", "parameters": rows}))
+    for command in (["correct", str(source), "--out", str(tmp_path / "rec2")], ["evaluate", str(source)]):
+        assert run([*command, "--calibration", str(hand)]) == 0
+        assert "15 parameters are not in the file and taken as zero" in capsys.readouterr().err
