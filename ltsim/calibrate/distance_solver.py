@@ -1,9 +1,10 @@
 """The paper's calibrator: parameters that make distances agree between stations and with the gauge.
 
-Least squares and least absolute deviations, both by Gauss-Newton from zero. The objective as printed estimates up to
-78 parameters without asking whether the data hold them; here the unknowns are scaled by their priors, the objective's
-normal matrix is decomposed, and only combinations whose estimate is more certain than the prior (gain above
-one half) are estimated. The others stay at zero and keep their prior uncertainty: nothing is estimated blindly.
+Least squares and least absolute deviations, both by Gauss-Newton from zero; a step of the latter is a linear program's
+solution. The objective as printed estimates up to 78 parameters without asking whether the data hold them; here the
+unknowns are scaled by their priors, the objective's normal matrix is decomposed, and only combinations whose estimate
+is more certain than the prior (gain above one half) are estimated. The others stay at zero and keep their prior
+uncertainty: nothing is estimated blindly.
 
 The objective ignores that distances share points, so its own covariance would be too small. The covariance given
 here propagates the stated noise of every reading (and of the gauge) through the estimator.
@@ -21,7 +22,7 @@ from ltsim.arrays import Floats
 from ltsim.calibrate.objective import DistanceProblem, Distances, centring, set_pairs
 from ltsim.calibrate.undetermined import DETERMINED, Direction
 from ltsim.errors import NetworkError
-from ltsim.solve.robust import absolute_weights
+from ltsim.solve.absolute import least_absolute
 
 CAP = 30
 CLOSED = 1e-7
@@ -30,8 +31,9 @@ CLOSED = 1e-7
 
 @dataclass(frozen=True)
 class Rows:
-    """Compared distances: residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
+    """Compared distances: what compares them (R, D), residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
 
+    compare: sp.csr_array
     residual: Floats
     by_unknown: Floats
     by_noise: sp.csr_array
@@ -97,7 +99,7 @@ def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_
     residual[compare.shape[0] :] -= problem.gauge.length[which]
     own = sp.vstack([sp.csr_array((compare.shape[0], known)), spread], format="csr")
     noise = sp.hstack([matrix @ distances.by_reading, own], format="csr")
-    return Rows(residual, matrix @ distances.by_parameter, sp.csr_array(noise))
+    return Rows(sp.csr_array(matrix), residual, matrix @ distances.by_parameter, sp.csr_array(noise))
 
 
 def solve_distances(problem: DistanceProblem, norm: Literal["squares", "absolute"]) -> Estimate:
@@ -112,7 +114,7 @@ def solve_distances(problem: DistanceProblem, norm: Literal["squares", "absolute
     start = mean_rows(problem, problem.at(np.zeros(size)))
     if not np.any(start.by_unknown):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
-    kept, left_out = _determined(start)
+    kept, left_out = determined(start)
     unknowns: Floats = np.zeros(size)
     moved, rows, iterations = np.inf, start, 0
     while iterations < CAP and not moved < CLOSED:
@@ -132,7 +134,7 @@ def _rows(problem: DistanceProblem, unknowns: Floats, norm: str) -> Rows:
     return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
 
 
-def _determined(rows: Rows) -> tuple[Floats, tuple[Direction, ...]]:
+def determined(rows: Rows) -> tuple[Floats, tuple[Direction, ...]]:
     """Combinations (q, k) to estimate, and those to leave at zero with their gains."""
     normal = rows.by_unknown.T @ rows.by_unknown
     strength, vectors = np.linalg.eigh(normal)
@@ -156,20 +158,6 @@ def _step(design: Floats, residual: Floats, norm: str) -> Floats:
 def _least_squares(design: Floats, goal: Floats) -> Floats:
     x = np.linalg.lstsq(design, goal, rcond=None)[0]
     return np.asarray(x, dtype=np.float64)
-
-
-def least_absolute(design: Floats, goal: Floats, *, passes: int = 60) -> Floats:
-    """Solution (k,) of ``min sum |goal - design @ x|`` by reweighted least squares with a falling floor.
-
-    The floor ends at a thousandth of the median residual, where the sum is that of a linear program to about 1e-6.
-    """
-    x: Floats = _least_squares(design, goal)
-    usual = max(float(np.median(np.abs(goal - design @ x))), 1e-15)
-    for floor in usual * np.geomspace(1.0, 1e-3, passes):
-        weight = absolute_weights(goal - design @ x, float(floor))
-        weighted = design * weight[:, None]
-        x = _least_squares(weighted.T @ design, weighted.T @ goal)
-    return x
 
 
 def _uncertainty(rows: Rows, kept: Floats, norm: str) -> tuple[Floats, Floats]:

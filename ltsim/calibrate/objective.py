@@ -111,22 +111,40 @@ class DistanceProblem:
 
     def at(self, unknowns: Floats) -> Distances:
         """All distances at unknowns (I p,) in units of the prior sigmas."""
-        values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
-        point, by_reading, by_value = self._points(values)
+        point, by_reading, by_value = self._points(self.recording.readings, unknowns)
+        _, _, group, setting = self._pairs
+        length, unit, by_parameter = self._lengths(point, by_value)
+        return Distances(length, group, setting, by_parameter, self._by_reading(unit, by_reading))
+
+    def by_parameter(self, readings: Floats, unknowns: Floats) -> Floats:
+        """Derivative (D, q) of all distances by the unknowns (q,) when the readings are others (n, 3)."""
+        point, _, by_value = self._points(readings, unknowns)
+        return self._lengths(point, by_value)[2]
+
+    def _lengths(self, point: Floats, by_value: Floats) -> tuple[Floats, Floats, Floats]:
+        """Distances (D,), their directions (D, 3) and their derivatives (D, q) by the unknowns."""
         averaging, _ = self._averaging
-        a, b, group, setting = self._pairs
+        a, b, _, _ = self._pairs
         points = averaging @ point
         gap = points[a] - points[b]
         length = np.linalg.norm(gap, axis=1)
         unit = gap / length[:, None]
         means = (averaging @ by_value.reshape(len(point), -1)).reshape(len(points), 3, -1)
-        by_parameter = np.einsum("di,dip->dp", unit, means[a] - means[b])
-        return Distances(length, group, setting, by_parameter, self._by_reading(unit, by_reading))
+        return length, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
-    def _points(self, values: Floats) -> tuple[Floats, Floats, Floats]:
+    def lengths(self, points: Floats) -> Floats:
+        """All distances (D, B) within sets, in the order of `at`, of points (n, 3, B) in the instruments' frames."""
+        averaging, _ = self._averaging
+        a, b, _, _ = self._pairs
+        means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
+        found: Floats = np.linalg.norm(means[a] - means[b], axis=1)
+        return found
+
+    def _points(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
         """Points (n, 3), derivatives by readings (n, 3, 3) per sigma and by unknowns (n, 3, I p)."""
         recording, (count, size) = self.recording, self.prior_sigma.shape
-        raw = np.where(recording.measured, recording.readings, 1.0)
+        values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
+        raw = np.where(recording.measured, readings, 1.0)
         which = recording.instrument
         point, by_reading, by_value = self.construction.linearised(raw, values[which])
         wide = np.zeros((len(raw), 3, count * size))

@@ -55,8 +55,8 @@ class Batch:
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
     """The calibrator that a campaign file asks for."""
     construction, effects = fitted_construction(method), fitted_effects(method)
-    if method.solver == "single" or method.method == "distance-l1":
+    if method.solver == "single":
         return Single(truth, construction, effects, method.method)
-    if method.method == "distance":
-        return BatchDistance(truth, construction)
+    if method.method != "network":
+        return BatchDistance(truth, construction, method.method)
     return Batch(Engine(truth, construction, effects))

@@ -1,8 +1,11 @@
 """The paper's distance objective for all trials that share a geometry.
 
 As for the network: the objective's normal matrix at the nominal network gives the steps of all trials, the gradient is
-exact at each trial's own readings and parameters, so the iteration ends at the trial's own optimum. Which
-combinations are estimated and which are left at zero is decided once, at the nominal network.
+exact at each trial's own readings and parameters, so the iteration ends at the trial's own optimum. Which combinations
+are estimated and how many are left at zero is decided once, at the nominal network.
+
+Least absolute deviations take each step from a linear program with the trial's own matrix and combinations: an edge of
+the program may be longer than what the matrices of two trials differ by.
 """
 
 from __future__ import annotations
@@ -14,8 +17,9 @@ import numpy as np
 
 from ltsim.adjust.problem import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.calibrate.distance_solver import Estimate, mean_rows, solve_distances
-from ltsim.calibrate.objective import DistanceProblem
+from ltsim.calibrate.distance import METHODS
+from ltsim.calibrate.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances
+from ltsim.calibrate.objective import DistanceProblem, Distances
 from ltsim.campaign.cloud_kernels import station_means
 from ltsim.campaign.distance_kernels import distance_forces
 from ltsim.campaign.engine import STATUSES, Calibrated, Engine
@@ -27,12 +31,11 @@ from ltsim.campaign.truth import Block, Truth
 from ltsim.evaluate.clouds import on_points
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction, ideal
+from ltsim.solve.absolute import least_absolute
 
 CAP = 10
 CLOSED = 3e-5
 """Converged when no unknown moves by more than this share of its prior sigma; what remains is a hundredth of it."""
-CLEAR = 0.01
-"""A combination whose gain is this close to the threshold may be estimated in one trial and left out in another."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +46,18 @@ class BatchDistance:
     ----------
     truth : Truth
     construction : Construction
+    method : str
+        `distance`: least squares; `distance-l1`: least absolute deviations.
     """
 
     truth: Truth
     construction: Construction
+    method: str = "distance"
 
     @cached_property
     def single(self) -> Single:
         """The calibrator that users have."""
-        return Single(self.truth, self.construction, (), "distance")
+        return Single(self.truth, self.construction, (), self.method)
 
     @cached_property
     def problem(self) -> DistanceProblem:
@@ -62,17 +68,34 @@ class BatchDistance:
     @cached_property
     def estimate(self) -> Estimate:
         """What the estimator gives at nominal readings: zero, its covariance, and what it leaves out."""
-        return solve_distances(self.problem, "squares")
+        return solve_distances(self.problem, METHODS[self.method])
+
+    @cached_property
+    def _distances(self) -> Distances:
+        return self.problem.at(np.zeros(self.problem.prior_sigma.size))
+
+    @cached_property
+    def _kept(self) -> Floats:
+        """Combinations (q, k) that are estimated."""
+        left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
+        kept: Floats = np.linalg.svd(np.eye(left.shape[1]) - left.T @ left)[0][:, : left.shape[1] - len(left)]
+        return kept
 
     @cached_property
     def step_matrix(self) -> Floats:
         """(q, q): a step in units of the prior sigmas from half a gradient, within what is estimated."""
-        rows = mean_rows(self.problem, self.problem.at(np.zeros(self.problem.prior_sigma.size)))
+        rows, kept = self._mean_rows, self._kept
         normal = rows.by_unknown.T @ rows.by_unknown
-        left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, len(normal))
-        kept = np.linalg.svd(np.eye(len(normal)) - left.T @ left)[0][:, : len(normal) - len(left)]
         inverse: Floats = kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
         return inverse
+
+    @cached_property
+    def _mean_rows(self) -> Rows:
+        return mean_rows(self.problem, self._distances)
+
+    @cached_property
+    def _pair_rows(self) -> Rows:
+        return pair_rows(self.problem, self._distances)
 
     @property
     def _program(self) -> ChainProgram:
@@ -98,7 +121,7 @@ class BatchDistance:
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; trials with a suspect pointing, or that do not converge, go to the single calibrator."""
-        values, moved = self._solve(block)
+        values, moved = self._squares(block) if self.method == "distance" else self._absolute(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
@@ -116,7 +139,7 @@ class BatchDistance:
             status[places] = np.where(one_by_one.status[places] == 0, STATUSES.index("full solver"), 2)
         return found
 
-    def _solve(self, block: Block) -> tuple[Floats, Floats]:
+    def _squares(self, block: Block) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
         sets, seen, share, gauge = self._membership
@@ -138,6 +161,50 @@ class BatchDistance:
             if not np.any(moved >= CLOSED):
                 break
         return values, moved
+
+    def _absolute(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+        """The same by least absolute deviations, for the wanted trials; the others have not moved at all (inf)."""
+        prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
+        unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
+        kept = {int(trial): self._own(self._readings(block, trial)) for trial in wanted}
+        for iteration in range(CAP):
+            active = wanted[moved[wanted] >= CLOSED]
+            if not len(active):
+                break
+            residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
+            for gap, trial in zip(residual.T, active.tolist(), strict=True):
+                by_unknown = self.problem.by_parameter(self._readings(block, trial), unknowns[:, trial])
+                design = self._pair_rows.compare @ (by_unknown @ kept[trial])
+                # Every step but the first is short.
+                near = np.zeros(design.shape[1]) if iteration else None
+                step = kept[trial] @ least_absolute(design, -gap, near=near)
+                unknowns[:, trial] += step
+                moved[trial] = np.abs(step).max()
+        return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
+
+    def _readings(self, block: Block, trial: int) -> Floats:
+        readings: Floats = self.truth.recording.readings + block.deviation[:, :, trial]
+        return readings
+
+    def _own(self, readings: Floats) -> Floats:
+        """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
+        design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
+        axes = np.linalg.eigh(design.T @ design)[1]
+        nearest = np.argsort(np.linalg.norm(self._kept.T @ axes, axis=0))[len(axes) - self._kept.shape[1] :]
+        own: Floats = axes[:, nearest]
+        return own
+
+    def _residual(self, block: Block, values: Floats, trials: Ints) -> Floats:
+        """The terms of eq. 9 (R, B) of some trials at their parameters (I, p, B)."""
+        deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
+        points = np.empty(deviation.shape)
+        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        change = self.problem.lengths(points) - self._distances.length[:, None]
+        rows, gauge = self._pair_rows, self.problem.gauge
+        stated = block.gauge_error[:, trials] / gauge.sigma[:, None]
+        by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
+        residual: Floats = rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
+        return residual
 
     def _adjusted(self, block: Block, values: Floats) -> BatchFit:
         """The network of the corrected readings."""

@@ -60,3 +60,16 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Tru
     assert [STATUSES[s] for s in found.status[[4, 5]]] == ["converged", "full solver"]
     single = batch.single.calibrate(block, np.array([5]))
     assert np.array_equal(found.values[:, :, 5], single.values[:, :, 5])
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., Truth]) -> None:
+    """Also where some readings are wrong by more than noise, but by less than what is screened out."""
+    batch = BatchDistance(make_truth(faces=faces), misalignment(), "distance-l1")
+    block = batch.truth.draw(24, 0)
+    block.deviation[11::60, 0, 3] += 3e-4
+    found = batch.calibrate(block, np.array([2, 3, 200]))
+    assert np.all(found.status[[2, 3, 200]] == 0)
+    assert max(batch.difference(block, k, found) for k in (2, 3, 200)) < 1e-3
+    squares = BatchDistance(batch.truth, misalignment()).calibrate(block, EVERY)
+    assert not np.allclose(squares.values[:, :, 3], found.values[:, :, 3], rtol=0.01)
