@@ -89,6 +89,26 @@ class OutlierEntry(Table):
     size: float
     unit: str
     w: float
+    left_out: bool = False
+
+
+class NoiseEntry(Table):
+    """Noise that was found from the readings."""
+
+    observable: str
+    instrument: str = ""
+    factor: float
+    factor_sigma: float | None = None
+    redundancy: float
+    typical: float
+    unit: str = ""
+
+
+class VerdictEntry(Table):
+    """Which test to trust."""
+
+    case: str = ""
+    sentence: str = ""
 
 
 class CalibrationFile(Table):
@@ -105,6 +125,10 @@ class CalibrationFile(Table):
     stations: tuple[StationEntry, ...] = ()
     criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
     outliers: tuple[OutlierEntry, ...] = ()
+    robust: bool = False
+    noise: tuple[NoiseEntry, ...] = ()
+    verdict: VerdictEntry = VerdictEntry()
+    lost_targets: tuple[str, ...] = ()
 
 
 class WhereEntry(Table):

@@ -19,6 +19,8 @@ from ltsim.report.document import Detail, Document, Section
 from ltsim.report.sections.calibration import calibration_section
 from ltsim.report.sections.campaign import campaign_section
 from ltsim.report.sections.diagnosis import diagnosis_section
+from ltsim.report.sections.further import next_section
+from ltsim.report.sections.history import history_section
 from ltsim.report.sections.plan import plan_section
 from ltsim.report.sections.recording import recording_section
 from ltsim.report.words import natural
@@ -38,7 +40,9 @@ KINDS: dict[str, Builder] = {
     "observations.csv": lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
     "calibration.json": lambda part, recording, detail: calibration_section(part.folder, recording, detail=detail),
     "diagnosis.json": lambda part, recording, _: diagnosis_section(part.folder, recording),
+    "history.json": lambda part, _, __: history_section(part.folder),
     "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
+    "next.json": lambda part, _, __: next_section(part.folder),
     "manifest.json": lambda part, _, __: campaign_section(part.folder),
 }
 """What a folder holds, by the file that tells; in the order of the page."""

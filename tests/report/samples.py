@@ -14,7 +14,10 @@ from pyarrow import parquet as pq
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.calibrate import calibrate_network, write_calibration
 from ltsim.calibrate.files import residuals_csv
+from ltsim.calibrate.history import History, history_json
 from ltsim.model.construction import misalignment
+from ltsim.plan.files import next_json
+from ltsim.plan.next_measurement import next_measurement
 from ltsim.randomness import stream
 from ltsim.recording import write
 from ltsim.recording.recording import Recording
@@ -152,4 +155,24 @@ def plan_folder(folder: Path) -> Path:
     folder.mkdir(parents=True)
     (folder / "plan.json").write_text(json.dumps(content))
     (folder / "scenario.toml").write_text(builtin_text("paper-workshop"))
+    return folder
+
+
+def history_folder(folder: Path) -> Path:
+    """A folder as `ltsim history` leaves it: three calibrations, the instrument changed before the last."""
+    named = []
+    for number, label in enumerate(("tracker_jan", "tracker_may", "tracker_sep")):
+        values = drawn(misalignment(), 7 if number < 2 else 8)
+        made, _ = network(faces=2, seed=1 + number, values=values)
+        named.append((label, calibrate_network(made, advise=False)))
+    folder.mkdir(parents=True)
+    (folder / "history.json").write_text(json.dumps(history_json(History.of(named)), indent=1))
+    return folder
+
+
+def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
+    """A folder as `ltsim plan --after` leaves it."""
+    made = next_measurement(recording(), between=between)
+    folder.mkdir(parents=True)
+    (folder / "next.json").write_text(json.dumps(next_json(made, "The recording agrees with the model.")))
     return folder

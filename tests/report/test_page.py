@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ltsim.calibrate import calibrate_network, write_calibration
 from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import write
 from ltsim.report.document import Document
@@ -184,3 +185,68 @@ def test_plan_shows_where_the_tripod_goes(tmp_path: Path) -> None:
     wanted = {"Floor plan", "The workshop in 3D", "Who sees whom", "Cost against quality: instrument", "Why this plan"}
     assert wanted <= set(blocks)
     assert "Seed 5." in render(content)
+
+
+def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None:
+    content = document(samples.history_folder(tmp_path / "history"))
+    assert content.answer.startswith("Over 3 calibrations from jan to sep the instrument has changed since the first")
+    assert content.mood == "bad"
+    blocks = {block.title: block for block in content.sections[0].blocks}
+    assert {"Course of the parameters", "Parameters", "Has it changed?", "Fits of the calibrations"} == set(blocks)
+    changes = blocks["Has it changed?"]
+    assert changes.kind == "table"
+    assert [row[:2] for row in changes.rows] == [["jan", "may"], ["may", "sep"], ["jan", "sep"]]
+    assert changes.marked == {1, 2}
+    reader = parsed(render(content))
+    assert reader.handlers == []
+    assert any(load.startswith("data:image/svg") for load in reader.loads)
+
+
+def test_next_measurement_stands_first(tmp_path: Path) -> None:
+    content = document(samples.next_folder(tmp_path / "next"))
+    proposals = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"]
+    assert content.answer.startswith(f"Measure next: {proposals[0]['do']} (")
+    table = next(block for block in content.sections[0].blocks if block.kind == "table")
+    assert [row[0] for row in table.rows] == [p["do"] for p in proposals[:10]]
+    assert all(f"{100 * (1 - p['sharper']):.0f} %" == row[2] for p, row in zip(proposals, table.rows, strict=False))
+
+
+def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
+    content = document(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
+    best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
+    said = "that tells range-step from station-weather" if best["tells_apart"] else "Nothing that was tried tells"
+    assert said in content.answer
+    assert "What would decide" in [block.title for block in content.sections[0].blocks]
+
+
+def test_damaged_history_and_proposals_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "history.json").write_text('{"format": "ltsim-history/1", "calibrations": []}')
+    with pytest.raises(RecordError, match="since_first"):
+        report(tmp_path)
+    (tmp_path / "history.json").unlink()
+    (tmp_path / "next.json").write_text('{"format": "ltsim-next/1", "proposals": []}')
+    with pytest.raises(RecordError, match="proposals"):
+        report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: Path) -> None:
+    made = samples.recording()
+    readings = made.readings.copy()
+    readings[20, 0] += 3e-4
+    found = calibrate_network(made.with_readings(readings), advise=False, robust=True, noise_from_data=True)
+    write_calibration(found, tmp_path / "cal")
+    content = document(tmp_path / "cal")
+    assert "the noise was estimated from the same readings" in content.answer
+    assert "1 reading did not fit and were left out" not in content.answer
+    assert "1 reading did not fit and was left out" in content.answer
+    blocks = {block.title: block for block in content.sections[0].blocks}
+    noise, gone = blocks["Noise found from the readings"], blocks["Readings that do not belong"]
+    assert noise.kind == gone.kind == "table"
+    assert [row[0] for row in noise.rows] == ["distance", "azimuth", "elevation"]
+    assert [row[-1] for row in gone.rows] == ["yes"]
+    plain = calibrate_network(made.with_readings(readings), advise=False)
+    write_calibration(plain, tmp_path / "plain")
+    note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Which test to trust")
+    assert note.kind == "note"
+    assert note.text.startswith("Trust the ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -25,6 +26,17 @@ class Course:
     spread: float
 
 
+def told_apart(labels: Sequence[str]) -> tuple[str, ...]:
+    """Labels without the words that all of them begin with, where something is left then."""
+    if len(set(labels)) < 2:
+        return tuple(labels)
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
+    common = "".join(letters[0] for letters in alike)
+    begin = 1 + max(common.rfind(separator) for separator in "_- .")
+    short = tuple(label[begin:] for label in labels)
+    return short if all(short) else tuple(labels)
+
+
 @styled
 def history_figure(courses: Sequence[Course]) -> Figure:
     """One panel a parameter: estimates with 95 % intervals, and the band in which its true values lie."""
@@ -32,6 +44,7 @@ def history_figure(courses: Sequence[Course]) -> Figure:
     rows = max(1, -(-len(courses) // columns))
     figure = new_figure(0.7 + 1.35 * rows)
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    labels = [shorten(label, 24) for label in told_apart(courses[0].labels)] if courses else []
     for ax, course in zip(panels.ravel(), courses, strict=False):
         place = np.arange(len(course.labels))
         band = (course.mean - course.spread, course.mean + course.spread)
@@ -40,7 +53,7 @@ def history_figure(courses: Sequence[Course]) -> Figure:
         half = 1.96 * course.sigmas
         ax.errorbar(place, course.values, half, fmt="o", ms=3.5, color=AFTER, lw=1.2, label="estimate, 95 % interval")
         ax.set_title(f"{course.name} [{unit_text(course.unit)}]")
-        ax.set_xticks(place, [shorten(label, 24) for label in course.labels], rotation=60, ha="right", fontsize=7)
+        ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)
         ax.set_xlim(-0.5, len(place) - 0.5)
         quiet_axis(ax)
     for ax in panels.ravel()[len(courses) :]:

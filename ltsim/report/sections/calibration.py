@@ -36,15 +36,17 @@ def calibration_section(folder: Path, recording: Recording | None = None, *, det
     """
     content = read_json(folder / "calibration.json", CalibrationFile, FORMAT)
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
+    words = "the noise was estimated from the same readings, which leaves nothing to test" if content.noise else words
     converged = content.fit.status in ("", "converged")
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
+    blocks += _treatment(content)
     blocks += parameter_blocks(content)
     blocks += _criteria(content)
     blocks += _network(folder, content, recording, detail=detail)
     blocks += _undetermined(content) + _outliers(content)
-    good = agrees and converged and not content.outliers
+    good = agrees and converged and all(outlier.left_out for outlier in content.outliers)
     title = (recording.setup.title if recording else "") or folder.name
     return Section(
         title,
@@ -81,7 +83,10 @@ def _answer(content: CalibrationFile, agreement_words: str) -> str:
             f"({_size(distance.before)} to {_size(distance.after)} µm)"
         )
     if content.outliers:
+        left = sum(outlier.left_out for outlier in content.outliers)
         begin += f"; {count(len(content.outliers), 'reading')} did not fit"
+        were = "was" if left == 1 else "were"
+        begin += f" and {were} left out" if left == len(content.outliers) else f", {left} left out" if left else ""
     return begin + "."
 
 
@@ -101,6 +106,34 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
         Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),
         Fact("status", fit.status or "–", "good" if fit.status in ("", "converged") else "bad"),
     ]
+
+
+def _treatment(content: CalibrationFile) -> list[Block]:
+    """Which test to trust, the noise found, targets without a place."""
+    blocks: list[Block] = []
+    if content.verdict.sentence and not content.noise:
+        blocks.append(Note("Which test to trust", content.verdict.sentence))
+    if content.lost_targets:
+        text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
+        blocks.append(Note("Targets without coordinates", text, "bad"))
+    if content.noise:
+        rows = [
+            [
+                n.observable,
+                n.instrument or "–",
+                "as stated" if n.factor_sigma is None else style.with_sigma(n.factor, n.factor_sigma),
+                f"{style.number(n.typical)} {style.unit_text(n.unit)}",
+                f"{n.redundancy:.1f}",
+            ]
+            for n in content.noise
+        ]
+        note = (
+            "The factor is on the stated standard deviation, the reading's σ the median that results. The fit cannot "
+            "be tested against noise that was estimated from it."
+        )
+        header = ["readings", "instrument", "factor ± σ", "σ of a reading", "redundancy"]
+        blocks.append(Table("Noise found from the readings", header, rows, 2, note))
+    return blocks
 
 
 def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:
@@ -291,8 +324,9 @@ def _outliers(content: CalibrationFile) -> list[Block]:
             str(o.row),
             f"{style.number(o.size)} {style.unit_text(o.unit)}",
             f"{o.w:.1f}",
+            "yes" if o.left_out else "",
         ]
         for o in content.outliers
     ]
-    header = ["station", "target", "observable", "row", "size", "w"]
+    header = ["station", "target", "observable", "row", "size", "w", "left out"]
     return [Table("Readings that do not belong", header, rows, text_columns=3)]

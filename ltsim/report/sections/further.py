@@ -1,0 +1,118 @@
+"""What a report says of `plan --after`: what to measure next, and what each proposal is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import Field
+
+from ltsim.report import style
+from ltsim.report.document import Block, Fact, Mood, Note, Section, mood
+from ltsim.report.document import Table as TableBlock
+from ltsim.report.files import Table, read_json
+from ltsim.report.words import duration, listing
+
+FORMAT = "ltsim-next/1"
+SHOWN = 10
+
+
+class ProposalEntry(Table):
+    """One further measurement."""
+
+    do: str
+    kind: str = ""
+    minutes: float
+    sharper: float
+    serves: str = ""
+    serves_factor: float = 1.0
+    evidence: dict[str, float] = Field(default_factory=dict)
+    tells_apart: tuple[str, ...] = ()
+    decides: bool = False
+
+
+class NextFile(Table):
+    """`next.json`."""
+
+    format: str
+    diagnosis: str = ""
+    between: tuple[str, ...] = ()
+    evidence_now: dict[str, float] = Field(default_factory=dict)
+    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
+
+
+def next_section(folder: Path) -> Section:
+    """The section of a folder with `next.json`.
+
+    Raises
+    ------
+    RecordError
+        When the file is malformed.
+    """
+    content = read_json(folder / "next.json", NextFile, FORMAT)
+    best = content.proposals[0]
+    facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", _percent(best.sharper))]
+    if content.between:
+        facts.append(Fact("decides", "yes" if best.decides else "no", mood(best.decides)))
+    facts.append(Fact("proposals", str(len(content.proposals))))
+    blocks: list[Block] = [_table("Further measurements, the best first", content.proposals[:SHOWN])]
+    if content.between:
+        blocks.append(_evidence(content))
+    if content.diagnosis:
+        blocks.append(Note("What the diagnosis of the recording said", content.diagnosis))
+    if len(content.proposals) > SHOWN:
+        blocks.append(_table("All further proposals", content.proposals[SHOWN:]))
+    return Section(folder.name, "Next measurement", _answer(content), _mood(content), facts, blocks)
+
+
+def _mood(content: NextFile) -> Mood:
+    return mood(content.proposals[0].decides) if content.between else "plain"
+
+
+def _percent(factor: float) -> str:
+    """What a factor on a standard deviation takes off it."""
+    return f"{100 * (1 - factor):.0f} %"
+
+
+def _answer(content: NextFile) -> str:
+    """The first sentence."""
+    best = content.proposals[0]
+    if content.between and not best.tells_apart:
+        rivals = listing(content.between[1:])
+        return (
+            f"Nothing that was tried tells {content.between[0]} from {rivals}: only an independent measurement would."
+        )
+    begin = f"Measure next: {best.do} ({duration(60 * best.minutes)})"
+    if content.between:
+        return f"{begin}; that tells {content.between[0]} from {listing(best.tells_apart)}."
+    return (
+        f"{begin}; the instrument's parameters become {_percent(best.sharper)} sharper on average, "
+        f"{best.serves} by {_percent(best.serves_factor)}."
+    )
+
+
+def _table(title: str, proposals: Sequence[ProposalEntry]) -> TableBlock:
+    """Some proposals."""
+    rows = [
+        [
+            p.do, f"{p.minutes:.0f}", _percent(p.sharper), f"{p.serves} ({_percent(p.serves_factor)})",
+        ]
+        for p in proposals
+    ]  # fmt: skip
+    header = ["do", "time [min]", "sharper by", "most for"]
+    note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
+    return TableBlock(title, header, rows, 1, note)
+
+
+def _evidence(content: NextFile) -> TableBlock:
+    """Chi-square between the explanations, now and after each proposal."""
+    rivals = content.between[1:]
+    now = ["as it is now", *(style.fixed(content.evidence_now.get(name, 0.0), 1) for name in rivals), "–"]
+    rows = [now] + [
+        [p.do, *(style.fixed(p.evidence.get(name, 0.0), 1) for name in rivals), "yes" if p.decides else "no"]
+        for p in content.proposals
+        if p.evidence
+    ]
+    header = ["measurement", *(f"χ² against {name}" for name in rivals), "decides"]
+    note = f"The larger, the more surely {content.between[0]} is told from it."
+    return TableBlock("What would decide", header, rows, 1, note)

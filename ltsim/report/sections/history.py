@@ -1,0 +1,180 @@
+"""What a report says of an instrument's history: whether it has changed, its parameters' course, the tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from ltsim.report import style
+from ltsim.report.document import Block, Fact, Section, mood, picture
+from ltsim.report.document import Table as TableBlock
+from ltsim.report.figures.history import Course, history_figure, told_apart
+from ltsim.report.files import Table, read_json
+from ltsim.report.words import count, listing, p_text
+
+FORMAT = "ltsim-history/1"
+LEVEL = 0.01
+
+
+class Tested(Table):
+    """A chi-square test."""
+
+    chi2: float
+    dof: int
+    p_value: float
+
+
+class Change(Tested):
+    """From one calibration to another."""
+
+    from_: str = Field(alias="from")
+    to: str
+    changed: tuple[str, ...] = ()
+
+
+class ParameterCourse(Table):
+    """One parameter over the calibrations, in the unit a person reads."""
+
+    name: str
+    unit: str = ""
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    mean: float
+    spread: float
+    constant: Tested
+
+
+class FitOf(Table):
+    """The fit of one calibration."""
+
+    chi2: float
+    dof: int
+    sigma0: float | None = None
+
+
+class CalibrationOf(Table):
+    """One calibration."""
+
+    label: str
+    fit: FitOf
+
+
+class HistoryFile(Table):
+    """`history.json`."""
+
+    format: str
+    construction: str = ""
+    calibrations: tuple[CalibrationOf, ...]
+    parameters: tuple[ParameterCourse, ...] = ()
+    changes: tuple[Change, ...] = ()
+    since_first: Change
+
+
+def history_section(folder: Path) -> Section:
+    """The section of a folder with `history.json`.
+
+    Raises
+    ------
+    RecordError
+        When the file is malformed.
+    """
+    content = _shortened(read_json(folder / "history.json", HistoryFile, FORMAT))
+    since = content.since_first
+    changed = since.p_value < LEVEL
+    facts = [
+        Fact("calibrations", str(len(content.calibrations))),
+        Fact("changed since the first", "yes" if changed else "not seen", mood(not changed)),
+        Fact("p of no change", p_text(since.p_value), mood(not changed)),
+        Fact("construction", content.construction or "–"),
+    ]
+    known = [p for p in content.parameters if p.constant.dof]
+    blocks = [*_course(content, known), _parameters(known), _changes(content), _fits(content)]
+    return Section(folder.name, "History", _answer(content), mood(not changed), facts, blocks)
+
+
+def _shortened(content: HistoryFile) -> HistoryFile:
+    """The same with labels that fit a table: without the words that all of them begin with."""
+    labels = [c.label for c in content.calibrations]
+    short = dict(zip(labels, told_apart(labels), strict=True))
+
+    def renamed(change: Change) -> Change:
+        ends = {"from_": short.get(change.from_, change.from_), "to": short.get(change.to, change.to)}
+        return change.model_copy(update=ends)
+
+    return content.model_copy(
+        update={
+            "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
+            "changes": tuple(renamed(c) for c in content.changes),
+            "since_first": renamed(content.since_first),
+        }
+    )
+
+
+def _answer(content: HistoryFile) -> str:
+    """The first sentence."""
+    since, size = content.since_first, count(len(content.calibrations), "calibration")
+    span = f"Over {size} from {since.from_} to {since.to} the instrument"
+    tested = f"(χ² {since.chi2:.0f} for {since.dof}, p {_p(since.p_value)})"
+    if since.p_value >= LEVEL:
+        between = [c for c in content.changes if c.p_value < LEVEL]
+        back = f", though it did between {listing([f'{c.from_} and {c.to}' for c in between])}" if between else ""
+        return f"{span} shows no change since the first {tested}{back}."
+    which = f", above all in {listing(since.changed)}" if since.changed else ", in no single parameter for certain"
+    return f"{span} has changed since the first{which} {tested}."
+
+
+def _p(p: float) -> str:
+    text = p_text(p)
+    return text if text.startswith("<") else f"= {text}"
+
+
+def _course(content: HistoryFile, known: list[ParameterCourse]) -> list[Block]:
+    """The figure."""
+    if not known:
+        return []
+    labels = tuple(c.label for c in content.calibrations)
+    courses = [Course(p.name, p.unit, labels, np.array(p.values), np.array(p.sigmas), p.mean, p.spread) for p in known]
+    text = "Estimates with 95 % intervals; the band is the mean ± the spread of the true values between calibrations."
+    return [picture("Course of the parameters", history_figure(courses), text)]
+
+
+def _parameters(known: list[ParameterCourse]) -> TableBlock:
+    """Last value, mean, spread, test of constancy."""
+    rows = [
+        [
+            p.name, style.unit_text(p.unit) or "–", style.with_sigma(p.values[-1], p.sigmas[-1]),
+            style.fixed(p.mean, 2), style.fixed(p.spread, 2), p_text(p.constant.p_value),
+        ]
+        for p in known
+    ]  # fmt: skip
+    marked = frozenset(i for i, p in enumerate(known) if p.constant.p_value < LEVEL)
+    header = ["parameter", "unit", "last ± σ", "mean", "spread", "p constant"]
+    note = "'p constant' is the chance of such differences if the parameter never moved; marked where under 1 %."
+    return TableBlock("Parameters", header, rows, 2, note, marked)
+
+
+def _changes(content: HistoryFile) -> TableBlock:
+    """From each calibration to the next, and from the first to the last."""
+    every = [*content.changes, content.since_first] if len(content.changes) > 1 else [content.since_first]
+    rows = [
+        [
+            c.from_, c.to, listing(c.changed) or ("no single one" if c.p_value < LEVEL else "no change seen"),
+            f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value),
+        ]
+        for c in every
+    ]  # fmt: skip
+    header = ["from", "to", "above all", "χ² / parameters", "p"]
+    marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
+    return TableBlock("Has it changed?", header, rows, 3, "Marked where no change is under 1 %.", marked)
+
+
+def _fits(content: HistoryFile) -> TableBlock:
+    """How well each calibration fitted: a bad one makes changes look certain."""
+    rows = [
+        [c.label, f"{c.fit.chi2:.1f}", str(c.fit.dof), "–" if c.fit.sigma0 is None else f"{c.fit.sigma0:.3f}"]
+        for c in content.calibrations
+    ]
+    note = "Where sigma0 is far above 1 the sigmas of that calibration are too small, and changes look too certain."
+    return TableBlock("Fits of the calibrations", ["calibration", "χ²", "degrees of freedom", "sigma0"], rows, 1, note)
