@@ -232,4 +232,4 @@ class BatchDistance:
         truth = self.truth.state.points
         batch = truth + found.points[:, :, trial]
         gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self._network.sigma_targets
-        return float(max(values.max(), gap.max()))
+        return float(max(values.max(), np.nanmax(gap)))

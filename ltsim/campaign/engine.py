@@ -75,6 +75,12 @@ def _with_lengths(setup: Setup, error: Floats) -> Setup:
     return setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": stated})})
 
 
+def determined_points(adjustment: Adjustment) -> Floats:
+    """Adjusted targets (T, 3) [m]; NaN for those that the readings do not determine."""
+    lost = np.isin(adjustment.recording.targets, adjustment.lost_targets)
+    return np.where(lost[:, None], np.nan, adjustment.state.points)
+
+
 @dataclass(frozen=True)
 class Engine:
     """Network calibrations of trials that share a geometry.
@@ -133,7 +139,7 @@ class Engine:
         found.status[trial] = STATUSES.index(FULL)
         found.values[:, :, trial] = adjustment.state.instrument
         truth = self.truth.state.points
-        found.points[:, :, trial] = on_points(adjustment.state.points, truth) - truth
+        found.points[:, :, trial] = on_points(determined_points(adjustment), truth) - truth
         found.chi2[trial] = adjustment.chi2
 
     def full(self, block: Block, trial: int) -> Adjustment | None:
@@ -153,8 +159,8 @@ class Engine:
             return float("nan")
         values = np.abs(adjustment.state.instrument - found.values[:, :, trial]) / found.sigma
         batch = self.truth.state.points + found.points[:, :, trial]
-        gap = np.abs(on_points(adjustment.state.points, batch) - batch) / self.sigma_targets
-        return float(max(values.max(initial=0.0), gap.max()))
+        gap = np.abs(on_points(determined_points(adjustment), batch) - batch) / self.sigma_targets
+        return float(max(values.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property
     def sigma_targets(self) -> Floats:

@@ -29,6 +29,9 @@ from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 
+FLAT = 1e-3
+"""Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""
+
 Columns = dict[str, NDArray[Any]]
 """Named results (B,), one value a trial; lengths in um, as the names say."""
 
@@ -68,8 +71,21 @@ class Judge:
 
     @cached_property
     def comparable(self) -> bool:
-        """True when the criteria exist: two stations and more, each sharing three targets with the first."""
-        return len(self.seen) > 1 and bool(np.all((self.seen & self.seen[0]).sum(axis=1) >= 3))
+        """True when the criteria exist: two stations and more, each sharing targets with the first that fix a frame."""
+        return len(self.seen) > 1 and all(self._fixed(seen & self.seen[0]) for seen in self.seen)
+
+    @cached_property
+    def fitted(self) -> Bools:
+        """(S,) stations whose targets fix a frame, so that they can be compared with the truth."""
+        return np.array([self._fixed(seen) for seen in self.seen])
+
+    def _fixed(self, use: Bools) -> bool:
+        """Whether targets (T,) fix a frame: three off one line."""
+        if use.sum() < 3:
+            return False
+        points = self.state.points[use]
+        size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        return bool(size[1] > FLAT * size[0])
 
     @cached_property
     def _share(self) -> Floats:
@@ -124,20 +140,34 @@ class Judge:
         return np.ascontiguousarray(np.broadcast_to(self.state.points[:, :, None], (*self.state.points.shape, trials)))
 
     def cloud_error(self, clouds: Clouds) -> Floats:
-        """Rms (B,) [um] over stations and targets of the distance to the truth, each station fitted rigidly."""
+        """Rms (B,) [um] of the distance to the truth over stations, each fitted rigidly, and the targets they see.
+
+        A station whose targets fix no frame is left out; NaN where that is every station.
+        """
         trials = clouds.points.shape[3]
         truth, total, count = self._truth(trials), np.zeros(trials), 0
         moved = np.empty_like(truth)
-        for cloud, seen in zip(clouds.points, self.seen, strict=True):
+        for cloud, seen in zip(clouds.points[self.fitted], self.seen[self.fitted], strict=True):
             rigid_fit(cloud, truth, seen, moved)
             count += add_square_error(moved, truth, seen, total)
-        return MICRO * np.sqrt(total / count)
+        return MICRO * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
-        """Rms (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth."""
+        """Rms (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth.
+
+        Targets that a trial's readings do not determine (NaN) are left out of it.
+        """
+        known = np.isfinite(points).all(axis=1)
+        error = np.full(points.shape[2], np.nan)
+        for pattern in np.unique(known, axis=1).T:
+            if self._fixed(pattern):
+                trials = np.flatnonzero((known == pattern[:, None]).all(axis=0))
+                error[trials] = self._target_error(np.ascontiguousarray(points[:, :, trials]), pattern)
+        return error
+
+    def _target_error(self, points: Floats, use: Bools) -> Floats:
         truth = self._truth(points.shape[2])
         moved, total = np.empty_like(truth), np.zeros(points.shape[2])
-        every = np.ones(len(truth), dtype=np.bool_)
-        rigid_fit(truth + points, truth, every, moved)
-        count = add_square_error(moved, truth, every, total)
+        rigid_fit(truth + points, truth, use, moved)
+        count = add_square_error(moved, truth, use, total)
         return MICRO * np.sqrt(total / count)

@@ -19,6 +19,7 @@ from ltsim.campaign.judge import Columns
 from ltsim.campaign.spec import Campaign
 from ltsim.campaign.store import encoded
 from ltsim.campaign.truth import BLOCK, Block, Truth
+from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.simulate.scenario import Scenario
@@ -82,8 +83,11 @@ class Prepared:
         truth = truth_of(self.scenario, self.campaign.seed, *key, like=self._first if len(key) > 1 else None)
         return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
 
-    def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints]]:
-        """Blocks that hold the trials ``first`` to ``last - 1``, with the wanted trials' places in them."""
+    def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints] | None]:
+        """Blocks that hold the trials ``first`` to ``last - 1``, with the wanted trials' places in them.
+
+        None for a trial whose own geometry is impossible: a station that sees nothing.
+        """
         seed = self.campaign.seed
         if self.campaign.geometry == "shared":
             for number in range(first // BLOCK, -(-last // BLOCK)):
@@ -92,7 +96,11 @@ class Prepared:
                 yield self.shared, self.shared.truth.draw(seed, number), wanted
         else:
             for trial in range(first, last):
-                ready = self._at("campaign", trial)
+                try:
+                    ready = self._at("campaign", trial)
+                except SetupError:
+                    yield None
+                    continue
                 yield ready, ready.truth.draw(seed, trial, 1), np.zeros(1, dtype=np.int64)
 
 
@@ -117,19 +125,45 @@ def shard_rows(task: Task) -> pa.Table:
     checked = _checked_trials(campaign, task.shard, first, last)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
     start = first
-    for ready, block, wanted in cell.blocks(first, last):
-        numbers = start + np.arange(len(wanted))
-        start += len(wanted)
+    for drawn in cell.blocks(first, last):
+        numbers = start + np.arange(1 if drawn is None else len(drawn[2]))
+        start += len(numbers)
+        if drawn is None:
+            for part in parts:
+                part.append({"trial": numbers} | _failed(1))
+            continue
+        ready, block, wanted = drawn
+        places = wanted[np.isin(numbers, checked)]
         shared = ready.bench.before(block)
         for part, calibrator in zip(parts, ready.calibrators, strict=True):
-            found = calibrator.calibrate(block, wanted)
-            columns = _columns(campaign, ready.bench, block, found, calibrator.construction, shared)
-            columns[CHECKED] = np.full(block.deviation.shape[2], np.nan)
-            for place in wanted[np.isin(numbers, checked)]:
-                columns[CHECKED][place] = calibrator.difference(block, int(place), found)
+            columns = _by_method(campaign, ready.bench, block, calibrator, shared, wanted, places)
             part.append({"trial": numbers} | {name: column[wanted] for name, column in columns.items()})
     tables = [_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
     return pa.concat_tables(tables, promote_options="default").combine_chunks()
+
+
+def _by_method(
+    campaign: Campaign, bench: Bench, block: Block, calibrator: Calibrator, shared: Columns, wanted: Ints, checked: Ints
+) -> Columns:
+    """The columns of a method on a block; a trial whose own geometry determines too little has failed."""
+    trials = block.deviation.shape[2]
+    try:
+        found = calibrator.calibrate(block, wanted)
+    except (NetworkError, SetupError):
+        if campaign.geometry == "shared":
+            raise
+        return _failed(trials)
+    columns = _columns(campaign, bench, block, found, calibrator.construction, shared)
+    columns[CHECKED] = np.full(trials, np.nan)
+    for place in checked:
+        columns[CHECKED][place] = calibrator.difference(block, int(place), found)
+    return columns
+
+
+def _failed(trials: int) -> Columns:
+    """Of a method that gave nothing."""
+    empty = np.full(trials, np.nan)
+    return {"status": np.full(trials, STATUSES.index(FAILED)), "chi2": empty, CHECKED: empty}
 
 
 def _checked_trials(campaign: Campaign, shard: int, first: int, last: int) -> Ints:
@@ -191,8 +225,12 @@ def _z_scores(
 
 
 def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:
-    """Columns as a table; numbers that people read are kept to seven digits."""
-    merged = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    """Columns as a table; numbers that people read are kept to seven digits, empty where a geometry has none."""
+    names = dict.fromkeys(name for part in parts for name in part)
+    merged = {
+        name: np.concatenate([part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in parts])
+        for name in names
+    }
     trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
     count = len(trial)
     lost = status == STATUSES.index(FAILED)

@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.calibrate import calibrate_distance
-from ltsim.campaign.engine import CONVERGED, FAILED, STATUSES, Calibrated, recording_of
+from ltsim.campaign.engine import CONVERGED, FAILED, STATUSES, Calibrated, determined_points, recording_of
 from ltsim.campaign.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
@@ -58,7 +58,7 @@ class Single:
         if adjustment is None or not np.all(np.isfinite(values)):
             return
         found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
-        found.points[:, :, trial] = on_true_points(adjustment.state.points, self.truth)
+        found.points[:, :, trial] = on_true_points(determined_points(adjustment), self.truth)
         found.chi2[trial] = adjustment.chi2
         found.status[trial] = STATUSES.index(CONVERGED)
 

@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from ltsim.campaign.cell import truth_of
 from ltsim.campaign.truth import BLOCK
+from ltsim.effects import CATALOGUE, find_effect
+from ltsim.effects.effect import NoiseEffect
 from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.simulate.fieldwork import fieldwork
+from ltsim.simulate.physics import effect_values
 from ltsim.simulate.scenario import Scenario, load_scenario, scenario_from
 from ltsim.simulate.simulator import exact_readings, measure, noise_sigma
 
@@ -99,3 +103,30 @@ def test_geometry_belongs_to_its_key() -> None:
     assert np.array_equal(one.state.points, again.state.points)
     assert np.abs(one.state.points - other.state.points).max() > 1e-4
     assert np.array_equal(one.state.position[0], np.zeros(3))
+
+
+def noise_effects() -> list[str]:
+    return [kind.name for kind in CATALOGUE if issubclass(kind, NoiseEffect)]
+
+
+@pytest.mark.parametrize("name", noise_effects())
+def test_drawn_variances_are_half_normal_in_campaign_and_simulator(name: str) -> None:
+    entry = {"name": name, "draw": True} | ({"stations": ["S2"]} if find_effect(name).scope == "station" else {})
+    given = scenario(effects=[entry])
+    truth, work = truth_of(given, 6, "campaign"), fieldwork(given, 6, "campaign")
+    blocks = [truth.draw(6, k) for k in range(4)]
+    assert all(np.all(np.isfinite(block.deviation)) for block in blocks)
+    ours = np.concatenate([block.amounts[0] for block in blocks], axis=1)
+    theirs = np.array([effect_values(given, work.effects, 6, "many", k)[0] for k in range(1000)]).T
+    assert np.all(ours >= 0) and np.all(theirs >= 0)
+    for k, parameter in enumerate(work.effects[0].parameters):
+        assert kstest(ours[k] / parameter.prior_sigma, "halfnorm").pvalue > 1e-3
+        assert kstest(theirs[k] / parameter.prior_sigma, "halfnorm").pvalue > 1e-3
+
+
+def test_variance_below_zero_is_refused_by_both() -> None:
+    given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
+    with pytest.raises(SetupError, match="takes away more noise than there is"):
+        truth_of(given, 7, "campaign").draw(7, 0)
+    with pytest.raises(SetupError, match="takes away more noise than there is"):
+        measure(fieldwork(given, 7), 7)
