@@ -1,4 +1,9 @@
-"""A campaign from its file to its rows: shards done by workers, written by one hand, continued after any stop."""
+"""A campaign from its file to its rows: shards done by workers, written by one hand, continued after any stop.
+
+The rows are the same bytes for any number of workers, interruptions and backend, on processors of one type and with
+the same versions: the compiler and the matrix library choose their instructions by the processor, which moves the last
+bit of a sum. The manifest names type and versions.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaign.cell import fitted_construction, fitted_effects
@@ -131,7 +137,7 @@ def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> N
 
 
 def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> list[str]:
-    """Continue only what was begun, with the versions it was begun with; a remark where the code has moved on."""
+    """Continue only what was begun, with the versions it was begun with; a remark where code or processor differ."""
     if not resume:
         raise SetupError(f"{store.folder}: holds a campaign; continue it with --resume or name another --out")
     manifest = store.manifest()
@@ -150,12 +156,13 @@ def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resu
                 f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or begin anew with another --out"
             )
-    begun, now_at = manifest.get("commit"), commit()
-    if begun == now_at:
-        return []
-    return [
-        f"{store.folder}: begun at commit {begun}, continued at {now_at}; where the solver changed, rows may differ"
-    ]
+    notes, (begun, now_at) = [], (manifest.get("commit"), commit())
+    if begun != now_at:
+        notes.append(f"begun at commit {begun}, continued at {now_at}; where the solver changed, rows may differ")
+    built, here = manifest.get("processor", "unknown"), processor()
+    if built != here:
+        notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
+    return [f"{store.folder}: {note}" for note in notes]
 
 
 def _versions() -> dict[str, str]:
@@ -167,6 +174,11 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "unknown"
     return found
+
+
+def processor() -> str:
+    """The type of this machine's processor, by which compiled code is made: with the versions it decides the bytes."""
+    return str(llvmlite.binding.get_host_cpu_name())
 
 
 def commit() -> str | None:
@@ -199,6 +211,7 @@ def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) ->
             for i, changes in enumerate(campaign.combinations())
         ],
         "versions": _versions(),
+        "processor": processor(),
         "commit": commit(),
         "settings": campaign.model_dump(mode="json", by_alias=True),
         "scenarios": [scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios],

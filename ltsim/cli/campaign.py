@@ -57,7 +57,8 @@ def campaign(
 ) -> int:
     """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
 
-    The rows are the same bytes for any number of jobs, any interruption and either backend. A cluster needs two
+    The rows are the same bytes for any number of jobs, any interruption and either backend, on processors of one type
+    (the manifest names it). A cluster needs two
     commands: `dask scheduler` on one machine, `dask worker tcp://HOST:8786` on each that works.
 
     Exit status 1: the fast solver was more than 0.001 sigma from the full one on a trial that was verified.

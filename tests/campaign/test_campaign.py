@@ -180,6 +180,16 @@ def test_other_versions_are_refused(file: Path, tmp_path: Path) -> None:
         run_campaign(file, out, resume=True)
 
 
+def test_another_type_of_processor_is_remarked_on(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["processor"], here = "z80", manifest["processor"]
+    path.write_text(json.dumps(manifest))
+    notes = run_campaign(file, tmp_path / "out", resume=True).notes
+    assert len(notes) == 1 and f"begun on a processor of type z80, continued on {here}" in notes[0]
+
+
 def test_full_disk_is_a_sentence_and_finished_shards_stay(
     file: Path, tmp_path: Path, reference: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
