@@ -33,6 +33,7 @@ from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor
 from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import in_one_thread
 
 TURNED = 1e-7
@@ -120,6 +121,11 @@ class Adjustment:
         self.solution.require_success()
         assert self.solution.factor is not None
         return self.solution.factor
+
+    @cached_property
+    def projection(self) -> Projection:
+        """What the adjustment leaves of any errors of its rows (readings, known lengths, priors, datum)."""
+        return projection_of(self.solution.system, self.solution.factor)
 
     @cached_property
     def sightings(self) -> Sightings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,22 +22,23 @@ from ltsim.diagnose.held_out import (
     pointing_folds,
     station_target_folds,
 )
-from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, pattern_hypotheses
+from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, pattern_hypotheses, remeasured
 from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.diagnose.search import EffectSet, Searcher
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.stations import mend_faces, mend_stations
-from ltsim.diagnose.words import summarise
+from ltsim.diagnose.words import summarise, without_clock
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.model.construction import Construction, misalignment
-from ltsim.model.measurement import State
+from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR
 
 MOST_ROUNDS = 3
+REWEIGHTINGS = 2
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
 
@@ -75,6 +76,18 @@ class _Case:
     sigma: Floats
     start: State
     noise: list[NoiseHypothesis]
+
+    @property
+    def sightings(self) -> Sightings:
+        """Geometry of the pointings at the first adjustment."""
+        return sightings_of(self.recording, self.start)
+
+    def weighted(self, noise: Sequence[NoiseHypothesis]) -> Floats:
+        """Standard deviations (n, 3) with some changes of the noise."""
+        sigma = self.recording.sigma()
+        for one in noise:
+            sigma = np.sqrt(one.effect.variance(self.sightings, sigma, np.array(one.values)))
+        return sigma
 
     def adjustment(self) -> Adjustment:
         return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
@@ -142,12 +155,64 @@ def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detec
         ratio = alone if noise_first else beside
         residual = searcher.space.residual if noise_first else found.residual
         hypothesis = noise.best(searcher.space, ratio, prior, residual)
-        case.noise.append(hypothesis)
-        variance = hypothesis.effect.variance(searcher.space.sightings, case.sigma, np.array(hypothesis.values))
-        case.sigma = np.sqrt(variance)
-        _, searcher, noise = _prepare(case.adjustment())
+        case.noise = _joined(case.noise, hypothesis)
+        case.sigma = case.weighted(case.noise)
+        _, searcher, noise = _prepare(_reweighted(case, () if noise_first else found.hypotheses))
         found = searcher.search(threshold, something=False)
     return found, searcher
+
+
+def _joined(known: Sequence[NoiseHypothesis], further: NoiseHypothesis) -> list[NoiseHypothesis]:
+    """Noise found so far with a further change of it; one of the same kind at the same place is made larger."""
+    for i, one in enumerate(known):
+        if one.effect == further.effect:
+            more = tuple(a + b for a, b in zip(one.values, further.values, strict=True))
+            merged = replace(one, values=more, drop=one.drop + further.drop)
+            return [*known[:i], merged, *known[i + 1 :]]
+    return [*known, further]
+
+
+def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
+    """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out; updates the case."""
+    for _ in range(REWEIGHTINGS):
+        space = ResidualSpace.of(case.adjustment())
+        if beside:
+            space = space.extended(np.hstack([space.signature(h.effect) for h in beside]))
+        for i, one in enumerate(case.noise):
+            stated = case.weighted([*case.noise[:i], *case.noise[i + 1 :]])
+            case.noise[i] = remeasured(space, stated, one)
+        case.sigma = case.weighted(case.noise)
+    return case.adjustment()
+
+
+def _refitted(
+    case: _Case, baseline: Adjustment, searcher: Searcher, detection: Detection, found: EffectSet
+) -> tuple[EffectSet, Refit]:
+    """The exact refit with what was found, without members that it does not need.
+
+    The search works in first order: what a large effect leaves to second order can look like another one beside it.
+    """
+
+    def fit(members: Sequence[Hypothesis]) -> Refit:
+        if not members:
+            return Refit(case.adjustment() if case.noise else baseline, (), ())
+        effects = [h.effect for h in members]
+        return refit(case.recording, case.construction, effects, start=baseline.state, sigma=case.sigma, use=case.use)
+
+    fitted = fit(found.hypotheses)
+    threshold = detection.threshold(1.0 - NEXT_LEVEL)
+    while len(found.members) > 1:
+        rest = [found.hypotheses[:i] + found.hypotheses[i + 1 :] for i in range(len(found.members))]
+        without = [fit(members) for members in rest]
+        gains = [
+            searcher.worth(m, one.adjustment.chi2 - fitted.adjustment.chi2)
+            for m, one in zip(found.members, without, strict=True)
+        ]
+        least = int(np.argmin(gains))
+        if gains[least] >= threshold:
+            break
+        found, fitted = searcher.with_members(rest[least]), without[least]
+    return found, fitted
 
 
 def _change(searcher: Searcher, hypothesis: Hypothesis, others: EffectSet) -> tuple[Estimate, ...]:
@@ -200,19 +265,8 @@ def _assemble(
     mismatch: bool,
 ) -> Diagnosis:
     """Refit with what was found and put the verdict together."""
-    effects = [h.effect for h in found.hypotheses]
-    fitted = (
-        refit(
-            case.recording,
-            case.construction,
-            effects,
-            start=baseline.state,
-            sigma=case.sigma,
-            use=case.use,
-        )
-        if effects
-        else Refit(case.adjustment() if case.noise else baseline, (), ())
-    )
+    found, fitted = _refitted(case, baseline, searcher, detection, found)
+    clock: Callable[[Estimate], Estimate] = (lambda e: e) if case.recording.has_clock else without_clock
     findings = [gross_finding(g, baseline) for g in gross]
     for i, member in enumerate(found.members):
         effect = fitted.effects[i]
@@ -224,13 +278,14 @@ def _assemble(
         if rival is not None and equivalents_of(ranking, name)[1]:
             values = fitted.values(i)
             advice = separating_measurement(baseline, effect, values, rival.effect)
+        told = [
+            *_widened(searcher, replace(member.hypothesis, effect=effect), others, fitted, i),
+            *_change(searcher, member.hypothesis, others),
+        ]
         findings.append(
             mean_finding(
                 replace(member.hypothesis, effect=effect),
-                (
-                    *_widened(searcher, replace(member.hypothesis, effect=effect), others, fitted, i),
-                    *_change(searcher, member.hypothesis, others),
-                ),
+                [clock(e) for e in told],
                 others,
                 found,
                 ranking,
@@ -242,7 +297,7 @@ def _assemble(
     findings.sort(key=lambda f: -f.evidence.chi2_drop)
     spent = found.extension.shape[1]
     before = _fit(baseline, baseline.dof)
-    after = _fit(fitted.adjustment, baseline.dof - spent) if effects or case.noise else before
+    after = _fit(fitted.adjustment, baseline.dof - spent) if found.members or case.noise else before
     verdict = "mismatch" if mismatch or gross else "consistent"
     return Diagnosis(
         verdict=verdict,

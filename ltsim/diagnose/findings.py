@@ -10,10 +10,11 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.diagnose.bank import Hypothesis
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.diagnosis import Estimate, Evidence, Finding, Where
+from ltsim.diagnose.flexible import FlexibleTerm
 from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.noise import NoiseHypothesis
 from ltsim.diagnose.search import EffectSet, Ranking
-from ltsim.diagnose.words import finding_sentence
+from ltsim.diagnose.words import finding_sentence, formula
 from ltsim.effects.effect import Effect
 from ltsim.recording.recording import OBSERVABLES
 
@@ -58,7 +59,7 @@ def mean_finding(
     drop = float(others.residual @ others.residual - found.residual @ found.residual)
     spent = found.extension.shape[1] - others.extension.shape[1]
     p_value = min(detection.p_value, float(np.exp(-max(found.score - others.score, 0.0))))
-    formula = "" if hypothesis.known else str(getattr(hypothesis.effect, "formula", ""))
+    law = "" if hypothesis.known else _law(hypothesis.effect, estimates)
     where = where_of(hypothesis.effect)
     return Finding(
         effect=name,
@@ -67,12 +68,24 @@ def mean_finding(
         parameters=tuple(estimates),
         evidence=Evidence(drop, spent, p_value, probability),
         sentence=finding_sentence(
-            name, where, estimates, probability, formula, implausible=_implausible(hypothesis, estimates)
+            name, where, estimates, probability, law, implausible=_implausible(hypothesis, estimates)
         ),
         equivalents=equivalents,
         separate_by=separate_by,
-        formula=formula,
+        formula=law,
     )
+
+
+MOST_TERMS = 4
+"""Terms of a formula that are written with their coefficients; longer ones keep letters."""
+
+
+def _law(effect: Effect, estimates: Sequence[Estimate]) -> str:
+    """The formula of a flexible term, with numbers where it is short."""
+    if len(estimates) > MOST_TERMS or not isinstance(effect, FlexibleTerm):
+        return str(getattr(effect, "formula", ""))
+    place = f" at {', '.join(effect.stations + effect.targets)}" if effect.stations + effect.targets else ""
+    return formula(effect.observable, estimates, place)
 
 
 IMPLAUSIBLE = 5.0

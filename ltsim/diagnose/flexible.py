@@ -1,10 +1,8 @@
 """Flexible terms: what is fitted where the catalogue fails.
 
 A term acts on one observable (or moves the targets along one axis of the room) and is a sum of columns, each a
-product of
-simple functions of covariates. Terms are effects like any other, so they are tested, refitted and simulated in the
-same way;
-they are only never given a name of the catalogue.
+product of simple functions of covariates. Terms are effects like any other, so they are tested, refitted and simulated
+in the same way; they are only never given a name of the catalogue.
 """
 
 from __future__ import annotations
@@ -31,6 +29,9 @@ Column = tuple[Factor, ...]
 AXES = ("x", "y", "z")
 CYCLES = 0.6
 """Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
+EDGES = 24
+"""Values of a covariate at which a step is tried."""
+MOST_CYCLES = 60
 LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
 """Widths of a local bump, as a share of the covariate's span."""
 AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
@@ -79,7 +80,9 @@ def evaluate(sightings: Sightings, factor: Factor) -> Floats:
         case "narrow" | "wide":
             gap = wrap(x - k) if name == "azimuth" else x - k
             return np.exp(-0.5 * (gap / (LOCAL_WIDTHS[function] * float(np.ptp(x)))) ** 2)
-    raise unknown_name("function", function, ("legendre", "power", "cos", "sin", "tan", *LOCAL_WIDTHS))
+        case "step":
+            return (x > k).astype(np.float64)
+    raise unknown_name("function", function, ("legendre", "power", "cos", "sin", "tan", "step", *LOCAL_WIDTHS))
 
 
 @dataclass(frozen=True)
@@ -138,14 +141,21 @@ class FlexibleTerm(Effect):
         return np.stack(made, axis=2)
 
     def finer(self, sightings: Sightings) -> list[FlexibleTerm]:
-        """For a wave: rates between the neighbours of the grid."""
-        first = self.columns[0][0] if self.columns and self.columns[0] else ("", "", 0.0)
-        name, _, rate = first
-        if len(self.columns) != 2 or self.columns != wave(name, rate):
-            return []
-        step = 2 * np.pi * CYCLES / float(np.ptp(covariate(sightings, name)))
-        rates = rate + step * np.linspace(-0.9, 0.9, 13)
-        return [self.reshaped(columns=wave(name, float(r))) for r in rates if r > 0]
+        """For waves: rates between the neighbours of the grid; for a step: the gaps around its edge."""
+        name, function, k = self.columns[0][0] if self.columns and self.columns[0] else ("", "", 0.0)
+        if function == "cos" and all(f[:1] == (name,) and f[2] == k for (f, *_) in self.columns):
+            step = 2 * np.pi * CYCLES / float(np.ptp(covariate(sightings, name)))
+            return [self._retuned(float(r)) for r in k + step * np.linspace(-0.9, 0.9, 13) if r > 0]
+        if function == "step":
+            values = np.unique(covariate(sightings, name))
+            middles = 0.5 * (values[1:] + values[:-1])
+            near = np.argsort(np.abs(middles - k))[: 2 * max(len(middles) // EDGES, 4)]
+            return [self._retuned(float(edge)) for edge in middles[near]]
+        return []
+
+    def _retuned(self, k: float) -> FlexibleTerm:
+        """The same with another argument of the first factor of every column."""
+        return self.reshaped(columns=tuple(((name, function, k), *rest) for (name, function, _), *rest in self.columns))
 
     @property
     def formula(self) -> str:
@@ -165,6 +175,8 @@ def describe(column: Column) -> str:
             words.append({1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}"))
         elif function in LOCAL_WIDTHS:
             words.append(f"bump({name} near {k:.3g})")
+        elif function == "step":
+            words.append(f"step({name} above {k:.3g})")
         else:
             scale = "" if k == 1 else f"{k:.4g} "
             words.append(f"{function}({scale}{name})")
@@ -212,8 +224,7 @@ def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
         span = float(np.ptp(covariate(sightings, name)))
         if span <= 0:
             continue
-        most = min(len(sightings) / 8, 60)
-        for cycles in np.arange(1.0, most, CYCLES):
+        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
             term = FlexibleTerm((), (), observable, wave(name, float(2 * np.pi * cycles / span)))
             yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
 
@@ -227,6 +238,43 @@ def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
                 column = ((name, function, float(centre)),)
                 term = FlexibleTerm((), (), observable, (column,))
                 yield Hypothesis(f"unknown:{observable}:{name}:local", term, False)
+
+
+def _steps(sightings: Sightings) -> Iterator[Hypothesis]:
+    """A reading that jumps where a covariate passes a value; of the circle, an arc between two."""
+    for observable in OBSERVABLES:
+        for name in ("elevation", "distance", "time", "height"):
+            values = covariate(sightings, name)
+            for edge in np.unique(np.quantile(values, np.linspace(0.0, 1.0, EDGES + 2)[1:-1])):
+                term = FlexibleTerm((), (), observable, (((name, "step", float(edge)),),))
+                yield Hypothesis(f"unknown:{observable}:{name}:step", term, False)
+
+
+def _own_constants(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Constants of the instrument that are others at one station: index and tilt of the transit axis."""
+    if len(sightings.station_names) < 2:
+        return
+    sign: tuple[Factor, ...] = (("face", "power", 1.0),) if (sightings.face == 2).any() else ()
+    for station in sightings.station_names:
+        for observable, column in (("elevation", ()), ("azimuth", (("elevation", "tan", 1.0),))):
+            term = FlexibleTerm((station,), (), observable, ((*column, *sign),))
+            yield Hypothesis(f"unknown:{observable}:own constant", term, False)
+
+
+def _moving_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Targets that move in time along an axis of the room, together or more the farther along the room they lie."""
+    where: tuple[Column, ...] = ((), *((((axis, "legendre", 1.0),)) for axis in AXES))
+    span = float(np.ptp(sightings.time))
+    if span <= 0:
+        return
+    for axis in AXES:
+        for count in (1, 3):
+            columns = tuple((("time", "legendre", float(k)), *w) for k in range(1, count + 1) for w in where)
+            yield Hypothesis("unknown:place:time", FlexibleTerm((), (), axis, columns), False)
+        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
+            waves = wave("time", float(2 * np.pi * cycles / span))
+            columns = tuple((*factor, *w) for factor in waves for w in where)
+            yield Hypothesis("unknown:place:time:periodic", FlexibleTerm((), (), axis, columns), False)
 
 
 AZIMUTH: tuple[Column, ...] = (*(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),)
@@ -281,9 +329,6 @@ def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     )
     for observable in OBSERVABLES:
         yield Hypothesis(f"unknown:{observable}:direction", FlexibleTerm((), (), observable, directions), False)
-    for axis in AXES:
-        moving = tuple(((other, "legendre", 1.0), ("time", "legendre", 1.0)) for other in AXES)
-        yield Hypothesis("unknown:place:time", FlexibleTerm((), (), axis, moving), False)
 
 
 def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
@@ -292,6 +337,9 @@ def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
         *_smooth_terms(sightings),
         *_periodic_terms(sightings),
         *_local_terms(sightings),
+        *_steps(sightings),
+        *_own_constants(sightings),
+        *_moving_terms(sightings),
         *_product_terms(sightings),
         *_field_terms(sightings),
     ]

@@ -14,6 +14,8 @@ from ltsim.diagnose.residual_space import ResidualSpace
 
 PREDICTED = 1e-6
 """Directions with less redundancy than this are not predicted by the rest of the network at all."""
+MOST = 300
+"""Pointings of a fold: large enough that a fit feels their loss, small enough to be left out at once."""
 
 
 def held_out_rms(space: ResidualSpace, folds: Ints) -> float:
@@ -25,21 +27,32 @@ def held_out_rms(space: ResidualSpace, folds: Ints) -> float:
     folds : (r,) int
         Fold of each used reading (the first rows of the space); -1 is never left out.
     """
-    square, count = 0.0, 0.0
-    for fold in np.unique(folds[folds >= 0]):
-        rows = np.flatnonzero(folds == fold)
-        basis = space.basis[rows]
-        values, vectors = np.linalg.eigh(np.eye(len(rows)) - basis @ basis.T)
-        seen = values > PREDICTED
-        along = vectors[:, seen].T @ space.residual[rows]
-        square += float(np.sum(along**2 / values[seen]))
-        count += float(seen.sum())
+    groups = _members(folds)
+    square, count = 0.0, 0
+    for rows, (values, vectors) in zip(groups, space.projection.spectra(groups), strict=True):
+        own = space.residual[rows]
+        along = (vectors.T @ own) ** 2
+        seen = values < 1.0 - PREDICTED
+        # What lies across all eigenvectors has redundancy one.
+        square += float(own @ own - along.sum() + np.sum(along[seen] / (1.0 - values[seen])))
+        count += len(rows) - int(np.sum(~seen))
     return float(np.sqrt(square / count)) if count else float("nan")
 
 
-def pointing_folds(space: ResidualSpace, count: int = 10) -> Ints:
-    """Folds that leave out whole pointings, dealt round robin over the station-target pairs."""
+def _members(folds: Ints) -> list[Ints]:
+    """Rows of each fold."""
+    order = np.argsort(folds, kind="stable")
+    order = order[folds[order] >= 0]
+    return np.split(order, np.flatnonzero(np.diff(folds[order])) + 1) if len(order) else []
+
+
+def pointing_folds(space: ResidualSpace, least: int = 10) -> Ints:
+    """Folds that leave out whole pointings, dealt round robin over the station-target pairs.
+
+    At least ten folds; more where they would be larger than `MOST`.
+    """
     sightings = space.sightings
+    count = max(least, -(-len(sightings) // MOST))
     pair = sightings.station * len(sightings.target_names) + sightings.target
     order = np.lexsort((sightings.time, pair))
     fold = np.empty(len(sightings), dtype=np.int64)

@@ -13,10 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
 from ltsim.arrays import Floats, Ints
+from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.flexible import covariate
 from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
@@ -94,6 +96,10 @@ def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
                     yield NoiseHypothesis("unknown:noise:target", effect, (size,), False)
 
 
+SPARSE = 0.2
+"""Share of nonzeros from which a matrix is a dense one."""
+
+
 @dataclass(frozen=True)
 class NoiseBank:
     """Noise hypotheses as linear forms of squared residuals.
@@ -101,7 +107,7 @@ class NoiseBank:
     Attributes
     ----------
     gain : (h, m) float32
-        1 - 1/s of each row.
+        1 - 1/s of each row; sparse where most hypotheses are about few readings.
     cost : (h,) float
         Sum of redundancy times log s.
     """
@@ -109,26 +115,28 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
-    gain: Floats
+    gain: Floats | sp.csr_array
     cost: Floats
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
         """Build the bank on a residual space."""
         share = space.redundancy
-        used = space.use
-        count = int(used.sum())
-        gain = np.zeros((len(hypotheses), space.size))
+        used, stated = space.use, space.sigma**2
         cost = np.zeros(len(hypotheses))
+        parts: list[tuple[Ints, Floats]] = []
         for i, h in enumerate(hypotheses):
-            variance = h.effect.variance(space.sightings, space.sigma, np.array(h.values))
-            factor = (variance / space.sigma**2)[used]
-            gain[i, :count] = 1.0 - 1.0 / factor
-            cost[i] = float(share[:count] @ np.log(factor))
+            factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
+            rows = np.flatnonzero(factor != 1.0)
+            parts.append((rows, (1.0 - 1.0 / factor[rows]).astype(np.float32)[None]))
+            cost[i] = float(share[rows] @ np.log(factor[rows]))
+        gain = sparse_rows(parts, space.size)
+        if gain.nnz > SPARSE * len(hypotheses) * space.size:
+            gain = gain.toarray()
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        return cls(list(hypotheses), names, family, np.asarray(gain, dtype=np.float32), cost)
+        return cls(list(hypotheses), names, family, gain, cost)
 
     def log_likelihood_ratio(self, residual: Floats) -> Floats:
         """(h,) or (h, trials) for whitened residuals (m,) or (m, trials)."""
@@ -161,7 +169,7 @@ class NoiseBank:
         for family in np.argsort(-(self.family_evidence(ratio) + prior))[:PROFILED]:
             members = np.flatnonzero(self.family == family)
             chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
-            values, drop, sigma = _most_likely(space, chosen, residual)
+            values, drop, sigma = _most_likely(space, space.sigma, chosen, residual)
             spent = len(values) * np.log(max(_acting(space, chosen.effect, values), 2.0))
             cost = np.log(len({h.effect for h in self._of(int(family))}))
             evidence = 0.5 * (drop - spent) - cost + float(prior[family])
@@ -190,14 +198,33 @@ def _acting(space: ResidualSpace, effect: NoiseEffect, values: tuple[float, ...]
     return float(np.sum((np.abs(variance / space.sigma**2 - 1.0) > 1e-3) & space.use))
 
 
-SMALLEST, LARGEST = 0.0, 400.0
-"""Bounds of a parameter in units of its prior sigma: a cause adds noise, it does not take any away."""
+LARGEST = 400.0
+"""Upper bound of a parameter in units of its prior sigma."""
+
+
+def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+    """A hypothesis with its sizes estimated in an adjustment that is weighted by it already.
+
+    Repeated, this ends at the restricted maximum likelihood (Foerstner 1979): residuals of other readings no longer
+    water down what the noisy ones say.
+
+    Parameters
+    ----------
+    space : ResidualSpace
+        Of an adjustment with the variances of the hypothesis.
+    stated : (n, 3) float
+        Standard deviations without it.
+    """
+    values, _, sigma = _most_likely(space, stated, hypothesis, space.residual)
+    return replace(hypothesis, values=values, sigma=sigma)
 
 
 def _most_likely(
-    space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats
+    space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis, residual: Floats
 ) -> tuple[tuple[float, ...], float, tuple[float, ...]]:
     """Sizes, twice the log ratio of the restricted likelihood at its maximum, standard deviations.
+
+    Variances are those of the hypothesis on the `stated` (n, 3) ones; the residuals are whitened by the space's own.
 
     The maximum is found by moving every parameter of the effect in turn; sizes and standard deviations are those of the
     posterior around it, since the likelihood of a variance is skew and ends at zero.
@@ -207,7 +234,7 @@ def _most_likely(
     squares = residual[: len(share)] ** 2
 
     def gain(values: Floats) -> float:
-        variance = hypothesis.effect.variance(space.sightings, space.sigma, values)
+        variance = hypothesis.effect.variance(space.sightings, stated, values)
         factor = (variance / space.sigma**2)[used]
         if float(factor.min()) <= 0.0:
             return -np.inf
@@ -223,18 +250,19 @@ def _most_likely(
                 tried[at] = scale[at] * (np.exp(log_size) - 1.0)
                 return -gain(tried)
 
-            bounds = (np.log1p(SMALLEST), np.log1p(LARGEST))
+            bounds = (np.log1p(hypothesis.effect.least), np.log1p(LARGEST))
             found = minimize_scalar(lost, bounds=bounds, method="bounded")
             if -found.fun > gain(values):
                 values[k] = scale[k] * (np.exp(found.x) - 1.0)
     reach = np.array([_reach(gain, values, k, scale[k]) for k in range(len(values))])
-    mean, sigma = _posterior(lambda v: gain(v) - 2.0 * float(np.log1p(v / scale).sum()), values, reach)
+    least = hypothesis.effect.least * scale
+    mean, sigma = _posterior(lambda v: gain(v) - 2.0 * float(np.log1p(v / scale).sum()), values, reach, least)
     return tuple(mean.tolist()), gain(values), tuple(sigma.tolist())
 
 
 def _reach(gain: Callable[[Floats], float], values: Floats, k: int, scale: float) -> float:
     """How far upward a parameter can go before its likelihood falls by a factor of e^-2 (two standard deviations)."""
-    top, step = gain(values), 0.05 * max(float(values[k]), 0.2 * scale)
+    top, step = gain(values), 0.05 * max(abs(float(values[k])), 0.2 * scale)
     while step < LARGEST * scale:
         tried = values.copy()
         tried[k] += step
@@ -248,11 +276,13 @@ GRID = 13
 """Points an axis of the grid on which the posterior of the sizes is summed."""
 
 
-def _posterior(twice_log: Callable[[Floats], float], values: Floats, reach: Floats) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (q,) of non-negative sizes around the maximum of the likelihood."""
+def _posterior(
+    twice_log: Callable[[Floats], float], values: Floats, reach: Floats, least: Floats
+) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (q,) of sizes above the `least` ones, around the maximum of the likelihood."""
     mean, sigma = values, 0.5 * reach
     for width in (4.0, 4.5):
-        low = np.maximum(np.zeros_like(mean), mean - width * sigma)
+        low = np.maximum(least, mean - width * sigma)
         axes = [np.linspace(a, b, GRID) for a, b in zip(low, mean + width * sigma, strict=True)]
         points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
         logs = 0.5 * np.array([twice_log(point) for point in points])

@@ -26,6 +26,8 @@ BEAM = 4
 MOST_MEMBERS = 4
 REFINED = 8
 MOST_BASINS = 3
+MOST_STEPS = 8
+"""Moves to a neighbour that a refinement makes at most."""
 BASIN_DEPTH = 12.0
 UNKNOWN_ODDS = 0.05
 """Prior odds of all physics outside the catalogue together against one effect of it."""
@@ -190,13 +192,7 @@ class Searcher:
 
     def _refined(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
         """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
-        best, value = hypothesis, evidence
-        for effect in hypothesis.effect.finer(self.space.sightings):
-            near = replace(hypothesis, effect=effect)
-            drop, rank = self._drop(near, base)
-            found = float(log_evidence(np.array([drop]), np.array([rank]))[0])
-            if found > value:
-                best, value = near, found
+        best, value = self._nearby(hypothesis, base, evidence)
         for shape in type(hypothesis.effect).shape:
             now = getattr(best.effect, shape.name)
             if not isinstance(now, float) or shape.steps < 2:
@@ -213,6 +209,21 @@ class Searcher:
                 best = replace(best, effect=best.effect.reshaped(**{shape.name: float(found.x)}))
                 value = -float(found.fun)
         return best, value - evidence
+
+    def _nearby(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
+        """Uphill over what an effect offers near itself (`Effect.finer`) until nothing there is better."""
+        best, value = hypothesis, evidence
+        for _ in range(MOST_STEPS):
+            before = value
+            for effect in best.effect.finer(self.space.sightings):
+                near = replace(hypothesis, effect=effect)
+                drop, rank = self._drop(near, base)
+                found = float(log_evidence(np.array([drop]), np.array([rank]))[0])
+                if found > value:
+                    best, value = near, found
+            if value <= before:
+                break
+        return best, value
 
     def change_time(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, float] | None:
         """When a sudden change happened and its standard deviation [s], from the evidence of all gaps around it.
@@ -294,6 +305,11 @@ class Searcher:
         score -= sum(m.cost for m in members)
         made = EffectSet(tuple(members), extension, residual, score)
         return replace(made, score=score + self._set_plausibility(made))
+
+    def worth(self, member: Member, drop: float) -> float:
+        """Log evidence that a member brings to a set when chi2 drops by so much for it, its cost taken off."""
+        rank = np.array([member.signature.shape[1]])
+        return float(log_evidence(np.array([drop]), rank)[0]) - member.cost
 
     def _set_plausibility(self, made: EffectSet) -> float:
         whole = np.hstack([m.signature for m in made.members])

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ltsim.diagnose.diagnosis import Estimate, Finding, Fit, Where
+from ltsim.effects import find_effect
+from ltsim.effects.effect import card_line
 
 MOST_NAMED = 4
 
@@ -21,7 +25,22 @@ def estimates(parameters: Sequence[Estimate]) -> str:
     """The most telling estimates in a phrase."""
     told = sorted(parameters, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
     chosen = [p for p in parameters if p in told]
-    return ", ".join(f"{p.name} {number(p.value, p.sigma)} {p.unit}".strip() for p in chosen)
+    return ", ".join(_estimate(p) for p in chosen)
+
+
+def _estimate(parameter: Estimate) -> str:
+    """One estimate in a phrase; an added variance as the factor on the stated standard deviation."""
+    name, value, sigma = parameter.name.replace("_", " "), parameter.value, parameter.sigma
+    if name.startswith("noise-"):
+        factor = float(np.sqrt(max(1.0 + value, 0.0)))
+        return f"{name[6:]}s scatter {number(factor, 0.5 * sigma / max(factor, 0.1))} times as much as stated"
+    return f"{name} {number(value, sigma)} {parameter.unit}".strip()
+
+
+def formula(observable: str, parameters: Sequence[Estimate], place: str = "") -> str:
+    """A term of unknown physics with its coefficients: their names are the functions they stand before."""
+    terms = [f"({number(p.value, p.sigma)}) {p.unit} {p.name}".removesuffix(" 1") for p in parameters]
+    return f"{observable} correction = {' + '.join(terms)}{place}"
 
 
 def place(where: Where) -> str:
@@ -61,10 +80,27 @@ def finding_sentence(
         on = f", depending on {_list(where.covariates)}" if where.covariates else ""
         law = f"; a formula that fits: {formula}" if formula else ""
         return f"Physics outside the catalogue {place(where)}{on}{law}."
-    told = estimates(parameters)
-    name = effect.replace("-", " ").capitalize()
+    title, cause = card_line(find_effect(effect))
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
-    return f"{name} {place(where)}" + (f": {told}" if told else "") + f" (probability {percent(probability)}).{doubt}"
+    told = "; ".join(part for part in (cause, estimates(parameters)) if part)
+    at = place(where).removeprefix("at ").removeprefix("in the ")
+    return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
+
+
+WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
+"""Units of time where a recording has no clock and rows stand for seconds."""
+
+
+def without_clock(parameter: Estimate) -> Estimate:
+    """An estimate of a recording that has no clock, by rows instead of by time."""
+    per, _, rate = parameter.unit.partition("/")
+    if rate in WITHOUT_CLOCK:
+        factor, unit = 1.0 / WITHOUT_CLOCK[rate][1], f"{per}/row"
+    elif parameter.unit in WITHOUT_CLOCK:
+        unit, factor = WITHOUT_CLOCK[parameter.unit]
+    else:
+        return parameter
+    return Estimate(parameter.name, factor * parameter.value, factor * parameter.sigma, unit)
 
 
 def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:

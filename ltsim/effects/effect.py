@@ -18,6 +18,7 @@ negative.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -195,6 +196,9 @@ class Effect:
 class NoiseEffect(Effect):
     """A change of the noise: parameters are added variances or factors on them, not mean shifts."""
 
+    least: ClassVar[float] = 0.0
+    """Smallest value of a parameter in units of its prior sigma: most causes add noise and take none away."""
+
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3) of the readings when the stated standard deviations are `sigma` (n, 3).
 
@@ -212,6 +216,13 @@ class NoiseEffect(Effect):
     def design(self, sightings: Sightings) -> Floats:
         """No mean shift: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
+
+
+def card_line(kind: type[Effect]) -> tuple[str, str]:
+    """Title of an effect and what happens, both from the first line of its card."""
+    line = (sys.modules[kind.__module__].__doc__ or kind.name).strip().splitlines()[0].rstrip(".")
+    title, _, cause = line.partition(": ")
+    return title.split(" (")[0], cause
 
 
 Basis = Callable[[Floats], Floats]

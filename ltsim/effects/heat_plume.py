@@ -5,7 +5,8 @@ T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station o
 at all; the range falls short by beta times the integral of T wherever it is.
 Like: the station's tilt, index-drift there (near a station); a range constant of that target (near a target).
 Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
-Valid: on while its station, or target, is measured; the centre is searched on a coarse ring, the radius refined.
+Valid: on while its station, or target, is measured; the centre is searched half a metre away in all directions, then
+moved, and the radius refined.
 Source: physics.md entry 23, integrals [D*]; Ciddor 1996.
 Status: first order validated against the integrated ray; the Gaussian form is a choice.
 """
@@ -23,11 +24,20 @@ from ltsim.effects.rays import bent, first_order
 from ltsim.scene.sightings import Sightings
 
 RING = 8
+LEVELS = (-0.6, 0.0, 0.6)
+"""[rad] elevations of the directions that are tried, besides the poles."""
 REACH = 0.5
 """[m] from a station to the centres that are tried."""
+MOVES = (0.2, 0.08)
+"""[m] steps by which a centre is refined."""
 NEAR_STATION, NEAR_TARGET = 0.25, 0.5
 MOST_PLACES = 40
 """Stations, or targets, beyond which single plumes are not tried."""
+
+
+def _rounded(offset: Floats) -> tuple[float, float, float]:
+    x, y, z = (round(float(v), 6) for v in offset)
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -53,14 +63,21 @@ class HeatPlume(Effect):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """A ring of directions, above and below at every station; around every target."""
         angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
-        ring = [(round(REACH * float(np.cos(a)), 6), round(REACH * float(np.sin(a)), 6), 0.0) for a in angles]
-        offsets = [*ring, (0.0, 0.0, REACH), (0.0, 0.0, -REACH)]
+        ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in LEVELS]
+        offsets = [_rounded(REACH * np.array(way)) for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))]
         stations = sightings.station_names if len(sightings.station_names) <= MOST_PLACES else ()
         targets = sightings.target_names if len(sightings.target_names) <= MOST_PLACES else ()
         return [
             *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
             *(cls((), (name,), radius=NEAR_TARGET) for name in targets),
         ]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """Centres a little farther along or against each axis."""
+        if not self.stations:
+            return []
+        moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
+        return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
 
     def _centre(self, sightings: Sightings) -> Floats:
         """(3,) [m] in the network frame: from the station where one is named, else from the target."""

@@ -28,6 +28,7 @@ class NoiseLevel(NoiseEffect):
     """Variance added to each observable, over the stated variance."""
 
     name = "noise-level"
+    least = -0.95
     number = 0
     stage = Stage.NOISE
     parameters = (
@@ -37,9 +38,9 @@ class NoiseLevel(NoiseEffect):
     )
 
     def size_grid(self) -> list[tuple[float, ...]]:
-        """Sizes that a diagnosis tries: larger noise, and smaller."""
+        """Sizes that a diagnosis tries: larger noise, and smaller where `least` allows it."""
         subsets = [*np.eye(3), np.array([0.0, 1.0, 1.0]), np.ones(3)]
-        sizes = (*QUIETER, 0.25, 0.6, 1.5, 4.0, 12.0)
+        sizes = (*(size for size in QUIETER if size > self.least), 0.25, 0.6, 1.5, 4.0, 12.0)
         return [tuple(float(size * v) for v in subset) for subset in subsets for size in sizes]
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:

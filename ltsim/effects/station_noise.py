@@ -20,5 +20,6 @@ class StationNoise(NoiseLevel):
     """Variance added at one station."""
 
     name = "station-noise"
+    least = 0.0
     covariates = ("place",)
     scope = "station"

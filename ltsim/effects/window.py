@@ -24,7 +24,18 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
 INDEX = 1.5
-SECTORS = 4
+SHARES = (0.12, 0.25)
+"""Lengths of the runs that are tried, as shares of a station's targets."""
+TURNS = (-0.15, -0.05, 0.05, 0.15)
+"""[rad] by which a pane is turned in refinement."""
+
+
+def _around(sightings: Sightings, station: str) -> list[int]:
+    """Targets that a station measured, in the order of their azimuths."""
+    s = sightings.station_names.index(station)
+    arm = sightings.points - sightings.position[s]
+    seen = np.unique(sightings.target[sightings.station == s])
+    return [int(t) for t in seen[np.argsort(np.arctan2(arm[seen, 1], arm[seen, 0]))]]
 
 
 @dataclass(frozen=True)
@@ -42,19 +53,40 @@ class Window(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """At every station an upright pane across each quarter of its targets, in the order of their azimuths."""
+        """At every station an upright pane across runs of neighbouring targets, in the order of their azimuths."""
         found = []
-        for s, station in enumerate(sightings.station_names):
-            arm = sightings.points - sightings.position[s]
-            seen = np.unique(sightings.target[sightings.station == s])
-            seen = seen[np.argsort(np.arctan2(arm[seen, 1], arm[seen, 0]))]
-            for block in np.array_split(seen, SECTORS):
-                across = arm[block, :2].sum(axis=0)
-                if len(block) < 2 or not np.linalg.norm(across) > 0:
-                    continue
-                x, y = (float(v) for v in across / np.linalg.norm(across))
-                found.append(cls((station,), tuple(sightings.target_names[t] for t in block), (x, y, 0.0)))
+        for station in sightings.station_names:
+            order = _around(sightings, station)
+            for share in SHARES:
+                length = max(2, round(share * len(order)))
+                for first in range(0, len(order), max(1, length // 2)):
+                    block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
+                    found += cls._across(sightings, station, block)
         return found
+
+    @classmethod
+    def _across(cls, sightings: Sightings, station: str, block: list[int]) -> list[Self]:
+        """A pane square to the middle of a run of targets; none where the run has no middle."""
+        arm = sightings.points[block] - sightings.position[sightings.station_names.index(station)]
+        across = arm[:, :2].sum(axis=0)
+        if len(block) < 2 or not np.linalg.norm(across) > 0:
+            return []
+        x, y = (float(v) for v in across / np.linalg.norm(across))
+        return [cls((station,), tuple(sightings.target_names[t] for t in sorted(block)), (x, y, 0.0))]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """One target more or less at either end of the run; the pane turned a little."""
+        order = _around(sightings, self.stations[0])
+        behind = {sightings.target_names.index(name) for name in self.targets}
+        inside = [t in behind for t in order]
+        found: list[Self] = []
+        for k, t in enumerate(order):
+            at_edge = inside[k] != inside[k - 1] or inside[k] != inside[(k + 1) % len(order)]
+            if at_edge:
+                found += self._across(sightings, self.stations[0], sorted(behind ^ {t}))
+        x, y, _ = self.normal
+        turned = [np.arctan2(y, x) + angle for angle in TURNS]
+        return found + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
 
     def _apparent(self, sightings: Sightings) -> Floats:
         """(n, 3): displacement of the target that the readings describe, per unit of thickness."""

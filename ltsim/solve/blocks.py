@@ -9,6 +9,7 @@ Columns are scaled to unit norm before anything is factorised, so no rank is eve
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -133,6 +134,16 @@ class Factor:
         """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
         columns: Floats = self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
         return columns
+
+    @property
+    def smallest_pivot(self) -> float:
+        """The smallest pivot of the Schur complement for unit columns."""
+        return self._elimination.smallest_pivot
+
+    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """Covariance R N^-1 R' of groups of functions (q, K + 3 E): group i are the rows edges[i] to edges[i + 1]."""
+        scaled = sp.csr_array((rows.data * self._scale[rows.indices], rows.indices, rows.indptr), rows.shape)
+        return self._elimination.forms(scaled, edges)
 
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""

@@ -43,6 +43,10 @@ class Elimination(Protocol):
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
         ...
 
+    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """R N^-1 R' for groups of neighbouring rows (q, K + 3 E): group i from edges[i] to edges[i + 1]."""
+        ...
+
 
 class DenseElimination:
     """Everything as dense matrices; design (m, K + 3 E) with scaled columns."""
@@ -96,6 +100,12 @@ class DenseElimination:
         own = np.sum((np.swapaxes(triples, 0, 1) @ self._inverse) * np.swapaxes(triples, 0, 1), axis=(0, 2))
         return blocks, shared + own
 
+    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """R N^-1 R' for groups of neighbouring rows."""
+        for low, high in pairwise(edges.tolist()):
+            group = rows[low:high].toarray()
+            yield group @ self.solve(group.T)
+
 
 class SparseElimination:
     """Sparse elimination; the Schur complement is a chain of blocks where its structure allows."""
@@ -124,9 +134,13 @@ class SparseElimination:
         blocks = back.reshape(-1, 3, right.shape[1])
         return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
 
+    @cached_property
+    def _kept_inverse(self) -> Floats:
+        return self._chain.inverse()
+
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
-        return self._chain.inverse()
+        return self._kept_inverse
 
     def kept_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
@@ -163,6 +177,21 @@ class SparseElimination:
                     blocks[g] = self._inverse[g] + carry.T @ kept @ carry
                     leverage[rows] += np.sum((back @ self._inverse[g]) * back, axis=1)
         return blocks, leverage
+
+    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """R N^-1 R' for groups of neighbouring rows: each asks for the inverse where it has entries only."""
+        back = sp.csr_array(rows[:, self._kept :])
+        reduced = sp.csr_array(rows[:, : self._kept] - back @ self._carry.T)
+        carried = sp.csr_array(back @ _block_diagonal(self._inverse))
+        if not len(edges) > 1:
+            return
+        kept = self.kept_inverse()
+        for low, high in pairwise(edges.tolist()):
+            front, columns = dense_rows(reduced, low, high)
+            form = front @ kept[columns[:, None], columns] @ front.T
+            own, columns = dense_rows(carried, low, high)
+            form += own @ dense_rows(back, low, high, columns)[0].T
+            yield form
 
 
 class _Groups:
@@ -211,6 +240,17 @@ class _Groups:
             ]
         rows = self._rows[low:high]
         return rows, front, self._back[rows], carry
+
+
+def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
+    """Rows low to high on the columns (k,) where they have entries, or on sorted ones that hold these, and the columns."""
+    begin, end = matrix.indptr[low], matrix.indptr[high]
+    indices = matrix.indices[begin:end]
+    columns = np.unique(indices) if columns is None else columns
+    dense = np.zeros((high - low, len(columns)))
+    row = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1]))
+    np.add.at(dense, (row, np.searchsorted(columns, indices)), matrix.data[begin:end])
+    return dense, columns
 
 
 def block_inverse(blocks: Floats) -> Floats:

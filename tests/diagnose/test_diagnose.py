@@ -155,7 +155,7 @@ def test_the_files_say_what_the_diagnosis_says(tmp_path):
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["format"] == "ltsim-diagnosis/1"
     assert content["findings"][0]["where"]["stations"] == ["S2"]
-    assert content["summary"].startswith("Station weather at station S2")
+    assert content["summary"].startswith("Wrong weather at one station (station S2")
     lines = (tmp_path / "targets.csv").read_text().splitlines()
     assert len(lines) == 1 + len(recording.targets)
     assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")

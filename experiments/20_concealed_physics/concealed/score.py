@@ -94,7 +94,7 @@ def _same_observables(found: set[str], true: set[str], first: bool) -> bool:
 def _coverage(effect: dict[str, Any], finding: dict[str, Any]) -> Row:
     """Parameters that were estimated, and how many of their 95 % intervals hold the truth."""
     true = {p["name"]: p["value"] for p in effect["parameters"]} | effect["shape"]
-    if "table=(0" in effect["text"] or "table=(-" in effect["text"]:  # a table has no parameters to be right about
+    if "table=(" in effect["text"] and "table=()" not in effect["text"]:  # a table has no parameters to be right about
         true = {}
     misses = {
         p["name"]: (p["value"] - true[p["name"]]) / p["sigma"]

@@ -1,0 +1,116 @@
+"""The residual space of an adjustment: what an adjustment leaves of any signature.
+
+Residuals are correlated and smeared; a signature g of an effect shows as P g, with P the projector off everything that
+is estimated. Tests of a diagnosis and the detectability of a plan live there, in whitened units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.effect import Effect
+from ltsim.scene.sightings import Sightings
+from ltsim.solve.projection import Projection
+
+VISIBLE = 1e-6
+"""Share of a signature's squared size below which its rest after the adjustment is rounding, not information."""
+
+
+@dataclass(frozen=True)
+class ResidualSpace:
+    """The projection off what is estimated, and the residuals off it.
+
+    Attributes
+    ----------
+    projection : Projection
+        Off the whitened design, and further signatures where they are estimated too.
+    residual : (m,) float
+        Whitened residuals, orthogonal to the design.
+    adjustment : Adjustment
+    """
+
+    projection: Projection
+    residual: Floats
+    adjustment: Adjustment
+
+    @classmethod
+    def of(cls, adjustment: Adjustment) -> Self:
+        """The residual space at the optimum of an adjustment."""
+        projection = adjustment.projection
+        residual = projection.project(adjustment.solution.system.residual[:, None])[:, 0]
+        return cls(projection, residual, adjustment)
+
+    @property
+    def sightings(self) -> Sightings:
+        """Geometry of the pointings."""
+        return self.adjustment.sightings
+
+    @property
+    def use(self) -> Bools:
+        """(n, 3): readings in use, the first rows."""
+        return self.adjustment.problem.use
+
+    @property
+    def sigma(self) -> Floats:
+        """(n, 3) standard deviations of the readings."""
+        return self.adjustment.problem.sigma
+
+    @property
+    def size(self) -> int:
+        """Number of rows m."""
+        return len(self.residual)
+
+    @cached_property
+    def redundancy(self) -> Floats:
+        """(m,): share of an error of a row that stays in its residual."""
+        share: Floats = 1.0 - self.projection.leverage()
+        return share
+
+    @cached_property
+    def _readings(self) -> tuple[Ints, Floats]:
+        """Places (r,) of the readings in use among all, and one over their standard deviations (r, 1)."""
+        place = np.flatnonzero(self.use)
+        return place, 1.0 / self.sigma.reshape(-1)[place, None]
+
+    def whiten(self, design: Floats, gauge: Floats | None = None) -> Floats:
+        """Rows (m, q) of a design (n, 3, q) on readings and (g, q) on known lengths."""
+        rows = np.zeros((self.size, design.shape[2]))
+        place, weight = self._readings
+        readings = design.reshape(-1, design.shape[2])
+        np.multiply(readings if self.use.all() else readings[place], weight, out=rows[: len(place)])
+        if gauge is not None and len(gauge):
+            rows[len(place) : len(place) + len(gauge)] = gauge / self.adjustment.problem.gauge.sigma[:, None]
+        return rows
+
+    def signature(self, effect: Effect) -> Floats:
+        """Whitened signature (m, q) of an effect, before the adjustment takes its share."""
+        gauge = self.adjustment.problem.gauge
+        lengths = effect.gauge_design(gauge.first, gauge.second, self.adjustment.state.points)
+        return self.whiten(effect.design(self.sightings), lengths)
+
+    def project(self, rows: Floats) -> Floats:
+        """What the adjustment leaves of signatures (m, q)."""
+        return self.projection.project(rows)
+
+    def extended(self, signature: Floats) -> ResidualSpace:
+        """The residual space when signatures (m, q) are estimated too."""
+        visible = orthonormal(self.project(signature), signature)
+        residual = self.residual - visible @ (visible.T @ self.residual)
+        return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
+
+
+def orthonormal(left: Floats, whole: Floats) -> Floats:
+    """Orthonormal columns (m, r) spanning what is `left` (m, q) of `whole`; invisible directions are dropped.
+
+    Directions are compared with the size of the whole signature, so no unit and no absolute tolerance enters.
+    """
+    norm = np.linalg.norm(whole, axis=0)
+    norm[norm == 0] = 1.0
+    u, s, _ = np.linalg.svd(left / norm, full_matrices=False)
+    return u[:, s**2 > VISIBLE]

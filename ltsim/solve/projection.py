@@ -1,0 +1,194 @@
+"""What a least-squares adjustment leaves of any vector of observations: the projector off its design.
+
+With A the whitened design and N = A' A, the hat matrix is H = A N^-1 A' and the projector P = 1 - H. Small systems are
+worked on with an orthonormal basis of A, large ones with the factor that the adjustment has anyway: cost and memory
+then follow the nonzeros of the design. Both answer the same questions and are compared in the tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Protocol, Self
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.arrays import Floats, Ints
+from ltsim.solve.blocks import BlockSystem, Factor, column_scale
+from ltsim.solve.elimination import dense_rows
+
+DENSE = 4_000_000
+"""Designs with fewer entries get a basis: dense products are so much faster than sparse ones."""
+ORTHOGONAL = 1e-10
+"""What is left of unit vectors overlaps unit columns of the design by no more than this, or is projected once more."""
+ROUGH = 1e-8
+"""Smallest pivot of a factor below which a small difference of two forms with it is rounding."""
+NOTHING = 1e-12
+"""Eigenvalues of a block of the hat matrix below this are zero."""
+
+
+class Projection(Protocol):
+    """What tests on residuals ask of a design (m, u), with some further columns estimated too."""
+
+    def project(self, rows: Floats) -> Floats:
+        """What is left of vectors (m, q)."""
+        ...
+
+    def left_grams(self, vectors: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """Gram matrices V P V' of what is left of sparse vectors (q, m), by groups of neighbours.
+
+        Group i are the vectors edges[i] to edges[i + 1]; only the design counts, no further columns.
+        """
+        ...
+
+    def leverage(self) -> Floats:
+        """Diagonal (m,) of the hat matrix."""
+        ...
+
+    def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
+        """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows; all others are zero."""
+        ...
+
+    def extended(self, columns: Floats) -> Self:
+        """The projection off orthonormal columns (m, e) of the residual space as well."""
+        ...
+
+
+@dataclass(frozen=True)
+class BasisProjection:
+    """Projection by an orthonormal basis (m, u)."""
+
+    basis: Floats
+    added: int = 0
+
+    @classmethod
+    def of(cls, design: sp.csr_array) -> BasisProjection:
+        """The projection off a design."""
+        return cls(np.linalg.qr(design.toarray() * column_scale(design))[0])
+
+    def project(self, rows: Floats) -> Floats:
+        """What is left of vectors (m, q)."""
+        left: Floats = rows - self.basis @ (self.basis.T @ rows)
+        return left
+
+    def left_grams(self, vectors: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """Gram matrices of what is left of sparse vectors, by groups."""
+        inside = vectors @ self.basis[:, : self.basis.shape[1] - self.added]
+        for own, low, high in _groups(vectors, edges):
+            yield own - inside[low:high] @ inside[low:high].T
+
+    def leverage(self) -> Floats:
+        """Diagonal (m,) of the hat matrix."""
+        leverage: Floats = np.einsum("mu,mu->m", self.basis, self.basis)
+        return leverage
+
+    def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
+        """Spectra of the hat matrix on groups of rows."""
+        for rows in groups:
+            part = self.basis[rows]
+            yield _thin(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
+
+    def extended(self, columns: Floats) -> BasisProjection:
+        """The projection off further columns."""
+        return BasisProjection(np.hstack([self.basis, columns]), self.added + columns.shape[1])
+
+
+@dataclass(frozen=True)
+class FactorProjection:
+    """Projection by the factorised normal equations of a sparse design.
+
+    Attributes
+    ----------
+    added : (m, e) float
+        Further columns.
+    """
+
+    design: sp.csr_array
+    factor: Factor
+    added: Floats
+    _transposed: sp.csr_array = field(repr=False)
+    _scale: Floats = field(repr=False)
+
+    @classmethod
+    def of(cls, design: sp.csr_array, factor: Factor) -> FactorProjection:
+        """The projection off a design."""
+        return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
+
+    def project(self, rows: Floats) -> Floats:
+        """What is left of vectors (m, q); repeated once where the factor's rounding shows."""
+        size = np.linalg.norm(rows, axis=0)
+        inside = self._transposed @ rows
+        left: Floats = rows - self.design @ self.factor.covariance_columns(inside)
+        again = self._transposed @ left
+        if np.any(np.abs(again) * self._scale[:, None] > ORTHOGONAL * size):
+            left -= self.design @ self.factor.covariance_columns(again)
+        if self.added.shape[1]:
+            left -= self.added @ (self.added.T @ left)
+        return left
+
+    def left_grams(self, vectors: sp.csr_array, edges: Ints) -> Iterator[Floats]:
+        """Gram matrices of what is left of sparse vectors, by groups."""
+        if self.factor.smallest_pivot < ROUGH:
+            for low, high in pairwise(edges.tolist()):
+                left = self.project(vectors[low:high].toarray().T)
+                yield left.T @ left
+            return
+        inside = self.factor.forms(sp.csr_array(vectors @ self.design), edges)
+        for (own, _, _), form in zip(_groups(vectors, edges), inside, strict=True):
+            yield own - form
+
+    def leverage(self) -> Floats:
+        """Diagonal (m,) of the hat matrix."""
+        leverage: Floats = self.factor.leverage() + np.einsum("me,me->m", self.added, self.added)
+        return leverage
+
+    def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
+        """Spectra of the hat matrix on groups of rows."""
+        edges = np.cumsum([0, *(len(rows) for rows in groups)])
+        thick = edges[-1] == 0 or max(len(rows) for rows in groups) > self.design.shape[1] // 2
+        if thick:
+            yield from (self._spectrum(rows) for rows in groups)
+            return
+        hats = self.factor.forms(self.design[np.concatenate(groups)], edges)
+        for rows, hat in zip(groups, hats, strict=True):
+            yield np.linalg.eigh(hat + self.added[rows] @ self.added[rows].T)
+
+    def _spectrum(self, rows: Ints) -> tuple[Floats, Floats]:
+        """The spectrum on many rows, through the covariance of the unknowns that they touch."""
+        part = self.design[rows]
+        touched = np.unique(part.indices)
+        whole = np.array([0, len(touched)])
+        units = sp.csr_array((1.0 / self._scale[touched], touched, np.arange(len(touched) + 1)), (len(touched), part.shape[1]))
+        covariance = next(self.factor.forms(units, whole))
+        values, vectors = np.linalg.eigh(covariance)
+        root = part[:, touched].toarray() * self._scale[touched] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        root = np.hstack([root, self.added[rows]])
+        return _thin(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
+
+    def extended(self, columns: Floats) -> FactorProjection:
+        """The projection off further columns."""
+        return replace(self, added=np.hstack([self.added, columns]))
+
+
+def projection_of(system: BlockSystem, factor: Factor | None) -> Projection:
+    """The projection off the design of a system; without a factor, or for a small one, by a basis."""
+    rows, columns = system.design.shape
+    if factor is None or rows * columns <= DENSE:
+        return BasisProjection.of(system.design)
+    return FactorProjection.of(system.design, factor)
+
+
+def _thin(root: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues other than zero, and their vectors, of root root' for a root (f, k) of fewer columns than rows."""
+    values, vectors = np.linalg.eigh(root.T @ root)
+    seen = values > NOTHING
+    return values[seen], root @ (vectors[:, seen] / np.sqrt(values[seen]))
+
+
+def _groups(vectors: sp.csr_array, edges: Ints) -> Iterator[tuple[Floats, int, int]]:
+    """Gram matrix, begin and end of each group of sparse vectors."""
+    for low, high in pairwise(edges.tolist()):
+        dense, _ = dense_rows(vectors, low, high)
+        yield dense @ dense.T, low, high
