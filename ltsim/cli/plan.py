@@ -81,9 +81,7 @@ def plan(
     return _search(terminal, source, out, seed, starts, jobs)
 
 
-def _search(
-    terminal: Terminal, source: str, out: Path | None, seed: int | None, starts: int | None, jobs: int
-) -> None:
+def _search(terminal: Terminal, source: str, out: Path | None, seed: int | None, starts: int | None, jobs: int) -> None:
     file, scenario = load_plan(source)
     changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
     file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
@@ -156,7 +154,7 @@ def write_pictures(made: Plan, folder: Path) -> None:
         if len(made.reference.qualities) == 1:
             layouts.append(Layout("the scenario's own", own.seconds / 60, value, "reference"))
     figures = {
-        "floor.png": floor_plan(from_scenario(planned_scenario(made))),
+        "floor.png": floor_plan(from_scenario(planned_scenario(made)), coordinates=True),
         "tradeoff.png": trade_off(layouts),
     }
     for name, figure in figures.items():

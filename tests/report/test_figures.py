@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from ltsim.randomness import stream
 from ltsim.report import figures, style
-from ltsim.report.figures.history import Course, history_figure
+from ltsim.report.figures.history import Course, history_figure, told_apart
 from ltsim.report.residuals import Residuals
 from ltsim.report.workshop import from_adjustment
 from tests.report import samples
@@ -187,6 +187,21 @@ def test_axes_carry_units() -> None:
     assert any("[µm]" in ax.get_ylabel() for ax in grid)
     assert any("[°]" in ax.get_xlabel() for ax in grid)
     assert all("[m]" in text for text in (floor_plan().axes[0].get_xlabel(), floor_plan().axes[0].get_ylabel()))
+
+
+def test_a_plan_lists_where_each_tripod_goes() -> None:
+    workshop = from_adjustment(samples.after())
+    words = [text.get_text() for text in figures.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
+    x, y, z = workshop.position[1]
+    assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.yaw[1]) % 360:.0f}°" in words
+    assert len(words) == len(floor_plan().legends[0].get_texts()) + 2 + len(workshop.stations)
+
+
+def test_labels_lose_what_they_share() -> None:
+    assert told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert told_apart(["one", "two"]) == ("one", "two")
+    assert told_apart(["same", "same"]) == ("same", "same")
+    assert told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
 
 
 def test_drawing_changes_no_global_setting() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Floats, Ints
@@ -17,10 +18,11 @@ from ltsim.units import DEGREE
 
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
 MOST_LABELS = 60
+MOST_PLACES = 16
 
 
 @styled
-def floor_plan(workshop: Workshop, *, reference: Floats | None = None) -> Figure:
+def floor_plan(workshop: Workshop, *, reference: Floats | None = None, coordinates: bool = False) -> Figure:
     """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
 
     Parameters
@@ -28,6 +30,8 @@ def floor_plan(workshop: Workshop, *, reference: Floats | None = None) -> Figure
     workshop : Workshop
     reference : (k, 3) float, optional, [m]
         Stations of another layout, to compare with.
+    coordinates : bool
+        List where each tripod goes beside the picture.
     """
     figure = new_figure(5.4, layout="compressed")
     ax = figure.subplots()
@@ -52,6 +56,9 @@ def floor_plan(workshop: Workshop, *, reference: Floats | None = None) -> Figure
     ax.set_ylabel("y [m]")
     _limits(ax, workshop)
     handles, labels = ax.get_legend_handles_labels()
+    if coordinates and len(workshop.stations) <= MOST_PLACES:
+        blank, places = _places(workshop)
+        handles, labels = [*handles, *blank], [*labels, *places]
     figure.legend(handles, labels, loc="outside right upper")
     return figure
 
@@ -208,3 +215,13 @@ def _stations(ax: Axes, workshop: Workshop) -> None:
         zorder=6,
         label="station, tick to azimuth 0",
     )
+
+
+def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
+    """Entries of a legend: where each tripod goes."""
+    lines = [
+        f"{shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
+        for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
+    ]
+    words = ["", "station: x, y, z, azimuth 0", *lines]
+    return [Line2D([], [], linestyle="none") for _ in words], words

@@ -100,7 +100,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     fit = content.fit
     return [
         Fact("sigma0", "–" if fit.sigma0 is None else f"{fit.sigma0:.3f}", mood(agrees)),
-        Fact("p of the fit", p_text(fit.p_value), mood(agrees)),
+        Fact("p of the fit", "–" if content.noise else p_text(fit.p_value), "plain" if content.noise else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("construction", content.construction or "–"),
         Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),

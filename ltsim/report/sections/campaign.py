@@ -120,8 +120,11 @@ def _facts(manifest: Mapping[str, Any], ends: Sequence[Checked], scores: Sequenc
 
 
 def _cell_names(results: Results) -> dict[int, str]:
-    """What each cell is."""
-    return {int(c["cell"]): str(c["label"]) or "as the scenario" for c in results.manifest["cells"]}
+    """What each cell is, without the settings that all cells share."""
+    parts = {int(c["cell"]): str(c["label"]).split(", ") for c in results.manifest["cells"]}
+    shared = set.intersection(*map(set, parts.values())) if len(parts) > 1 else set()
+    own = {cell: ", ".join(p for p in words if p not in shared) for cell, words in parts.items()}
+    return {cell: label or "as the scenario" for cell, label in own.items()}
 
 
 def _published(results: Results) -> Mapping[str, float]:

@@ -16,6 +16,8 @@ from ltsim.report.sections.network import residual_blocks, target_table
 from ltsim.report.words import count, listing, p_text
 
 FORMAT = "ltsim-diagnosis/1"
+LEAST_UM = 0.1
+"""What an effect hides below this [um] is no matter."""
 
 
 def diagnosis_section(folder: Path, recording: Recording | None = None) -> Section:
@@ -167,10 +169,7 @@ def _limits(content: DiagnosisFile) -> list[Block]:
     """What could not be seen at all, and how small the rest may be."""
     blocks: list[Block] = []
     if content.undetectable:
-        rows = [
-            [u.effect, u.reason, u.cure, "–" if u.hides_um is None else f"{style.number(u.hides_um, 2)} µm"]
-            for u in content.undetectable
-        ]
+        rows = [[u.effect, u.reason, u.cure, _hidden(u.hides_um)] for u in content.undetectable]
         header = ["effect", "why it leaves no residual", "what would show it", "may hide"]
         blocks.append(Table("What this network cannot see", header, rows, text_columns=3))
     if content.detectable:
@@ -189,3 +188,10 @@ def _targets(folder: Path) -> list[Block]:
         return []
     names, points, sigma = read_targets(file)
     return [target_table(names, points, sigma, note="Adjusted with the findings modelled.")]
+
+
+def _hidden(size: float | None) -> str:
+    """How far an effect may move targets unseen [um]."""
+    if size is None:
+        return "–"
+    return f"{style.number(size, 2)} µm" if size >= LEAST_UM else f"under {LEAST_UM:g} µm"

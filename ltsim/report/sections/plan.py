@@ -92,10 +92,11 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
     workshop = from_scenario(scenario)
     reference = content.reference.stations if content.reference else ()
     places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
-    text = "Seen from above. Inside the circles the elevation limit hides the floor." + (
+    text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
-    blocks: list[Block] = [picture("Floor plan", figures.floor_plan(workshop, reference=places), text)]
+    floor = figures.floor_plan(workshop, reference=places, coordinates=True)
+    blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
         blocks.append(scene(workshop, interactive=detail == "turn"))
     layout = planned(scenario)
