@@ -95,8 +95,8 @@ class ResidualSpace:
         return self.whiten(effect.design(self.sightings), lengths)
 
     def project(self, rows: Floats) -> Floats:
-        """What the adjustment leaves of signatures (m, q)."""
-        return self.projection.project(rows)
+        """What the adjustment leaves of signatures (m, q), or of one vector (m,)."""
+        return self.projection.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
     def extended(self, signature: Floats) -> ResidualSpace:
         """The residual space when signatures (m, q) are estimated too."""

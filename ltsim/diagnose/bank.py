@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats, Ints
+from ltsim.adjust.residual_space import VISIBLE, ResidualSpace
+from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.evidence import log_evidence
-from ltsim.diagnose.residual_space import VISIBLE, ResidualSpace
 from ltsim.effects.effect import Effect
 
 BATCH = 256
@@ -54,7 +54,7 @@ class Group:
 
     rank: int
     members: Ints
-    rows: Floats | sp.csr_array
+    rows: Singles | sp.csr_array
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ class _Maker:
         self._space = space
         self.hypotheses: list[Hypothesis] = []
         self.visible: list[float] = []
-        self._dense: dict[int, list[tuple[int, Floats]]] = {}
-        self._sparse: dict[int, list[tuple[int, Ints, Floats]]] = {}
+        self._dense: dict[int, list[tuple[int, Singles]]] = {}
+        self._sparse: dict[int, list[tuple[int, Ints, Singles]]] = {}
 
     def add(self, hypotheses: Sequence[Hypothesis]) -> None:
         """Add those that touch a reading: what is left of them is normalised by its small Gram matrix."""
@@ -242,7 +242,7 @@ def _touched(rows: Floats) -> Ints:
     return np.flatnonzero(touched)
 
 
-def sparse_rows(parts: Sequence[tuple[Ints, Floats]], size: int) -> sp.csr_array:
+def sparse_rows(parts: Sequence[tuple[Ints, Floats | Singles]], size: int) -> sp.csr_array:
     """Rows (sum r, size) from values (r, k) at places (k,)."""
     if not parts:
         return sp.csr_array((0, size))

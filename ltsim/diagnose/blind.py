@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.diagnosis import Detectable, Undetectable
-from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.geometry.rotations import cross_matrix
 
 NONCENTRALITY = 17.07

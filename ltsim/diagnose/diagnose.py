@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
@@ -24,7 +25,6 @@ from ltsim.diagnose.held_out import (
 )
 from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, pattern_hypotheses, remeasured
 from ltsim.diagnose.refit import Refit, refit
-from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.diagnose.search import EffectSet, Searcher
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.stations import mend_faces, mend_stations

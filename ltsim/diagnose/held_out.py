@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.residual_space import ResidualSpace
 
 PREDICTED = 1e-6
 """Directions with less redundancy than this are not predicted by the rest of the network at all."""

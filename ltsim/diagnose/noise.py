@@ -17,10 +17,10 @@ import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
-from ltsim.arrays import Floats, Ints
+from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.flexible import covariate
-from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -115,7 +115,7 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
-    gain: Floats | sp.csr_array
+    gain: Singles | sp.csr_array
     cost: Floats
 
     @classmethod
@@ -124,10 +124,10 @@ class NoiseBank:
         share = space.redundancy
         used, stated = space.use, space.sigma**2
         cost = np.zeros(len(hypotheses))
-        parts: list[tuple[Ints, Floats]] = []
+        parts: list[tuple[Ints, Singles]] = []
         for i, h in enumerate(hypotheses):
             factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
-            rows = np.flatnonzero(factor != 1.0)
+            rows = np.flatnonzero(factor != 1.0).astype(np.int64)
             parts.append((rows, (1.0 - 1.0 / factor[rows]).astype(np.float32)[None]))
             cost[i] = float(share[rows] @ np.log(factor[rows]))
         gain = sparse_rows(parts, space.size)

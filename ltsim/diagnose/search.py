@@ -15,11 +15,11 @@ from itertools import product
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from ltsim.adjust.residual_space import VISIBLE, ResidualSpace, orthonormal
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
-from ltsim.diagnose.residual_space import VISIBLE, ResidualSpace, orthonormal
 from ltsim.effects.effect import ShapeParameter
 
 BEAM = 4

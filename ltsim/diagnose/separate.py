@@ -13,8 +13,8 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.residual_space import ResidualSpace, orthonormal
 from ltsim.effects.effect import Effect
 from ltsim.geometry.polar import to_face
 from ltsim.geometry.rotations import about_z

@@ -19,13 +19,13 @@ import numpy as np
 from scipy import optimize, stats
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.residual_space import VISIBLE, ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, NoiseEffect, Parameter
-from ltsim.solve.blocks import column_scale
 
 ALPHA, POWER = 0.001, 0.80
-VISIBLE = 1e-6
-"""Share of a signature's squared length below which its rest after the adjustment is rounding."""
+BATCH = 512
+"""Rows projected at once."""
 MOST_PLACES = 150
 """Places and shapes of one effect that are looked at."""
 ALIKE = 0.9
@@ -71,42 +71,20 @@ class Detectable:
     worst_place: str
 
 
-class ResidualRoom:
-    """Projection of whitened signatures off everything that an adjustment estimates."""
-
-    def __init__(self, adjustment: Adjustment) -> None:
-        self.adjustment = adjustment
-        design = adjustment.solution.system.design
-        self.basis = np.linalg.qr(design.toarray() * column_scale(design))[0]
-
-    @cached_property
-    def residual(self) -> Floats:
-        """(m,): whitened residuals of the adjustment."""
-        return self.left(self.adjustment.solution.system.residual)
-
-    def signature(self, effect: Effect) -> Floats:
-        """Whitened signature (m, q): readings first, then known lengths; zero in all other rows."""
-        problem, sightings = self.adjustment.problem, self.adjustment.sightings
-        used = (effect.design(sightings) / problem.sigma[:, :, None])[problem.use]
-        gauge = problem.gauge
-        lengths = effect.gauge_design(gauge.first, gauge.second, self.adjustment.state.points)
-        rows = np.zeros((len(self.basis), used.shape[1]))
-        rows[: len(used)] = used
-        rows[len(used) : len(used) + len(gauge)] = lengths / gauge.sigma[:, None]
-        return rows
-
-    def left(self, rows: Floats) -> Floats:
-        """What the adjustment leaves of signatures (m, q)."""
-        remaining: Floats = rows - self.basis @ (self.basis.T @ rows)
-        return remaining
+class ResidualRoom(ResidualSpace):
+    """The residual space of a layout, with what it says about the noise."""
 
     @cached_property
     def _leftover(self) -> Floats:
         """(r, r): squared elements of the projector, for the rows of readings."""
-        count = int(self.adjustment.problem.use.sum())
-        basis = self.basis[:count]
-        projector = np.eye(count) - basis @ basis.T
-        return projector**2
+        count = int(self.use.sum())
+        leftover = np.empty((count, count))
+        for low in range(0, count, BATCH):
+            high = min(low + BATCH, count)
+            units = np.zeros((self.size, high - low))
+            units[np.arange(low, high), np.arange(high - low)] = 1.0
+            leftover[:, low:high] = self.project(units)[:count] ** 2
+        return leftover
 
     def noise_information(self, effect: NoiseEffect) -> Floats:
         """Information (q, q) on a noise effect's parameters: half the trace of P D_i P D_j.
@@ -205,7 +183,7 @@ def examine(room: ResidualRoom, places: Sequence[Effect]) -> Seen | None:
 def _left(room: ResidualRoom, whole: Floats) -> tuple[Floats, float, Floats]:
     """Information (q, q), visible share and orthonormal columns of a signature (m, q)."""
     norm = np.linalg.norm(whole, axis=0)
-    scaled = room.left(whole / np.where(norm > 0, norm, 1.0))
+    scaled = room.project(whole / np.where(norm > 0, norm, 1.0))
     basis, singular, _ = np.linalg.svd(scaled, full_matrices=False)
     share = float(np.mean(np.sum(scaled**2, axis=0)))
     information = (scaled.T @ scaled) * np.outer(norm, norm)
@@ -303,7 +281,7 @@ def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Eff
 
     Terms that the construction estimates count as such; all others are signatures on top of it.
     """
-    room = ResidualRoom(adjustment)
+    room = ResidualRoom.of(adjustment)
     estimated = set(adjustment.construction.names)
     found: list[Seen] = []
     silent: list[str] = []

@@ -149,7 +149,7 @@ def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[t
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
     estimate = adjustment.factor.covariance_columns(_columns(problem.layout.instrument[0], problem.layout.size)).T
     answer = estimate @ design.T
-    room = ResidualRoom(adjustment)
+    room = ResidualRoom.of(adjustment)
     errors = np.zeros((design.shape[0], 0))
     group: list[str] = []
     reading = np.zeros((count, 0))

@@ -110,7 +110,7 @@ def next_measurement(
         When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
     """
     adjustment = solved(recording, construction or misalignment())
-    room = ResidualRoom(adjustment)
+    room = ResidualRoom.of(adjustment)
     explanations = [explanation(room, name) for name in between]
     suspects = [target for found in explanations for target in found.effect.targets]
     extensions = [
@@ -128,7 +128,7 @@ def next_measurement(
     judged = []
     finalists = _finalists(proposals)
     for done, proposal in enumerate(finalists, 1):
-        extended = ResidualRoom(proposal.extension.adjustment(adjustment))
+        extended = ResidualRoom.of(proposal.extension.adjustment(adjustment))
         found = {name: evidence(extended, first, rival) for name, rival in zip(between[1:], rivals, strict=True)}
         judged.append(replace(proposal, evidence=found))
         progress("weighing the explanations", done / len(finalists))
@@ -179,7 +179,7 @@ def explanation(room: ResidualRoom, name: str) -> Explanation:
     best: Explanation | None = None
     most = 0.0
     for effect in kind.candidates(room.adjustment.sightings):
-        left = room.left(room.signature(effect))
+        left = room.project(room.signature(effect))
         if not np.isfinite(left).all() or not left.any():
             continue
         values = np.linalg.lstsq(left, residual, rcond=1e-6)[0]
@@ -198,10 +198,10 @@ def evidence(room: ResidualRoom, first: Explanation, second: Explanation) -> flo
 
 def _one_sided(room: ResidualRoom, truth: Explanation, rival: Effect) -> float:
     """What the best instance of the rival leaves of the true signature."""
-    signature = room.left(room.signature(truth.effect) @ truth.values)
+    signature = room.project(room.signature(truth.effect) @ truth.values)
     smallest = float(signature @ signature)
     for effect in [rival, *thinned(type(rival).candidates(room.adjustment.sightings))]:
-        left = room.left(room.signature(effect))
+        left = room.project(room.signature(effect))
         if not np.isfinite(left).all():
             continue
         values = np.linalg.lstsq(left, signature, rcond=1e-6)[0]

@@ -243,7 +243,7 @@ class _Groups:
 
 
 def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Rows low to high on the columns (k,) where they have entries, or on sorted ones that hold these, and the columns."""
+    """Rows low to high on the columns (k,) where they have entries, or on sorted ones given, and these columns."""
     begin, end = matrix.indptr[low], matrix.indptr[high]
     indices = matrix.indices[begin:end]
     columns = np.unique(indices) if columns is None else columns

@@ -160,7 +160,8 @@ class FactorProjection:
         part = self.design[rows]
         touched = np.unique(part.indices)
         whole = np.array([0, len(touched)])
-        units = sp.csr_array((1.0 / self._scale[touched], touched, np.arange(len(touched) + 1)), (len(touched), part.shape[1]))
+        ends = np.arange(len(touched) + 1)
+        units = sp.csr_array((1.0 / self._scale[touched], touched, ends), (len(touched), part.shape[1]))
         covariance = next(self.factor.forms(units, whole))
         values, vectors = np.linalg.eigh(covariance)
         root = part[:, touched].toarray() * self._scale[touched] @ (vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjust.adjustment import adjust
-from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rotations import from_rotation_vector

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose import diagnose
 from ltsim.diagnose.files import write_diagnosis
-from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.effects import find_effect
 from ltsim.effects.effect import on_readings
 from ltsim.model.construction import misalignment

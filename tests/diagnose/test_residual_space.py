@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
+from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.flexible import FlexibleTerm, flexible_hypotheses, smooth
 from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds
-from ltsim.diagnose.residual_space import ResidualSpace
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.networks import drawn, network
@@ -33,7 +33,8 @@ def test_beside_accepted_effects_the_drop_is_that_of_a_joint_refit(space):
     second = FlexibleTerm((), (), "elevation", smooth("distance", 3))
     bank = Bank.of(space, [Hypothesis("second", second, False)])
     extended = space.extended(space.signature(first))
-    added = extended.basis[:, space.basis.shape[1] :]
+    signature = space.signature(first)
+    added = orthonormal(space.project(signature), signature)
     drop, rank = bank.drops(extended.residual, added)
     one = adjust(space.adjustment.recording, misalignment(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment(), effects=[first, second])

@@ -26,7 +26,7 @@ from ltsim.plan.information import LayoutInformation
 from tests.plan.fixtures import survey
 
 INFORMATION = LayoutInformation.of(survey())
-ROOM = ResidualRoom(INFORMATION.adjustment)
+ROOM = ResidualRoom.of(INFORMATION.adjustment)
 
 
 def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
@@ -40,7 +40,7 @@ def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) ->
     assert seen is not None
     rows = ROOM.signature(effect)
     trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.sizes[0][:, None]
-    fitted = seen.columns[0].T @ ROOM.left(trials)
+    fitted = seen.columns[0].T @ ROOM.project(trials)
     found = (fitted**2).sum(axis=0) > stats.chi2.isf(ALPHA, seen.columns[0].shape[1])
     assert found.mean() == pytest.approx(POWER, abs=0.02)
 
@@ -54,12 +54,12 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
     size = np.zeros(len(effect.parameters))
     size[0] = seen.sizes[0][0]
     variance = effect.variance(INFORMATION.adjustment.sightings, problem.sigma, size)
-    factor = np.ones(len(ROOM.basis))
+    factor = np.ones(ROOM.size)
     factor[: int(problem.use.sum())] = (variance / problem.sigma**2)[problem.use]
     rng = np.random.default_rng(2)
     score = []
     for scale in (np.ones(len(factor)), np.sqrt(factor)):
-        left = ROOM.left(rng.normal(size=(len(factor), 3000)) * scale[:, None])
+        left = ROOM.project(rng.normal(size=(len(factor), 3000)) * scale[:, None])
         score.append(((factor - 1.0)[:, None] * left**2).sum(axis=0))
     level = np.quantile(score[0], 1 - 0.5 * ALPHA)
     assert np.mean(score[1] > level) > 0.5
@@ -83,7 +83,7 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     from ltsim.effects import BASELINE
 
     others = misalignment(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
-    room = ResidualRoom(LayoutInformation.of(survey(), others).adjustment)
+    room = ResidualRoom.of(LayoutInformation.of(survey(), others).adjustment)
     first, second = examine(room, [HeadSag()]), examine(room, [ElevationEccentricity()])
     assert first is not None
     assert second is not None

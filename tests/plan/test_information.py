@@ -155,7 +155,7 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
     alone = StationBlocks.joined(
         [reducer.blocks(made.position[s : s + 1], made.yaw[s : s + 1], np.array([s])) for s in range(5)]
     )
-    room = ResidualRoom(LayoutInformation.of(made).adjustment)
+    room = ResidualRoom.of(LayoutInformation.of(made).adjustment)
     for blocks in (whole, alone):
         information = reducer.reduce(blocks, np.arange(5)[None]).information
         for k, effect in enumerate(effects):

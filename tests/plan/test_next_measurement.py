@@ -81,14 +81,14 @@ def test_a_further_station_is_given_on_the_floor_plan(drifting: tuple[Recording,
 def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tuple[Recording, Truth]) -> None:
     """Noise drawn on the true effect: the mean advantage of the true one over its rival is the evidence (and a little
     more, as the rival is free to fit noise)."""
-    room = ResidualRoom(solved(drifting[0], misalignment()))
+    room = ResidualRoom.of(solved(drifting[0], misalignment()))
     first, second = explanation(room, "index-drift"), explanation(room, "station-settling")
     expected = evidence(room, first, second)
-    signature = room.left(room.signature(first.effect) @ first.values)[:, None]
-    noise = room.left(np.random.default_rng(1).normal(size=(len(room.basis), 400)))
+    signature = room.project(room.signature(first.effect) @ first.values)[:, None]
+    noise = room.project(np.random.default_rng(1).normal(size=(room.size, 400)))
 
     def left(effect, y):  # type: ignore[no-untyped-def]
-        columns = room.left(room.signature(effect))
+        columns = room.project(room.signature(effect))
         fitted = np.linalg.lstsq(columns, y, rcond=1e-8)[0]
         return ((y - columns @ fitted) ** 2).sum(axis=0) - columns.shape[1]
 
@@ -106,7 +106,7 @@ def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tu
 
 
 def test_effects_that_cannot_be_compared_are_refused(drifting: tuple[Recording, Truth]) -> None:
-    room = ResidualRoom(solved(drifting[0], misalignment()))
+    room = ResidualRoom.of(solved(drifting[0], misalignment()))
     with pytest.raises(ModelError, match="change of the noise"):
         explanation(room, "noise-level")
     with pytest.raises(ModelError, match="did you mean"):

@@ -17,7 +17,7 @@ from ltsim.adjust.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Bank
 from ltsim.diagnose.diagnose import catalogue_hypotheses
-from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.face_confusion import FaceConfusion

@@ -10,7 +10,7 @@ import numpy as np
 
 from concealed.invented import draw_invented
 from ltsim.arrays import Floats
-from ltsim.diagnose.residual_space import ResidualSpace
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.drift import WARM_UP, Drift

@@ -1,0 +1,79 @@
+"""Projection by the factor of a large system is that by an orthonormal basis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ltsim.randomness import stream
+from ltsim.solve.blocks import BlockSystem, Factor
+from ltsim.solve.projection import BasisProjection, FactorProjection, projection_of
+
+KEPT, BLOCKS, ROWS = 320, 130, 2600
+
+
+def chained(seed: int = 1) -> BlockSystem:
+    """Rows that touch a few neighbouring kept columns, two shared ones and one block: a ring of set-ups in small."""
+    rng = stream(seed, "design")
+    design = sp.lil_array((ROWS, KEPT + 3 * BLOCKS))
+    for i in range(ROWS):
+        near = np.arange(6) + (i * KEPT // ROWS) // 6 * 6
+        block = KEPT + 3 * ((i * BLOCKS // ROWS + int(rng.integers(0, 3))) % BLOCKS) + np.arange(3)
+        columns = np.unique(np.concatenate([near % (KEPT - 2), [KEPT - 2, KEPT - 1], block]))
+        design[i, columns] = rng.standard_normal(len(columns)) * 10.0 ** rng.uniform(-2, 2)
+    ties = sp.eye_array(KEPT + 3 * BLOCKS) * 0.1
+    rows = sp.csr_array(sp.vstack([design.tocsr(), ties]))
+    return BlockSystem(rows, rng.standard_normal(rows.shape[0]), KEPT)
+
+
+SYSTEM = chained()
+ROOT = np.linalg.qr(SYSTEM.design.toarray())[0]
+BASIS = BasisProjection.of(SYSTEM.design)
+SPARSE = FactorProjection.of(SYSTEM.design, Factor(SYSTEM))
+EXTRA = np.linalg.qr(BASIS.project(stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
+PAIRS = [(BASIS, ROOT), (SPARSE, ROOT)]
+PAIRS += [(p.extended(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
+NAMES = ["basis", "factor", "basis extended", "factor extended"]
+
+
+@pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
+def test_projection_and_leverage_are_those_of_the_hat_matrix(projection, root):
+    vectors = stream(2, "vectors").standard_normal((len(root), 7)) * 10.0 ** np.arange(-3, 4)
+    gap = projection.project(vectors) - (vectors - root @ (root.T @ vectors))
+    assert np.abs(gap / np.linalg.norm(vectors, axis=0)).max() < 1e-10
+    np.testing.assert_allclose(projection.leverage(), (root**2).sum(axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
+@pytest.mark.parametrize(
+    "groups",
+    [
+        [np.arange(3), np.arange(40, 47), np.array([5, 900, 2000])],
+        [np.arange(0, 2600, 3)],
+        [np.arange(2000), np.arange(2000, 2003)],
+    ],
+    ids=["few rows", "scattered", "more rows than unknowns"],
+)
+def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups):
+    for rows, (values, vectors) in zip(groups, projection.spectra(groups), strict=True):
+        np.testing.assert_allclose(vectors.T @ vectors, np.eye(len(values)), atol=1e-6)
+        np.testing.assert_allclose((vectors * values) @ vectors.T, root[rows] @ root[rows].T, atol=1e-9)
+
+
+@pytest.mark.parametrize("projection", [BASIS, SPARSE, *(p for p, _ in PAIRS[2:])], ids=NAMES)
+def test_gram_matrices_of_sparse_vectors_are_those_of_what_is_left_of_them(projection):
+    rng = stream(4, "sparse")
+    vectors = sp.csr_array(sp.random_array((9, len(ROOT)), density=0.01, rng=rng))
+    edges = np.array([0, 2, 2, 3, 9])
+    left = vectors.toarray().T - ROOT @ (ROOT.T @ vectors.toarray().T)
+    for low, high, gram in zip(edges[:-1], edges[1:], projection.left_grams(vectors, edges), strict=True):
+        np.testing.assert_allclose(gram, left[:, low:high].T @ left[:, low:high], atol=1e-10)
+
+
+def test_a_small_system_or_one_without_factor_gets_a_basis():
+    assert isinstance(projection_of(SYSTEM, None), BasisProjection)
+    small = BlockSystem(SYSTEM.design, SYSTEM.residual, SYSTEM.kept)
+    assert isinstance(projection_of(small, Factor(small)), BasisProjection)
+    tall = BlockSystem(sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.residual, 3), SYSTEM.kept)
+    assert isinstance(projection_of(tall, Factor(tall)), FactorProjection)
