@@ -5,26 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
-from ltsim.cli.adjust import adjust
-from ltsim.cli.calibrate import calibrate
-from ltsim.cli.campaign import campaign
-from ltsim.cli.convert import convert
-from ltsim.cli.correct import correct
-from ltsim.cli.demo import demo
-from ltsim.cli.diagnose import diagnose
-from ltsim.cli.effects import effects
-from ltsim.cli.evaluate import evaluate
-from ltsim.cli.history import history
-from ltsim.cli.plan import plan
-from ltsim.cli.recover import recover
-from ltsim.cli.report import report
-from ltsim.cli.simulate import simulate
-from ltsim.cli.verify import verify
-from ltsim.cli.view import view
 from ltsim.errors import LtsimError
 
 BAD_INPUT = 2
@@ -32,32 +18,64 @@ BAD_INPUT = 2
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
-app = typer.Typer(
-    name="ltsim",
-    help="Simulate, calibrate, plan and diagnose laser-tracker networks.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-# To add a verb: one import above, one line here.
-app.command()(demo)
-app.command()(simulate)
-app.command()(adjust)
-app.command()(calibrate)
-app.command()(correct)
-app.command()(evaluate)
-app.command()(verify)
-app.command()(recover)
-app.command()(campaign)
-app.command()(convert)
-app.command()(effects)
-app.command()(diagnose)
-app.command()(history)
-app.command()(plan)
-app.command()(report)
-app.command()(view)
+# To add a verb: a module of its name with a function of its name, and one line here.
+VERBS = {
+    "demo": "simulate, calibrate, repeat, hide, diagnose: one page",
+    "simulate": "measure a virtual workshop once",
+    "adjust": "adjust the network of a recording, no instrument parameters",
+    "calibrate": "find the instrument's parameters from a recording",
+    "correct": "write the recording that an ideal tracker would have made",
+    "evaluate": "how far the stations disagree, before and after",
+    "verify": "apply a calibration to another recording",
+    "recover": "is what was injected recovered? a check for CI",
+    "campaign": "many trials over a grid of settings, safely",
+    "convert": "read a recording in one format, write it in another",
+    "effects": "the catalogue of physical effects",
+    "diagnose": "do recording and model agree; if not, where and why",
+    "history": "follow an instrument's parameters over calibrations",
+    "plan": "find a layout of stations and reflectors, or what to measure next",
+    "report": "one page that opens offline, about any folder of results",
+    "view": "show the workshop in 3D",
+}
+SETTINGS: dict[str, Any] = {
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+class Verbs(TyperGroup):
+    """The verbs, each imported when it is used: help and light verbs need not wait for the heavy ones."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = dict.fromkeys(VERBS)  # type: ignore[assignment]  # names to suggest; `get_command` loads
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in the order of the help."""
+        return list(VERBS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The verb's command; None for a name that is no verb."""
+        if cmd_name not in VERBS:
+            return None
+        verb = typer.Typer(**SETTINGS)
+        verb.command(cmd_name)(getattr(import_module(f"ltsim.cli.{cmd_name}"), cmd_name))
+        return typer.main.get_command(verb)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """A line a verb."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+app = typer.Typer(cls=Verbs, name="ltsim", no_args_is_help=True, **SETTINGS)
+
+
+@app.callback()
+def ltsim() -> None:
+    """Simulate, calibrate, plan and diagnose laser-tracker networks."""
 
 
 def run(arguments: Sequence[str]) -> int:

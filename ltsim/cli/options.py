@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ltsim.errors import RecordError
-from ltsim.recording import Hints, Recording, read
+
+if TYPE_CHECKING:
+    from ltsim.recording import Hints, Recording
 
 Source = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
@@ -66,6 +68,8 @@ def hints_of(pairs: list[str] | None) -> Hints:
     RecordError
         When a key or a value is not known.
     """
+    from ltsim.recording import Hints
+
     choices: dict[str, tuple[str, ...]] = {
         "angle": ("deg", "gon", "rad"),
         "vertical": ("zenith", "elevation"),
@@ -86,4 +90,6 @@ def hints_of(pairs: list[str] | None) -> Hints:
 
 def recording_of(path: Path, format_name: str | None = None, hints: list[str] | None = None) -> Recording:
     """The recording behind the argument REC of a verb; raises RecordError."""
+    from ltsim.recording import read
+
     return read(path, format=format_name, hints=hints_of(hints))

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.special import expit
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
@@ -52,6 +51,8 @@ class AirLayer(Effect):
 
     def temperature(self, points: Floats) -> tuple[Floats, Floats]:
         """Temperature (m,) and gradient (m, 3) at points (m, 3) for a step of one kelvin."""
+        from scipy.special import expit
+
         risen: Floats = expit((points[:, 2] - self.height) / self.width)
         gradient = np.zeros_like(points)
         gradient[:, 2] = risen * (1.0 - risen) / self.width

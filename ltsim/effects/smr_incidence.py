@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
@@ -42,6 +41,8 @@ def table_error(table: tuple[float, ...], incidence: Floats, direction: Floats) 
 
     Even and odd parts are interpolated by monotone cubics; beyond 30 deg the value at the edge stays.
     """
+    from scipy.interpolate import PchipInterpolator  # half a second that the catalogue need not wait for
+
     values = np.asarray(table)
     even = PchipInterpolator(TABLE_ANGLES, 0.5 * (values + values[::-1]))
     odd = PchipInterpolator(TABLE_ANGLES, 0.5 * (values - values[::-1]))

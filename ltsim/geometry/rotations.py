@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 
@@ -18,6 +17,8 @@ def cross_matrix(vectors: Floats) -> Floats:
 
 def from_rotation_vector(vectors: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
     matrices: Floats = Rotation.from_rotvec(vectors).as_matrix()
     return matrices
 
@@ -30,5 +31,7 @@ def about_z(angle: float) -> Floats:
 
 def quaternion(matrix: Floats) -> Floats:
     """Unit quaternion (4,) in the order x, y, z, w of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
     values: Floats = Rotation.from_matrix(matrix).as_quat()
     return values

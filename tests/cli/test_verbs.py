@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.cli.main import app, run
+import ltsim.cli
+from ltsim.cli.main import VERBS, run
 from ltsim.cli.terminal import digits, table
 from ltsim.effects import CATALOGUE
 from ltsim.errors import ModelError
 from ltsim.recording import read
 from ltsim.simulate.truth import read_truth
-
-VERBS = [command.callback.__name__ for command in app.registered_commands]
 
 
 @pytest.fixture(scope="module")
@@ -198,6 +197,24 @@ def test_the_installed_command_leaves_no_traceback(workplace: Path) -> None:
     command = f"{sys.executable} -c '{start}' effects | head -1"
     cut = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert cut.stderr == ""
+
+
+HEAVY = {"numba", "pyvista", "matplotlib", "scipy", "duckdb", "pyarrow", "joblib"}
+
+
+@pytest.mark.parametrize("argument", ["--help", "effects"])
+def test_help_and_catalogue_wait_for_nothing_heavy(argument: str) -> None:
+    code = f"from ltsim.cli.main import run; import sys; run(['{argument}']); print('|', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    text, _, modules = done.stdout.rpartition("|")
+    assert len(text.splitlines()) > len(VERBS)
+    assert not HEAVY & {name.split(".")[0] for name in modules.split()}
+
+
+def test_every_module_of_a_verb_is_listed() -> None:
+    folder = Path(ltsim.cli.__file__).parent
+    helpers = {"__init__", "main", "options", "summary", "terminal"}
+    assert {path.stem for path in folder.glob("*.py")} - helpers == set(VERBS)
 
 
 def test_folder_that_cannot_be_written(workplace: Path, capsys, tmp_path: Path) -> None:

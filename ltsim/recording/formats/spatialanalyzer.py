@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
@@ -235,6 +234,8 @@ def _pose(block: Block) -> tuple[Floats, Floats] | None:
     """Rotation about the fixed axes x, y, z in this order, and position."""
     if block.position is None or block.rotation is None:
         return None
+    from scipy.spatial.transform import Rotation
+
     rotation: Floats = Rotation.from_euler("xyz", block.rotation).as_matrix()
     return rotation, block.position
 
