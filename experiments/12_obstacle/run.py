@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (
         ("paper_empty", empty), ("paper_machine", full), ("plan_empty", moved),
-        ("plan_machine", planned_scenario(plans["machine"])),
+        ("plan_empty_machine", with_machine(moved)), ("plan_machine", planned_scenario(plans["machine"])),
     ):  # fmt: skip
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
     reasons = {name: plan_json(plan)["reasons"] for name, plan in plans.items()}

@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.report.workshop import Sights, Workshop
 from ltsim.scene.meshes import read_mesh
-from ltsim.scene.visibility import Visibility
+from ltsim.scene.visibility import Reason, Visibility
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.workshop import Layout, obstacles_of, planned, visibility_of
 from ltsim.units import DEGREE, MILLIMETRE
@@ -50,6 +50,7 @@ def from_scenario(scenario: Scenario) -> Workshop:
         elevation_min=scenario.instrument.limits.elevation_min_deg * DEGREE,
         sights=_sights(layout, table),
         obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
+        hidden=np.argwhere(table.reason == Reason.OBSTACLE),
         notes=lost,
     )
 

@@ -56,6 +56,8 @@ class Workshop:
         Change of the targets by a calibration or a finding.
     obstacles : (k, 3, 3) float
         Corners of the triangles of what stands in the way.
+    hidden : (k, 2) int
+        Station and target of the sights that these obstacles hide.
     notes : tuple of str
         What a reader must know, such as an assumed floor.
     """
@@ -76,6 +78,7 @@ class Workshop:
     covariance: Floats | None = None
     correction: Floats | None = None
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     notes: tuple[str, ...] = ()
 
     @property

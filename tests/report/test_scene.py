@@ -10,6 +10,7 @@ import pytest
 from matplotlib import image
 
 from ltsim.report import planned, scene3d, workshop
+from ltsim.report.figures.floor_plan import floor_plan
 from ltsim.report.scene_page import scene_page
 from ltsim.simulate.scenario import load_scenario
 from ltsim.simulate.sections import Obstacle
@@ -99,6 +100,11 @@ def test_obstacle_hides_and_is_drawn() -> None:
     assert shown.sights is not None
     assert len(shown.sights.station) < 140
     assert shown.notes
+    assert len(shown.hidden) == 140 - len(shown.sights.station)
+    drawn = floor_plan(shown)
+    assert "sight hidden by an obstacle" in [text.get_text() for text in drawn.legends[0].get_texts()]
+    dotted = [line for line in drawn.axes[0].lines if line.get_linestyle() == ":" or line.get_linewidth() == 0.8]
+    assert len(dotted) == len(shown.hidden)
     plotter, _ = scene3d.build(shown)
     bounds = plotter.actors["obstacles"].bounds
     assert bounds == pytest.approx((1.7, 2.9, 1.1, 1.9, 0.0, 2.6))

@@ -43,6 +43,7 @@ def floor_plan(workshop: Workshop, *, reference: Floats | None = None, coordinat
     for i, wall in enumerate(workshop.walls):
         ax.plot(wall[:2, 0], wall[:2, 1], color=INK, linewidth=3.0, zorder=1, label="wall" if i == 0 else None)
     _obstacles(ax, workshop)
+    _hidden(ax, workshop)
     _shadows(ax, workshop)
     _gauge(ax, workshop)
     _targets(ax, workshop)
@@ -96,6 +97,14 @@ def _obstacles(ax: Axes, workshop: Workshop) -> None:
             autolim=False,
         )
         ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
+
+
+def _hidden(ax: Axes, workshop: Workshop) -> None:
+    """Sights that the obstacles hide."""
+    for k, (s, t) in enumerate(workshop.hidden):
+        ends = np.stack([workshop.position[s, :2], workshop.points[t, :2]])
+        word = "sight hidden by an obstacle" if k == 0 else None
+        ax.plot(ends[:, 0], ends[:, 1], color=INK, linewidth=0.8, linestyle=(0, (1, 2)), zorder=3, label=word)
 
 
 def _gauge(ax: Axes, workshop: Workshop) -> None:
