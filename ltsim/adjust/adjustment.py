@@ -12,7 +12,7 @@ from scipy import stats
 from ltsim.adjust.components import Component, Grouping, estimated_components
 from ltsim.adjust.inner import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.loose import without_loose
-from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.problem import WEAK, NetworkProblem
 from ltsim.adjust.reliability import (
     FAMILY_LEVEL,
     critical_tau,
@@ -246,6 +246,7 @@ def adjust(
     datum: Sequence[str] | None = None,
     robust: bool = False,
     variance_components: Grouping | None = None,
+    held_to: float = WEAK,
 ) -> Adjustment:
     """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -255,7 +256,7 @@ def adjust(
     construction : Construction, optional
         Default: an ideal tracker without parameters.
     effects : sequence of Effect
-        Further effects to estimate, without priors.
+        Further effects to estimate, free but for `held_to`.
     sigma : (n, 3) float, optional, [m, rad, rad]
         Standard deviations of the readings; default the stated noise.
     use : (n, 3) bool, optional
@@ -268,6 +269,9 @@ def adjust(
         Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
     variance_components : str, optional
         Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
+    held_to : float
+        Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
+        readings hardly determine from wandering off.
 
     Returns
     -------
@@ -298,7 +302,7 @@ def adjust(
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
-    whole = NetworkProblem.of(model, sigma=sigma, use=chosen)
+    whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to)
     start = replace(start, position=whole.marks.on_marks(start.position, start.points))
     whole = without_loose(whole, start)
     problem, solution = find(whole, start)

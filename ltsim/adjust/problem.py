@@ -22,6 +22,7 @@ DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
 station's frame wants one far below the sigmas of the network, the numbers one not too far."""
 WEAK = 300.0
+"""Prior sigmas to which further effects are held: far beyond any plausible size."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,15 @@ class NetworkProblem:
     known_marks: ControlRows
 
     @classmethod
-    def of(cls, model: MeasurementModel, *, sigma: Floats | None = None, use: Bools | None = None) -> NetworkProblem:
-        """The problem of a model; `use` (n, 3) leaves readings out."""
+    def of(
+        cls,
+        model: MeasurementModel,
+        *,
+        sigma: Floats | None = None,
+        use: Bools | None = None,
+        held_to: float = WEAK,
+    ) -> NetworkProblem:
+        """The problem of a model; `use` (n, 3) leaves readings out, further effects are `held_to` so many priors."""
         recording = model.recording
         marks = Marks.of(recording)
         control, levels = ControlRows.of(recording), LevelRows.of(recording)
@@ -91,7 +99,7 @@ class NetworkProblem:
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior_sigma=prior_sigmas(recording, model.construction),
-            extra_sigma=_weak_priors(model),
+            extra_sigma=held_to * _plausible_sizes(model),
             free=free_motions(control, known_marks, levels),
             use=recording.measured if use is None else recording.measured & use,
             gauge=GaugeRows.of(recording),
@@ -283,7 +291,7 @@ def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
 
 
-def _weak_priors(model: MeasurementModel) -> Floats:
-    """Sigmas (q,) far beyond any plausible size: they only keep what the readings do not determine from diverging."""
+def _plausible_sizes(model: MeasurementModel) -> Floats:
+    """Sizes (q,) of a bad but plausible case of each parameter of the further effects."""
     sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
-    return WEAK * np.array(sizes, dtype=np.float64)
+    return np.array(sizes, dtype=np.float64)

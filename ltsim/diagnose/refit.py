@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
+HELD_TO = 30.0
+"""Plausible sizes to which parameters are held: some combinations of an effect's may leave no residual."""
 SHAPE_STEP = 1e-3
 FELT = 1e-3
 """A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
@@ -120,12 +123,13 @@ def refit(
     use: Bools,
 ) -> Refit:
     """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along."""
+    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=HELD_TO)
     current = list(effects)
     plain = replace(start, extra=np.zeros(0))
-    found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=plain)
+    found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
         current = [FirstOrder.of(effect) for effect in current]
-        found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=plain)
+        found = adjusted(effects=current, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     joint, best = found, (found, list(current))
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
@@ -134,14 +138,14 @@ def refit(
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjust(recording, construction, effects=[*current, *flat], sigma=sigma, use=use, start=found.state)
+        joint = adjusted(effects=[*current, *flat], start=found.state)
         if not joint.solution.converged:
             break
         changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
         if np.all(np.abs(changes) < 1e-3):
             break
         current = _reshaped(current, directions, changes)
-        found = adjust(recording, construction, effects=current, sigma=sigma, use=use, start=found.state)
+        found = adjusted(effects=current, start=found.state)
         if found.chi2 > best[0].chi2 + 1e-3:
             found, current = best
             break

@@ -11,6 +11,8 @@ from ltsim.effects import find_effect
 from ltsim.effects.effect import card_line
 
 MOST_NAMED = 4
+LIKELY = 0.5
+"""Probability below which a name is only a suggestion."""
 
 
 def number(value: float, sigma: float) -> str:
@@ -22,8 +24,9 @@ def number(value: float, sigma: float) -> str:
 
 
 def estimates(parameters: Sequence[Estimate]) -> str:
-    """The most telling estimates in a phrase."""
-    told = sorted(parameters, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
+    """The most telling estimates in a phrase; what is no larger than its uncertainty is left to the tables."""
+    felt = [p for p in parameters if abs(p.value) > p.sigma]
+    told = sorted(felt, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
     chosen = [p for p in parameters if p in told]
     return ", ".join(_estimate(p) for p in chosen)
 
@@ -84,6 +87,7 @@ def finding_sentence(
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
     told = "; ".join(part for part in (cause, estimates(parameters)) if part)
     at = place(where).removeprefix("at ").removeprefix("in the ")
+    title = title if probability >= LIKELY else f"Perhaps {title[0].lower()}{title[1:]}"
     return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
 
 
