@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.adjust.start import start_network
-from ltsim.arrays import Floats
+from ltsim.adjust.start import reached_network
+from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Calibration
 from ltsim.errors import NetworkError
 from ltsim.geometry.polar import to_face, to_polar, wrap
@@ -57,15 +57,22 @@ def corrected_readings(recording: Recording, construction: Construction, values:
 
 def _filler(recording: Recording) -> Floats:
     """Readings (n, 3) of an ideal tracker at the start network, for rows that lack one; zeros if none does."""
-    incomplete = ~recording.measured.all(axis=1)
+    incomplete: Bools = np.asarray(~recording.measured.all(axis=1))
     if not incomplete.any():
         return np.zeros(recording.readings.shape)
     try:
-        position, rotation, points = start_network(recording)
+        (position, rotation, points), lost = reached_network(recording)
     except NetworkError as problem:
-        row = int(np.argmax(incomplete)) + 1
-        raise NetworkError(
-            f"row {row} lacks a range or an angle and its place in the network is not known: {problem}"
-        ) from None
+        raise _placeless(incomplete, str(problem)) from None
+    untied: Bools = incomplete & recording.measured.any(axis=1) & lost[recording.target]
+    if untied.any():
+        name = recording.targets[recording.target[int(np.argmax(untied))]]
+        raise _placeless(untied, f"nothing ties target {name} to it")
     model = MeasurementModel(recording, ideal())
     return model.predict(State(position, rotation, points, np.zeros((1, 0))))
+
+
+def _placeless(rows: Bools, why: str) -> NetworkError:
+    return NetworkError(
+        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle and its place in the network is not known: {why}"
+    )

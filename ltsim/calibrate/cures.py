@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.loose import without_loose
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.rows import GaugeRows
 from ltsim.arrays import Floats, Ints
@@ -46,7 +47,7 @@ class Network:
     def covariance(self, construction: Construction) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of the instrument parameters, and their prior sigmas (I, p)."""
         model = MeasurementModel(self.recording, construction)
-        problem = NetworkProblem.of(model)
+        problem = without_loose(NetworkProblem.of(model), self.state)
         kept = Factor(problem.linearise(self.state)).kept_covariance()
         at = problem.layout.instrument
         return kept[at[:, :, None], at[:, None, :]], problem.prior_sigma
@@ -140,9 +141,7 @@ def turned_station(network: Network, construction: Construction) -> Network:
 def start_of(adjustment: Adjustment, construction: Construction) -> Network:
     """The adjusted network as it is; an adjustment of corrected readings has no parameters, hence zeros."""
     recording, state = adjustment.recording, adjustment.state
-    kept = recording.select(~adjustment.gross)
-    if (kept.stations, kept.targets) == (recording.stations, recording.targets):
-        recording = kept
+    recording = recording.with_readings(np.where(adjustment.problem.use, recording.readings, np.nan))
     if state.instrument.shape[1] != construction.size:
         nothing = np.zeros((len(recording.instruments), construction.size))
         state = dataclasses.replace(state, instrument=nothing)

@@ -13,7 +13,15 @@ from ltsim.calibrate.correct import corrected_readings
 from ltsim.calibrate.distance_solver import Estimate, solve_distances
 from ltsim.calibrate.objective import DistanceProblem
 from ltsim.calibrate.propagation import Propagation
-from ltsim.calibrate.result import criteria_of, frame_of, gross_rows, outliers_of, stations_of, undetermined_of
+from ltsim.calibrate.result import (
+    criteria_of,
+    frame_of,
+    gross_rows,
+    outliers_of,
+    stations_of,
+    tied_readings,
+    undetermined_of,
+)
 from ltsim.model.construction import Construction, misalignment
 from ltsim.recording.recording import Recording
 
@@ -51,6 +59,7 @@ def calibrate_distance(
     """
     built = construction or misalignment()
     prior = prior_sigmas(recording, built)
+    recording, _ = tied_readings(recording)
     usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
     estimate = solve_distances(DistanceProblem(usable, built, prior), METHODS[method])
     values = estimate.unknowns.reshape(prior.shape) * prior
@@ -79,7 +88,7 @@ def calibrate_distance(
         target_covariance=adjustment.target_covariance + added[layout.target[:, :, None], layout.target[:, None, :]],
         criteria=criteria_of(recording, adjustment, built, values),
         outliers=outliers_of(adjustment),
-        lost_targets=adjustment.lost_targets,
+        lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
         adjustment=adjustment,
     )
 

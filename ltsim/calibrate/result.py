@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, observable_name
 from ltsim.adjust.screening import gross_pointings
-from ltsim.adjust.start import start_network
+from ltsim.adjust.start import reached_network
 from ltsim.adjust.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose, flat_names
@@ -32,7 +32,15 @@ MOST_NAMED = 6
 
 def gross_rows(recording: Recording) -> Bools:
     """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
-    return gross_pointings(recording, *start_network(recording))
+    tied, reached = tied_readings(recording)
+    return gross_pointings(tied, *reached)
+
+
+def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:
+    """The recording without the readings to targets that nothing ties to the rest, and its start network."""
+    reached, lost = reached_network(recording)
+    readings = np.where(lost[recording.target][:, None], np.nan, recording.readings)
+    return recording.with_readings(readings), reached
 
 
 def fit_of(adjustment: Adjustment) -> Fit:

@@ -137,12 +137,11 @@ def next_measurement(
 
 
 def solved(recording: Recording, construction: Construction) -> Adjustment:
-    """The recording adjusted, without pointings that are gross errors."""
+    """The recording adjusted, without pointings that are gross errors or to targets that they do not determine."""
     found = adjust(recording, construction)
     found.solution.require_success()
-    if not found.gross.any():
-        return found
-    return adjust(recording.select(~found.gross), construction)
+    used = np.asarray(found.problem.use.any(axis=1))
+    return found if used.all() else adjust(recording.select(used), construction)
 
 
 def _finalists(proposals: list[Proposal]) -> list[Proposal]:

@@ -129,17 +129,21 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
     """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
     recording, state = adjustment.recording, adjustment.state
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
-    correction = None if plain is None else state.points - plain.state.points
+    placed = np.asarray(np.isfinite(adjustment.target_covariance).all(axis=(1, 2)))
+    rows, number = placed[recording.target], np.cumsum(placed) - 1
+    correction = None if plain is None else (state.points - plain.state.points)[placed]
     return assemble(
         recording.setup,
         title=title or recording.setup.title,
         stations=recording.stations,
         position=state.position,
         rotation=state.rotation,
-        targets=recording.targets,
-        points=state.points,
-        sights=Sights(recording.station, recording.target, worst, "largest normalised residual"),
-        covariance=adjustment.target_covariance,
+        targets=tuple(name for name, known in zip(recording.targets, placed, strict=True) if known),
+        points=state.points[placed],
+        sights=Sights(
+            recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
+        ),
+        covariance=adjustment.target_covariance[placed],
         correction=correction,
     )
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
-from ltsim.calibrate import adjust_network, calibrate_network, write_calibration
+from ltsim.calibrate import adjust_network, calibrate_distance, calibrate_network, correct, write_calibration
 from ltsim.calibrate.files import calibration_json
+from ltsim.calibrate.result import gross_rows
 from ltsim.errors import ModelError, NetworkError
 from ltsim.recording import Hints, read
 from ltsim.recording.setup import Target
@@ -87,6 +88,14 @@ def test_a_target_without_a_place_is_named_and_has_no_coordinates(make, tmp_path
     readings[rows[1]] = np.nan
     found = calibrate_network(recording.with_readings(readings), advise=False)
     assert found.lost_targets == ("T08",)
+    advised = calibrate_network(recording.with_readings(readings))
+    assert np.allclose(advised.values, found.values)
+    assert all(c.cure for c in advised.undetermined)
+    by_distance = calibrate_distance(recording.with_readings(readings))
+    assert by_distance.lost_targets == ("T08",)
+    assert not gross_rows(recording.with_readings(readings)).any()
+    with pytest.raises(NetworkError, match=r"lacks a range or an angle .* nothing ties target T08 to it"):
+        correct(recording.with_readings(readings), found)
     write_calibration(found, tmp_path)
     assert json.loads((tmp_path / "calibration.json").read_text())["lost_targets"] == ["T08"]
     table = (tmp_path / "targets.csv").read_text().splitlines()

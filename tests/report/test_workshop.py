@@ -63,3 +63,19 @@ def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:
 def test_gauge_lengths_join_the_gauge_targets(scene: workshop.Workshop) -> None:
     assert len(scene.gauge) == 6
     assert scene.gauge_targets == (24, 25, 26, 27)
+
+
+def test_a_target_without_a_place_is_not_drawn() -> None:
+    recording = samples.recording()
+    recording = recording.select((recording.target != 5) | (recording.station == 0))
+    readings = recording.readings.copy()
+    readings[recording.target == 5, 1] = np.nan
+    shown = workshop.from_recording(recording.with_readings(readings))
+    assert "T06" not in shown.targets
+    assert len(shown.points) == len(recording.targets) - 1
+    assert shown.covariance is not None
+    assert np.isfinite(shown.covariance).all()
+    assert shown.sights is not None
+    names = [shown.targets[t] for t in shown.sights.target]
+    wanted = [recording.targets[t] for t in recording.target if recording.targets[t] != "T06"]
+    assert names == wanted
