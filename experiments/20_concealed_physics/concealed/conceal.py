@@ -14,10 +14,10 @@ from concealed.hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_b
 from concealed.plan import Case
 from concealed.workshop import GAUGE_SIGMA, Scene, draw_scene
 from ltsim.adjust.adjustment import adjust
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Bank
 from ltsim.diagnose.diagnose import catalogue_hypotheses
-from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.face_confusion import FaceConfusion
@@ -74,7 +74,7 @@ def _drawn(case: Case, space: ResidualSpace) -> list[Hidden]:
         case "mistake":
             return [draw_mistake(space.sightings, rng)]
         case "unknown":
-            return [draw_hidden(space, rng, case.strength, known=False)]
+            return [draw_hidden(space, rng, case.strength, known=False, laws=case.laws)]
         case "single":
             return [draw_hidden(space, rng, case.strength)]
     found: list[Hidden] = []

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from concealed.invented import draw_invented
-from ltsim.arrays import Floats
+from concealed.invented import Laws, draw_invented
 from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.arrays import Floats
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.drift import WARM_UP, Drift
@@ -37,7 +36,6 @@ ABSURD = 20.0
 INVISIBLE = 1e-5
 """Share of a signature's squared size left by the adjustment, below which it is not drawn."""
 ALLOWED_TRIES = 400
-Draw = Callable[[Sightings, np.random.Generator], Effect | None]
 MISTAKES: tuple[type[Effect], ...] = (TargetSwap, WrongUnit, FaceConfusion)
 SYSTEMATIC: tuple[type[Effect], ...] = tuple(
     kind for kind in CATALOGUE if kind not in {type(e) for e in BASELINE} and kind not in MISTAKES
@@ -200,11 +198,12 @@ def _sized(space: ResidualSpace, hidden: Hidden, wanted: float) -> Hidden | None
     return hidden if hidden.size <= ABSURD else None
 
 
-def draw_hidden(space: ResidualSpace, rng: np.random.Generator, wanted: float, *, known: bool = True) -> Hidden:
-    """An effect drawn at random, with the wanted strength."""
-    draw: Draw = draw_effect if known else draw_invented
+def draw_hidden(
+    space: ResidualSpace, rng: np.random.Generator, wanted: float, *, known: bool = True, laws: Laws = "all"
+) -> Hidden:
+    """An effect drawn at random, of the catalogue or (not `known`) of a set of laws, with the wanted strength."""
     for _ in range(ALLOWED_TRIES):
-        effect = draw(space.sightings, rng)
+        effect = draw_effect(space.sightings, rng) if known else draw_invented(space.sightings, rng, laws)
         if effect is None:
             continue
         hidden = _sized(space, Hidden(effect, _direction(effect, rng)), wanted)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from concealed.invented_later import LATER, LATER_AT_A_STATION, LATER_OF_NEIGHBOURS
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
 Law = Callable[[Sightings, Floats], Floats]
-"""Correction (n,) per unit of size at constants (5,), each uniform between 0 and 1."""
+"""Correction (n,) per unit of size at constants (5,), each uniform between 0 and 1; or displacement (n, 3)."""
+Laws = Literal["first", "later", "all"]
 
 
 def _turn(u: float) -> float:
@@ -88,12 +91,15 @@ LAWS: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "azimuth by the load of a table": ("azimuth", ("table_load_kg",), _load),
     "targets sway with time": ("place", ("place", "time"), _period),
 }
-AT_A_STATION = "range by squared height at a station"
+SETS: dict[Laws, tuple[str, ...]] = {"first": tuple(LAWS), "later": tuple(LATER), "all": (*LAWS, *LATER)}
+ALL = LAWS | LATER
+AT_A_STATION = {"range by squared height at a station", *LATER_AT_A_STATION}
+LOAD = "table_load_kg"
 
 
 @dataclass(frozen=True)
 class Invented(Effect):
-    """One of `LAWS` with its constants."""
+    """One law of either set with its constants."""
 
     law: str = ""
     constants: tuple[float, ...] = (0.0,) * 5
@@ -103,7 +109,7 @@ class Invented(Effect):
     stage = Stage.ELECTRONICS
 
     def __post_init__(self) -> None:
-        observable, covariates, _ = LAWS[self.law]
+        observable, covariates, _ = ALL[self.law]
         angular = observable in ("azimuth", "elevation")
         unit, size = ("urad", 10 * MICRORADIAN) if angular else ("um", 30 * MICROMETRE)
         object.__setattr__(self, "parameters", (Parameter("size", unit, self.law, size),))
@@ -113,10 +119,13 @@ class Invented(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of size."""
-        observable, _, law = LAWS[self.law]
-        amount = law(sightings, np.array(self.constants)) * self.mask(sightings)
+        observable, _, law = ALL[self.law]
+        amount = law(sightings, np.array(self.constants))
+        amount = (amount.T * self.mask(sightings)).T
         if observable != "place":
             return on_readings(sightings, **{observable: amount})[:, :, None]
+        if amount.ndim == 2:
+            return by_displacement(sightings, amount[:, :, None])
         axis = int(2 * self.constants[2])
         moved = np.zeros((len(sightings), 3, 1))
         near = sightings.points[:, axis] < np.median(sightings.points[:, axis])
@@ -124,13 +133,21 @@ class Invented(Effect):
         return by_displacement(sightings, moved)
 
 
-def draw_invented(sightings: Sightings, rng: np.random.Generator) -> Invented:
-    """An invented law with random constants that acts on this network."""
-    names = list(LAWS)
+def draw_invented(sightings: Sightings, rng: np.random.Generator, laws: Laws = "all") -> Invented:
+    """An invented law of a set, with random constants, that acts on this network."""
+    names = SETS[laws]
     while True:
         law = names[int(rng.integers(len(names)))]
-        if law == "azimuth by the load of a table" and "table_load_kg" not in sightings.covariates:
+        if LOAD in ALL[law][1] and LOAD not in sightings.covariates:
             continue
         station = sightings.station_names[int(rng.integers(len(sightings.station_names)))]
-        place = (station,) if law == AT_A_STATION else ()
-        return Invented(place, (), law, tuple(rng.random(5).tolist()))
+        place = (station,) if law in AT_A_STATION else ()
+        group = _neighbours(sightings, rng) if law in LATER_OF_NEIGHBOURS else ()
+        return Invented(place, group, law, tuple(rng.random(5).tolist()))
+
+
+def _neighbours(sightings: Sightings, rng: np.random.Generator) -> tuple[str, ...]:
+    """Five to ten targets that stand together."""
+    centre = sightings.points[int(rng.integers(len(sightings.points)))]
+    near = np.argsort(np.linalg.norm(sightings.points - centre, axis=1))[: int(rng.integers(5, 11))]
+    return tuple(sightings.target_names[t] for t in sorted(near.tolist()))

@@ -8,17 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from concealed.invented import Laws
+
 Kind = Literal["clean", "single", "unknown", "pair", "mistake"]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One recording to be made: what it holds, how strongly, and which of its like it is."""
+    """One recording to be made: what it holds, how strongly, and which of its like it is.
+
+    `laws` is the set that unknown physics is drawn from; name and key do not depend on it.
+    """
 
     seed: int
     kind: Kind
     strength: int
     number: int
+    laws: Laws = "all"
 
     @property
     def name(self) -> str:
@@ -34,8 +40,11 @@ class Case:
 def read_plan(path: Path) -> list[Case]:
     """The recordings of a plan, in the order of their names: numbers, strengths and kinds are shuffled by it."""
     plan = tomllib.loads(path.read_text(encoding="utf-8"))
+    laws = plan.get("laws", "all")
+    if laws not in get_args(Laws):
+        raise SystemExit(f"{path}: laws is {laws!r}, not one of {', '.join(get_args(Laws))}")
     cases = [
-        Case(int(plan["seed"]), kind, int(strength), number)
+        Case(int(plan["seed"]), kind, int(strength), number, laws)
         for kind in get_args(Kind)
         for strength, count in plan.get(kind, {}).items()
         for number in range(int(count))
