@@ -27,7 +27,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.recording.setup import Prior
 from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
@@ -185,11 +185,17 @@ class Effect:
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             ids = [i for i, name in enumerate(sightings.station_names) if name in self.stations]
-            acts &= np.isin(sightings.station, ids)
+            acts &= _among(sightings.station, ids)
         if self.targets:
             ids = [i for i, name in enumerate(sightings.target_names) if name in self.targets]
-            acts &= np.isin(sightings.target, ids)
+            acts &= _among(sightings.target, ids)
         return acts.astype(np.float64)
+
+
+def _among(values: Ints, ids: list[int]) -> Bools:
+    """(n,): whether each value is one of a few; one is the common case, and much faster alone."""
+    among: Bools = values == ids[0] if len(ids) == 1 else np.isin(values, ids)
+    return among
 
 
 @dataclass(frozen=True)
@@ -216,6 +222,23 @@ class NoiseEffect(Effect):
     def design(self, sightings: Sightings) -> Floats:
         """No mean shift: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
+
+
+@dataclass(frozen=True)
+class Mistake(Effect):
+    """A blunder at the work: something else was measured, or a finished reading was written down wrongly.
+
+    The simulator makes it by doing the wrong thing (`done`, `written`), so that the instrument's errors and the noise
+    are those of what was really done; `design` says what it does to an ideal reading.
+    """
+
+    def done(self, sightings: Sightings) -> Sightings:
+        """What was really measured."""
+        return sightings
+
+    def written(self, sightings: Sightings, readings: Floats) -> Floats:
+        """What was written down (n, 3) of finished readings (n, 3)."""
+        return readings
 
 
 def card_line(kind: type[Effect]) -> tuple[str, str]:

@@ -11,18 +11,18 @@ Status: validated: twice the same mistake gives the reading back.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.effects.effect import Mistake, Parameter, Stage
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class FaceConfusion(Effect):
+class FaceConfusion(Mistake):
     """Rows of a station stored as `face` (1 or 2) that hold the other face's readings."""
 
     face: int = 2
@@ -44,6 +44,11 @@ class FaceConfusion(Effect):
     def possible(cls, sightings: Sightings) -> list[Self]:
         """Either face of every station."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
+
+    def done(self, sightings: Sightings) -> Sightings:
+        """The other face was measured."""
+        confused = (self.mask(sightings) > 0) & (sightings.face == self.face)
+        return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings when the faces are confused, exact."""

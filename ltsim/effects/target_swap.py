@@ -11,20 +11,20 @@ Status: validated against a recording with two names exchanged.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Self
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.effects.effect import Mistake, Parameter, Stage
 from ltsim.effects.motions import exact_target_change
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class TargetSwap(Effect):
+class TargetSwap(Mistake):
     """Two `targets` that carry each other's name at `stations`."""
 
     name = "target-swap"
@@ -44,6 +44,14 @@ class TargetSwap(Effect):
         """Every pair at every station."""
         pairs = list(combinations(sightings.target_names, 2))
         return [cls((station,), pair) for station in sightings.station_names for pair in pairs]
+
+    def done(self, sightings: Sightings) -> Sightings:
+        """The other of the two was measured."""
+        if len(self.targets) != 2:
+            return sightings
+        a, b = (sightings.target_names.index(name) for name in self.targets)
+        other = np.where(sightings.target == a, b, a)
+        return replace(sightings, target=np.where(self.mask(sightings) > 0, other, sightings.target))
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings when the two are exchanged, exact."""

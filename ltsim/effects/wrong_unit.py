@@ -17,11 +17,11 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.effects.effect import Mistake, Parameter, Stage
 from ltsim.scene.sightings import Sightings
 
-Mistake = Literal["inch", "metre", "gon", "zenith"]
-MISTAKES: dict[Mistake, tuple[tuple[int, ...], float]] = {
+Slip = Literal["inch", "metre", "gon", "zenith"]
+MISTAKES: dict[Slip, tuple[tuple[int, ...], float]] = {
     "inch": ((0,), 1 / 25.4),
     "metre": ((0,), 1e-3),
     "gon": ((1, 2), 10 / 9),
@@ -32,10 +32,10 @@ SEEN = ("distance", "azimuth", "elevation")
 
 
 @dataclass(frozen=True)
-class WrongUnit(Effect):
+class WrongUnit(Mistake):
     """Readings of a station in another unit."""
 
-    mistake: Mistake = "gon"
+    mistake: Slip = "gon"
 
     name = "wrong-unit"
     number = 40
@@ -56,13 +56,16 @@ class WrongUnit(Effect):
         """Every mistake at every station."""
         return [cls((name,), mistake=mistake) for name in sightings.station_names for mistake in MISTAKES]
 
+    def written(self, sightings: Sightings, readings: Floats) -> Floats:
+        """The readings in the wrong unit."""
+        columns, factor = MISTAKES[self.mistake]
+        other = readings.copy()
+        for c in columns:
+            other[:, c] *= factor
+        if self.mistake == "zenith":
+            other[:, 2] += np.pi / 2
+        return np.where(self.mask(sightings)[:, None] > 0, other, readings)
+
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings when the unit is wrong, exact."""
-        columns, factor = MISTAKES[self.mistake]
-        change = np.zeros((len(sightings), 3))
-        for c in columns:
-            change[:, c] = (factor - 1.0) * sightings.raw[:, c]
-        if self.mistake == "zenith":
-            change[:, 2] += np.pi / 2
-        wrong: Floats = change * self.mask(sightings)[:, None]
-        return wrong[:, :, None]
+        return (self.written(sightings, sightings.raw) - sightings.raw)[:, :, None]

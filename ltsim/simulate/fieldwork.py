@@ -49,15 +49,15 @@ class Fieldwork:
     notes: tuple[str, ...]
 
 
-def fieldwork(scenario: Scenario, seed: int, *key: str | int) -> Fieldwork:
-    """Place everything, leave out what is not seen, and order the work.
+def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
+    """Place everything, leave out what is not seen, and order the work; `plan` as in `placed`.
 
     Raises
     ------
     SetupError
         When a station sees nothing, a file of an obstacle is damaged, or an effect does not exist.
     """
-    layout = placed(scenario, seed, *key)
+    layout = placed(scenario, seed, *key, plan=plan)
     table = visibility_of(scenario, layout)
     for s, name in enumerate(layout.stations):
         if not table.visible[s].any():
@@ -74,9 +74,12 @@ def fieldwork(scenario: Scenario, seed: int, *key: str | int) -> Fieldwork:
     )
 
 
-def placed(scenario: Scenario, seed: int, *key: str | int) -> Layout:
-    """The layout where it truly stands: as planned, with the scatter of `placing`; the gauge moves as one body."""
-    plan, placing = planned(scenario), scenario.placing
+def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Layout:
+    """The layout where it truly stands: as planned, with the scatter of `placing`; the gauge moves as one body.
+
+    `plan` is what `planned` gives for the scenario, for who asks many times.
+    """
+    plan, placing = plan or planned(scenario), scenario.placing
     position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
     for i, (name, station) in enumerate(scenario.stations.items()):
         draw = stream(seed, *key, "placing", "station", name).standard_normal(6)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.effect import Mistake, NoiseEffect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.resolution import quantised
 from ltsim.errors import SetupError
@@ -70,16 +70,28 @@ def simulate_readings(
     readings = exact_readings(work, instrument, values) + drawn_noise(work, values, seed, *key)
     step = work.scenario.instrument.resolution
     readings[:, 1] = wrap(readings[:, 1])
-    return quantised(readings, distance=step.distance_um * MICROMETRE, angle=step.angle_arcsec * ARCSECOND)
+    readings = quantised(readings, distance=step.distance_um * MICROMETRE, angle=step.angle_arcsec * ARCSECOND)
+    for mistake in _mistakes(work, values):
+        readings = mistake.written(work.sightings, readings)
+    return readings
 
 
 def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
-    """Raw readings (n, 3) before noise: the exact construction, then what the effects add, by stage."""
+    """Raw readings (n, 3) before noise of what was really measured: the exact construction, then effects by stage."""
     sightings = work.sightings
+    for mistake in _mistakes(work, values):
+        sightings = mistake.done(sightings)
     readings = work.construction.readings(sightings.local, sightings.face, instrument)
     for k in sorted(range(len(work.effects)), key=lambda k: work.effects[k].stage):
-        readings = readings + work.effects[k].shift(sightings, values[k])
+        if not isinstance(work.effects[k], Mistake):
+            readings = readings + work.effects[k].shift(sightings, values[k])
     return readings
+
+
+def _mistakes(work: Fieldwork, values: tuple[Floats, ...]) -> list[Mistake]:
+    """Blunders that were made: their one parameter is not 0."""
+    pairs = zip(work.effects, values, strict=True)
+    return [effect for effect, made in pairs if isinstance(effect, Mistake) and made[0]]
 
 
 def noise_sigma(work: Fieldwork, values: tuple[Floats, ...]) -> Floats:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ltsim.adjust import adjust
 from ltsim.effects import CATALOGUE, Effect, find_effect
 from ltsim.errors import SetupError
 from ltsim.geometry.polar import to_polar, wrap
+from ltsim.model.construction import misalignment
 from ltsim.recording.native import read_recording, write_recording
 from ltsim.recording.recording import Recording
 from ltsim.simulate.fieldwork import fieldwork
@@ -190,6 +192,35 @@ def test_wrong_gauge_scale_shows_in_the_certificate_only() -> None:
     assert plain.setup.gauge is not None and more.setup.gauge is not None
     for a, b in zip(plain.setup.gauge.distance, more.setup.gauge.distance, strict=True):
         assert b.length_mm / a.length_mm - 1 == pytest.approx(-50e-6, abs=3e-7)
+
+
+def test_a_wrong_unit_is_a_finished_reading_written_down_wrongly() -> None:
+    plain, _ = simulate(PAPER, 6)
+    effect = {"name": "wrong-unit", "stations": ["S2"], "shape": {"mistake": "metre"}, "values": {"mistaken": 1.0}}
+    wrong, _ = simulate(with_(PAPER, effects=[effect]), 6)
+    rows = plain.station == plain.stations.index("S2")
+    np.testing.assert_array_equal(wrong.readings[~rows], plain.readings[~rows])
+    np.testing.assert_allclose(1e3 * wrong.readings[rows, 0], plain.readings[rows, 0], rtol=1e-15)
+
+
+def test_swapped_reflectors_carry_the_errors_of_the_pointings_that_were_made() -> None:
+    targets = ["T03", "T17"]
+    effect = {"name": "target-swap", "stations": ["S2"], "targets": targets, "values": {"swapped": 1.0}}
+    wrong, _ = simulate(with_(PAPER, effects=[effect]), 6)
+    a, b = (wrong.targets.index(name) for name in targets)
+    here = (wrong.station == wrong.stations.index("S2")) & np.isin(wrong.target, (a, b))
+    mended = wrong.replace(target=np.where(here, a + b - wrong.target, wrong.target))
+    assert adjust(mended, misalignment()).p_value > 1e-3
+    assert adjust(wrong, misalignment()).gross[here].all()
+
+
+def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
+    effect = {"name": "face-confusion", "stations": ["S2"], "shape": {"face": 2}, "values": {"confused": 1.0}}
+    wrong, _ = simulate(with_(TWO_FACE, effects=[effect]), 6)
+    here = wrong.station == wrong.stations.index("S2")
+    assert np.all(np.abs(wrong.readings[here, 2]) < np.pi / 2)
+    mended = wrong.replace(face=np.where(here, 1, wrong.face))
+    assert adjust(mended, misalignment()).p_value > 1e-3
 
 
 def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> None:
