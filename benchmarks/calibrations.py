@@ -163,6 +163,11 @@ def other_paths() -> None:
     worst = max(batch.difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / BLOCK
     single = seconds(lambda: batch.single.calibrate(block, np.array([0])), 3)
+    absolute, some = BatchDistance(truth, misalignment(), "distance-l1"), np.arange(16)
+    settled = absolute.calibrate(block, some)
+    apart = max(absolute.difference(block, k, settled) for k in range(8))
+    programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
+    alone = seconds(lambda: absolute.single.calibrate(block, np.array([0])), 3)
     campaign = Campaign(format="ltsim-campaign/1", trials=20, geometry="per-trial", verify=0)
     task = task_of(campaign, load_scenario("paper-workshop"), "", 0, 0)
     own = seconds(lambda: shard_rows(task), 3) / campaign.trials
@@ -170,6 +175,8 @@ def other_paths() -> None:
     rows = [
         ["distance objective, batch", f"{1e6 * each:.0f} us", f"{1 / each:.0f}", f"{worst:.0e}"],
         ["distance objective, single", f"{1e3 * single:.0f} ms", f"{1 / single:.0f}", ""],
+        ["distance objective, absolute, batch", f"{1e3 * programmed:.1f} ms", f"{1 / programmed:.0f}", f"{apart:.0e}"],
+        ["distance objective, absolute, single", f"{1e3 * alone:.0f} ms", f"{1 / alone:.0f}", ""],
         ["geometry of its own for each trial, all included", f"{1e3 * own:.1f} ms", f"{1 / own:.0f}", ""],
     ]
     print(table(["path", "per trial", "trials a second", "agreement [sigma]"], rows))

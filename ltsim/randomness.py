@@ -7,8 +7,14 @@ depends on its key alone, so neither the number of workers nor the list of effec
 from __future__ import annotations
 
 import zlib
+from functools import lru_cache
 
 import numpy as np
+
+
+@lru_cache(maxsize=4096)
+def _number(name: str) -> int:
+    return zlib.crc32(name.encode())
 
 
 def stream(seed: int, *key: str | int) -> np.random.Generator:
@@ -27,5 +33,5 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     numpy.random.Generator
         Independent of the stream of every other key.
     """
-    spawn_key = tuple(zlib.crc32(part.encode()) if isinstance(part, str) else part for part in key)
+    spawn_key = tuple([_number(part) if isinstance(part, str) else part for part in key])
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))

@@ -20,10 +20,13 @@ from ltsim.simulate.gauge import expansion, frame_of
 from ltsim.simulate.physics import effect_from
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.simulator import measure
+from ltsim.simulate.workshop import Layout
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 
-def truth_of(scenario: Scenario, seed: int, *key: str | int, like: Truth | None = None) -> Truth:
+def truth_of(
+    scenario: Scenario, seed: int, *key: str | int, like: Truth | None = None, plan: Layout | None = None
+) -> Truth:
     """The truth of a scenario with its geometry drawn once.
 
     Parameters
@@ -34,13 +37,15 @@ def truth_of(scenario: Scenario, seed: int, *key: str | int, like: Truth | None 
         Of the geometry.
     like : Truth, optional
         Of the same scenario with another geometry; saves stating the set-up anew where the same targets are seen.
+    plan : Layout, optional
+        The scenario's, `ltsim.simulate.workshop.planned`.
 
     Raises
     ------
     SetupError
         When the scenario asks for something impossible.
     """
-    work = fieldwork(scenario, seed, *key)
+    work = fieldwork(scenario, seed, *key, plan=plan)
     recording = _template(work, seed, *key) if like is None else _like(work, like, seed, *key)
     grown, pairs = _gauge(work, recording)
     mean, sigma = instrument_spread(scenario, work.construction)

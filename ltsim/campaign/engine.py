@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaign.judge import Columns, Judge
-from ltsim.campaign.network import BatchNetwork
+from ltsim.campaign.network import BatchNetwork, Known
 from ltsim.campaign.truth import BLOCK, Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
@@ -81,6 +81,15 @@ def determined_points(adjustment: Adjustment) -> Floats:
     return np.where(lost[:, None], np.nan, adjustment.state.points)
 
 
+def _same_pointings(one: Recording, other: Recording) -> bool:
+    """Whether two recordings of one set-up hold the same whole pointings, in any order."""
+    if one.setup is not other.setup or len(one) != len(other) or len(one.instruments) > 1:
+        return False
+    first, second = ((2 * r.station + r.face) * len(r.targets) + r.target for r in (one, other))
+    whole = one.measured.all() and other.measured.all()
+    return bool(whole and np.array_equal(np.sort(first), np.sort(second)))
+
+
 @dataclass(frozen=True)
 class Engine:
     """Network calibrations of trials that share a geometry.
@@ -92,18 +101,24 @@ class Engine:
         Whose parameters are estimated.
     effects : tuple of Effect
         Further effects that are estimated.
+    like : Engine, optional
+        Of another geometry; what only depends on set-up and pointings is taken from it where these are the same.
     """
 
     truth: Truth
     construction: Construction
     effects: tuple[Effect, ...] = ()
+    like: Engine | None = None
 
     @cached_property
     def network(self) -> BatchNetwork:
         """The factorised network."""
         truth = self.truth
         program = truth.program_of(self.construction)
-        return BatchNetwork(truth.recording, truth.state, self.construction, program, self.effects)
+        known = None
+        if self.like is not None and not self.effects and _same_pointings(truth.recording, self.like.truth.recording):
+            known = Known(self.like.network, truth.sightings.jacobian, truth.by_value_of(self.construction))
+        return BatchNetwork(truth.recording, truth.state, self.construction, program, self.effects, known)
 
     @cached_property
     def _reach(self) -> Floats:

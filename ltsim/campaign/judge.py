@@ -72,20 +72,21 @@ class Judge:
     @cached_property
     def comparable(self) -> bool:
         """True when the criteria exist: two stations and more, each sharing targets with the first that fix a frame."""
-        return len(self.seen) > 1 and all(self._fixed(seen & self.seen[0]) for seen in self.seen)
+        return len(self.seen) > 1 and bool(self._fixed(self.seen & self.seen[0]).all())
 
     @cached_property
     def fitted(self) -> Bools:
         """(S,) stations whose targets fix a frame, so that they can be compared with the truth."""
-        return np.array([self._fixed(seen) for seen in self.seen])
+        return self._fixed(self.seen)
 
-    def _fixed(self, use: Bools) -> bool:
-        """Whether targets (T,) fix a frame: three off one line."""
-        if use.sum() < 3:
-            return False
-        points = self.state.points[use]
-        size = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        return bool(size[1] > FLAT * size[0])
+    def _fixed(self, use: Bools) -> Bools:
+        """Whether each set of targets (k, T) fixes a frame: three off one line."""
+        count = use.sum(axis=1)
+        centre = use @ self.state.points / np.maximum(count, 1)[:, None]
+        arms = np.where(use[:, :, None], self.state.points - centre[:, None], 0.0)
+        spread = np.linalg.eigvalsh(np.swapaxes(arms, 1, 2) @ arms)
+        fixed: Bools = np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
+        return fixed
 
     @cached_property
     def _share(self) -> Floats:
@@ -159,8 +160,9 @@ class Judge:
         """
         known = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
-        for pattern in np.unique(known, axis=1).T:
-            if self._fixed(pattern):
+        patterns = np.unique(known, axis=1).T
+        for pattern, fixed in zip(patterns, self._fixed(patterns), strict=True):
+            if fixed:
                 trials = np.flatnonzero((known == pattern[:, None]).all(axis=0))
                 error[trials] = self._target_error(np.ascontiguousarray(points[:, :, trials]), pattern)
         return error

@@ -11,7 +11,7 @@ the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,11 +23,14 @@ from ltsim.campaign.kernels import network_gradient
 from ltsim.campaign.program import ChainProgram
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
+from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction
-from ltsim.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
 
 CAP = 8
+STRUCTURE = ("layout", "_undetermined", "_held_columns", "_anchors", "unseen_targets")
+"""What of a problem depends on the set-up and on which pointings there are, not on where things stand."""
 TOLERANCE = 1e-4
 """A trial has converged when its step is shorter than this many standard deviations (all unknowns together)."""
 
@@ -66,6 +69,25 @@ class BatchFit:
 
 
 @dataclass(frozen=True)
+class Known:
+    """What a network need not find out again.
+
+    Attributes
+    ----------
+    network : BatchNetwork
+        One of the same set-up with the same pointings elsewhere, in any order.
+    by_point : (n, 3, 3) float
+        Derivative of the nominal readings by the local points.
+    by_value : (n, 3, p) float
+        By the parameters.
+    """
+
+    network: BatchNetwork
+    by_point: Floats
+    by_value: Floats
+
+
+@dataclass(frozen=True)
 class BatchNetwork:
     """A network around its nominal state, ready to adjust any number of trials.
 
@@ -80,6 +102,8 @@ class BatchNetwork:
         Its chain around the nominal readings.
     effects : tuple of Effect
         Further effects that are estimated.
+    known : Known, optional
+        Without it everything is found out; not for networks with further effects.
     """
 
     recording: Recording
@@ -87,12 +111,18 @@ class BatchNetwork:
     construction: Construction
     program: ChainProgram
     effects: tuple[Effect, ...] = ()
+    known: Known | None = None
 
     @cached_property
     def problem(self) -> NetworkProblem:
         """The problem at the nominal state; the same rows that a single adjustment has."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
-        return NetworkProblem.of(model)
+        if self.known is None:
+            return NetworkProblem.of(model)
+        other = self.known.network.problem
+        problem = replace(other, model=model, sigma=self.recording.sigma())
+        vars(problem).update({name: getattr(other, name) for name in STRUCTURE})
+        return problem
 
     @cached_property
     def nominal(self) -> State:
@@ -117,6 +147,8 @@ class BatchNetwork:
 
     @cached_property
     def _order(self) -> Ints:
+        if self.known is not None:
+            return self.known.network._order
         layout = self.problem.layout
         parts = (layout.pose, layout.target, layout.instrument, layout.extra)
         order = np.concatenate([part.ravel() for part in parts])
@@ -127,10 +159,35 @@ class BatchNetwork:
     @cached_property
     def _design(self) -> tuple[Floats, Floats, Floats]:
         """Whitened design of all rows (m, K), of the rows beyond the readings, and their nominal residuals."""
-        system = self.problem.linearise(self.nominal)
-        dense = system.design.toarray()[:, self._order]
         count = int(self.problem.use.sum())
-        return dense, np.ascontiguousarray(dense[count:]), system.residual[count:]
+        if self.known is None:
+            system = self.problem.linearise(self.nominal)
+            dense, residual = system.design.toarray()[:, self._order], system.residual
+        else:
+            prediction = self._prediction(self.known)
+            dense = np.zeros((len(self.problem._pattern[1]) - 1, self.sizes[-1]))
+            values = self.problem._values(self.nominal, prediction)
+            dense.ravel()[self._entries] = np.concatenate([v.ravel() for v in values])
+            residual = self.problem._residual_rows(self.nominal, prediction.readings)
+        return dense, np.ascontiguousarray(dense[count:]), residual[count:]
+
+    @cached_property
+    def _entries(self) -> Ints:
+        """Place of every value of the design's pattern in the dense one."""
+        columns, pointers = self.problem._pattern
+        place = np.empty_like(self._order)
+        place[self._order] = np.arange(len(place))
+        rows = np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
+        entries: Ints = rows * len(place) + place[columns]
+        return entries
+
+    def _prediction(self, known: Known) -> Prediction:
+        """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
+        recording, state = self.recording, self.state
+        by_target = known.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
+        arm = state.points[recording.target] - state.position[recording.station]
+        by_pose = np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
+        return Prediction(recording.readings, by_pose, by_target, known.by_value, np.zeros((len(recording), 3, 0)))
 
     @cached_property
     def covariance(self) -> Floats:
@@ -142,16 +199,16 @@ class BatchNetwork:
             When the network does not determine its unknowns.
         """
         dense = self._design[0]
-        scale = 1.0 / np.linalg.norm(dense, axis=0)
-        scaled = dense * scale
-        try:
-            factor = scipy.linalg.cho_factor(scaled.T @ scaled, lower=True)
-        except np.linalg.LinAlgError as error:
+        normal = dense.T @ dense
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        factor, failed = scipy.linalg.lapack.dpotrf(normal * np.outer(scale, scale), lower=1)
+        if failed:
             raise SetupError(
                 "the network of the scenario does not determine all its unknowns: give priors or more pointings"
-            ) from error
-        inverse: Floats = scipy.linalg.cho_solve(factor, np.diag(scale)) * scale[:, None]
-        return 0.5 * (inverse + inverse.T)
+            )
+        half = np.tril(scipy.linalg.lapack.dpotri(factor, lower=1)[0])
+        inverse: Floats = (half + np.tril(half, -1).T) * np.outer(scale, scale)
+        return inverse
 
     @cached_property
     def sigma_values(self) -> Floats:
@@ -165,7 +222,7 @@ class BatchNetwork:
         recording, state = self.recording, self.state
         arm = state.points[recording.target] - state.position[recording.station]
         places = (recording.instrument, recording.station, recording.target)
-        by_point = sightings_of(recording, state).jacobian
+        by_point = sightings_of(recording, state).jacobian if self.known is None else self.known.by_point
         return (*places, arm, np.ascontiguousarray(state.rotation), by_point, 1.0 / self.sigma)
 
     @cached_property

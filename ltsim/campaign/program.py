@@ -113,10 +113,7 @@ def _nominal(motion: Motion, raw: Floats) -> Floats:
 
 def _slopes(construction: Construction, raw: Floats) -> Floats:
     """Derivative (p, n, 3) of each basis by the readings."""
-    slope = np.zeros((construction.size, len(raw), 3))
-    for column in range(3):
-        moved = np.zeros((1, 3))
-        moved[0, column] = PROBE
-        gap = construction.bases(raw + moved) - construction.bases(raw - moved)
-        slope[:, :, column] = gap.T / (2 * PROBE)
-    return slope
+    step = PROBE * np.eye(3)[:, None, :]
+    moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
+    ahead, behind = construction.bases(moved).T.reshape(construction.size, 2, 3, len(raw)).swapaxes(0, 1)
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * PROBE), 1, 2))

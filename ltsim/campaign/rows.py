@@ -23,6 +23,7 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.workshop import Layout, planned
 
 CHECKED = "full_difference_sigma"
 """Column of the trials that were calibrated once more by the full solver: largest difference in sigmas."""
@@ -70,18 +71,20 @@ class Prepared:
 
     @cached_property
     def shared(self) -> Ready:
-        """The geometry that all trials share."""
-        return self._at("campaign")
+        """The geometry that all trials share, with the calibrators in the order of the file's methods."""
+        truth = truth_of(self.scenario, self.campaign.seed, "campaign")
+        return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
 
     @cached_property
-    def _first(self) -> Truth:
-        """A truth whose set-up other geometries of the scenario share."""
-        return truth_of(self.scenario, self.campaign.seed, "campaign")
+    def _plan(self) -> Layout:
+        return planned(self.scenario)
 
     def _at(self, *key: str | int) -> Ready:
-        """The geometry drawn by a key, with the calibrators in the order of the file's methods."""
-        truth = truth_of(self.scenario, self.campaign.seed, *key, like=self._first if len(key) > 1 else None)
-        return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
+        """The geometry drawn by a key, which shares its set-up with the common one."""
+        common = self.shared
+        truth = truth_of(self.scenario, self.campaign.seed, *key, like=common.truth, plan=self._plan)
+        known = zip(self.campaign.methods, common.calibrators, strict=True)
+        return Ready(truth, Bench(truth), [calibrator_of(method, truth, like) for method, like in known])
 
     def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints] | None]:
         """Blocks that hold the trials ``first`` to ``last - 1``, with the wanted trials' places in them.

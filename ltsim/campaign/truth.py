@@ -114,14 +114,16 @@ class Truth:
     step: Floats = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
-    def _programs(self) -> dict[Construction, ChainProgram]:
-        return {}
+    def _programs(self) -> list[tuple[Construction, ChainProgram]]:
+        return []
 
     def program_of(self, construction: Construction) -> ChainProgram:
         """A construction's chain around the nominal readings, laid out once."""
-        if construction not in self._programs:
-            self._programs[construction] = ChainProgram.of(construction, self.recording.readings)
-        return self._programs[construction]
+        for known, program in self._programs:  # comparing a few is quicker than hashing one
+            if known == construction:
+                return program
+        self._programs.append((construction, ChainProgram.of(construction, self.recording.readings)))
+        return self._programs[-1][1]
 
     @property
     def program(self) -> ChainProgram:
@@ -130,9 +132,14 @@ class Truth:
 
     @cached_property
     def _by_value(self) -> Floats:
-        """Derivative (n, 3, p) of the readings by the instrument's parameters, at none."""
-        zero = np.zeros(self.construction.size)
-        return self.construction.reading_design(self.recording.readings, zero)[1]
+        return self._by_value_of(self.construction)
+
+    def _by_value_of(self, construction: Construction) -> Floats:
+        return construction.reading_design(self.recording.readings, np.zeros(construction.size))[1]
+
+    def by_value_of(self, construction: Construction) -> Floats:
+        """Derivative (n, 3, p) of the readings by a construction's parameters, at none."""
+        return self._by_value if construction == self.construction else self._by_value_of(construction)
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
