@@ -59,14 +59,18 @@ def test_canvas_of_the_report_is_drawn(page: Path, tmp_path: Path) -> None:
     assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
 
 
-def test_a_phone_never_scrolls_sideways(page: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["calibration", "history", "next", "plan"])
+def test_a_phone_never_scrolls_sideways(kind: str, page: Path, tmp_path: Path) -> None:
+    made = {"history": samples.history_folder, "next": samples.next_folder, "plan": samples.plan_folder}
+    html = page.read_text() if kind == "calibration" else report(made[kind](tmp_path / kind)).read_text()
     inner = tmp_path / "inner.html"
-    inner.write_text(page.read_text().replace("</body>", PROBE))
+    inner.write_text(html.replace("</body>", PROBE))
     outer = tmp_path / "phone.html"
     outer.write_text(
         '<body style="margin:0"><iframe src="inner.html" style="border:0;width:390px;height:3000px"></iframe>'
     )
     seen = visit(outer, tmp_path, width=600, height=3000)
+    assert clean(seen.console) == []
     said = [line for line in seen.console if "WIDTH" in line]
     assert len(said) == 1
     assert "WIDTH 390 of 390" in said[0]
