@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ltsim.calibrate import Calibration, calibrate_network
 from ltsim.calibrate.files import JSON as CALIBRATION_JSON
 from ltsim.calibrate.history import Change, History, history_json
-from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, recording_of
+from ltsim.cli.options import FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
@@ -43,6 +43,8 @@ def history(
     each_set_up: EachSetUp = False,
     instrument: InstrumentName = None,
     fail_on_change: FailOnChange = False,
+    robust: Robust = False,
+    noise_from_data: NoiseFromData = False,
     format_name: FormatName = None,
     hint: HintList = None,
     quiet: Quiet = False,
@@ -56,9 +58,10 @@ def history(
     """
     terminal = Terminal(quiet, as_json)
     named: list[tuple[str, Calibration]] = []
+    treated: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data}
     with terminal.progress("calibrating", len(sources)) as done:
         for source in sources:
-            named += _calibrations(terminal, source, each_set_up, format_name, hint)
+            named += _calibrations(terminal, source, each_set_up, format_name, hint, treated)
             done(1)
     found = History.of(named, instrument)
     content = history_json(found)
@@ -73,7 +76,12 @@ def history(
 
 
 def _calibrations(
-    terminal: Terminal, source: Path, each_set_up: bool, format_name: str | None, hint: list[str] | None
+    terminal: Terminal,
+    source: Path,
+    each_set_up: bool,
+    format_name: str | None,
+    hint: list[str] | None,
+    treated: dict[str, Any],
 ) -> list[tuple[str, Calibration]]:
     """One calibration of a file, or one a set-up of a recording."""
     if source.name == CALIBRATION_JSON or (source / CALIBRATION_JSON).is_file() or source.suffix == ".json":
@@ -83,14 +91,14 @@ def _calibrations(
     show_notes(terminal, recording)
     label = source.stem if source.is_file() else source.name
     if not each_set_up:
-        return [(label, _calibrated(recording, label))]
+        return [(label, _calibrated(recording, label, treated))]
     parts = [(f"{label} {name}", recording.select(recording.station == i)) for i, name in enumerate(recording.stations)]
-    return [(name, _calibrated(part, name)) for name, part in parts]
+    return [(name, _calibrated(part, name, treated)) for name, part in parts]
 
 
-def _calibrated(recording: Recording, label: str) -> Calibration:
+def _calibrated(recording: Recording, label: str, treated: dict[str, Any]) -> Calibration:
     try:
-        return calibrate_network(recording, advise=False)
+        return calibrate_network(recording, advise=False, **treated)
     except LtsimError as problem:
         raise RecordError(f"{label} cannot be calibrated: {problem}") from None
 

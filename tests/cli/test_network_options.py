@@ -92,3 +92,17 @@ def test_a_calibration_that_lacks_parameters_is_used_with_a_note(source: Path, t
     for command in (["correct", str(source), "--out", str(tmp_path / "rec2")], ["evaluate", str(source)]):
         assert run([*command, "--calibration", str(hand)]) == 0
         assert "15 parameters are not in the file and taken as zero" in capsys.readouterr().err
+
+
+def test_a_history_of_recordings_treats_each_alike(source: Path, tmp_path: Path, capsys) -> None:
+    recording, _ = network(faces=2, seed=9)
+    noise = recording.sigma() * np.random.default_rng(3).standard_normal(recording.readings.shape)
+    write(recording.with_readings(recording.readings + 2 * noise), tmp_path / "noisy")
+    names = [str(source), str(tmp_path / "noisy")]
+    fits = {}
+    for options in ([], ["--robust", "--noise-from-data"]):
+        assert run(["history", *names, *options, "--json"]) == 0
+        content = json.loads(capsys.readouterr().out)
+        fits[bool(options)] = [c["fit"]["sigma0"] for c in content["calibrations"]]
+    assert fits[False][1] > 2.0
+    assert fits[True] == pytest.approx([1.0, 1.0], abs=0.05)
