@@ -244,25 +244,26 @@ class Searcher:
     def shape_posterior(
         self, hypothesis: Hypothesis, base: EffectSet, spread: Mapping[str, float]
     ) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation [SI] of parameters and shape constants over all shapes within their bounds.
+        """Mean and standard deviation [SI] of parameters and shape constants over all shapes and near places.
 
         Shapes on a grid, finer around the estimate (`spread`: standard deviations there), are weighed by their
-        likelihood and the room they stand for; each brings the uncertainty it leaves the parameters. Unlike a
-        curvature at the optimum this holds where the likelihood of a shape is flat, skew, cut off by its bounds, or has
-        two tops. Empty for effects without such constants.
+        likelihood and the room they stand for, neighbours in place (`Effect.finer`) all alike; each brings the
+        uncertainty it leaves the parameters. Unlike a curvature at the optimum this holds where a likelihood is flat,
+        skew, cut off by bounds, or has two tops. Empty for effects without such constants.
         """
         effect = hypothesis.effect
         shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
-        if not shapes or len(shapes) > 2:
+        near = effect.finer(self.space.sightings) if hypothesis.known else []
+        if not (shapes or near) or len(shapes) > 2:
             return {}
-        count = 33 if len(shapes) == 1 else 15
+        count = 33 if len(shapes) == 1 and not near else 15
         axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
         prior = np.diag([(LARGEST * p.prior_sigma) ** -2 for p in effect.parameters])
         means, seconds, logs = [], [], []
-        for point in product(*(zip(*axis, strict=True) for axis in axes)):
+        for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
             constants = np.array([value for value, _ in point])
             named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
-            left = self.space.project(self.space.signature(effect.reshaped(**named)))
+            left = self.space.project(self.space.signature(one.reshaped(**named)))
             left -= base.extension @ (base.extension.T @ left)
             inverse = np.linalg.inv(left.T @ left + prior)
             score = left.T @ base.residual
