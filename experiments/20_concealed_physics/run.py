@@ -20,6 +20,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 from concealed.conceal import conceal  # noqa: E402
+from concealed.pictures import draw  # noqa: E402
 from concealed.plan import Case, read_plan  # noqa: E402
 from concealed.score import Row, score  # noqa: E402
 from concealed.tables import markdown, summarise  # noqa: E402
@@ -49,11 +50,12 @@ def unseal(cases: Sequence[Case], work: Path) -> list[Row]:
 
 
 def write_results(rows: Sequence[Row], out: Path, command: str) -> None:
-    """summary.json, tables.md and recordings.csv."""
+    """summary.json, tables.md, recordings.csv and the pictures."""
     out.mkdir(parents=True, exist_ok=True)
     summary = summarise(rows)
     (out / "summary.json").write_text(json.dumps({"command": command, **summary}, indent=1) + "\n", encoding="utf-8")
     (out / "tables.md").write_text(markdown(rows, summary, command), encoding="utf-8")
+    draw(rows, summary, out)
     fields = list(dict.fromkeys(key for row in rows for key in row))
     with (out / "recordings.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, fields, lineterminator="\n")
