@@ -16,7 +16,7 @@ from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.evidence import log_evidence
 from ltsim.effects.effect import Effect
 
-BATCH = 256
+BATCH = 64
 LARGE = 4000
 """Rows of a residual space from which signatures with few entries are kept sparse."""
 LOCAL = 0.1

@@ -35,6 +35,7 @@ from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.threads import in_one_thread
 from ltsim.units import FACTOR
 
 MOST_ROUNDS = 3
@@ -93,6 +94,7 @@ class _Case:
         return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
 
 
+@in_one_thread
 def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Diagnosis:
     """Diagnose a recording.
 
