@@ -16,6 +16,9 @@ from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 
+MOSTLY = 0.9
+"""Share of the redundancy whose noise was estimated, from which chi-square over redundancy is 1 by construction."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -160,6 +163,13 @@ class Calibration:
         """Standard deviations (I, p) of the parameters [SI]."""
         deviation: Floats = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
         return deviation
+
+    @property
+    def noise_estimated(self) -> bool:
+        """Whether so much of the noise was estimated from the readings that the fit tests nothing any more."""
+        whole = sum(n.redundancy for n in self.noise)
+        found = sum(n.redundancy for n in self.noise if np.isfinite(n.factor_sigma))
+        return found > MOSTLY * whole
 
     @property
     def names(self) -> tuple[str, ...]:

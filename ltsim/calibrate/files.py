@@ -86,6 +86,7 @@ def _treatment(calibration: Calibration) -> dict[str, Any]:
     return {
         "robust": calibration.robust,
         "noise": noise,
+        "noise_estimated": calibration.noise_estimated,
         "verdict": said,
         "lost_targets": list(calibration.lost_targets),
     }

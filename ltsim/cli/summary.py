@@ -77,7 +77,7 @@ def fit_line(calibration: Calibration) -> str:
         return f"construction {calibration.construction.name}: {ended}; no redundancy to test it with"
     verb = "agree" if fit.p_value >= AGREES else "do not agree"
     verdict = f"readings, model and stated noise {verb}"
-    if calibration.noise:
+    if calibration.noise_estimated:
         verdict = "no test, the noise was estimated from the same readings"
     return (
         f"construction {calibration.construction.name}: {ended}\n"
@@ -88,9 +88,9 @@ def fit_line(calibration: Calibration) -> str:
 def show_treatment(terminal: Terminal, calibration: Calibration) -> None:
     """Which test to trust, the noise found, how much was left out, and what would be left out or found on request."""
     judged = calibration.verdict
-    if judged is not None and not calibration.noise:
+    if judged is not None and not calibration.noise_estimated:
         terminal.say(judged.sentence)
-        if judged.by_estimate:
+        if judged.by_estimate and not calibration.noise:
             terminal.say("--noise-from-data would estimate the noise of each observable and instrument")
         if judged.outliers and not calibration.robust:
             terminal.say("--robust would leave out the readings that do not belong")

@@ -127,6 +127,7 @@ class CalibrationFile(Table):
     outliers: tuple[OutlierEntry, ...] = ()
     robust: bool = False
     noise: tuple[NoiseEntry, ...] = ()
+    noise_estimated: bool = False
     verdict: VerdictEntry = VerdictEntry()
     lost_targets: tuple[str, ...] = ()
 

@@ -57,6 +57,20 @@ def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     assert calibration_json(plain)["noise"] == []
 
 
+def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
+    recording = make(np.zeros(16))
+    recording = recording.select((recording.station < 2) & (recording.target < 4))
+    readings = recording.readings.copy()
+    readings[0, 0] += 1e-4
+    found = adjust_network(recording.with_readings(readings), noise_from_data=True)
+    assert not found.noise_estimated
+    assert any(np.isinf(n.factor_sigma) for n in found.noise)
+    content = calibration_json(found)
+    assert content["noise_estimated"] is False
+    assert None in [n["factor_sigma"] for n in content["noise"]]
+    assert content["verdict"]["sentence"]
+
+
 def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     recording = make(np.zeros(16), faces=(1, 2))
     clean = calibration_json(calibrate_network(recording, advise=False))["verdict"]

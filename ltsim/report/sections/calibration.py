@@ -36,7 +36,11 @@ def calibration_section(folder: Path, recording: Recording | None = None, *, det
     """
     content = read_json(folder / "calibration.json", CalibrationFile, FORMAT)
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
-    words = "the noise was estimated from the same readings, which leaves nothing to test" if content.noise else words
+    words = (
+        "the noise was estimated from the same readings, which leaves nothing to test"
+        if content.noise_estimated
+        else words
+    )
     converged = content.fit.status in ("", "converged")
     blocks: list[Block] = []
     if not converged:
@@ -97,10 +101,10 @@ def _size(spread: Spread) -> str:
 
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     """Figures at a glance."""
-    fit = content.fit
+    fit, found = content.fit, content.noise_estimated
     return [
         Fact("sigma0", "–" if fit.sigma0 is None else f"{fit.sigma0:.3f}", mood(agrees)),
-        Fact("p of the fit", "–" if content.noise else p_text(fit.p_value), "plain" if content.noise else mood(agrees)),
+        Fact("p of the fit", "–" if found else p_text(fit.p_value), "plain" if found else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("construction", content.construction or "–"),
         Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),
@@ -111,7 +115,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
 def _treatment(content: CalibrationFile) -> list[Block]:
     """Which test to trust, the noise found, targets without a place."""
     blocks: list[Block] = []
-    if content.verdict.sentence and not content.noise:
+    if content.verdict.sentence and not content.noise_estimated:
         blocks.append(Note("Which test to trust", content.verdict.sentence))
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
@@ -128,8 +132,8 @@ def _treatment(content: CalibrationFile) -> list[Block]:
             for n in content.noise
         ]
         note = (
-            "The factor is on the stated standard deviation, the reading's σ the median that results. The fit cannot "
-            "be tested against noise that was estimated from it."
+            "The factor is on the stated standard deviation, the reading's σ the median that results. 'As stated': too "
+            "little redundancy to estimate it."
         )
         header = ["readings", "instrument", "factor ± σ", "σ of a reading", "redundancy"]
         blocks.append(Table("Noise found from the readings", header, rows, 2, note))
