@@ -112,11 +112,11 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
         Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
     """
     construction = misalignment()
-    faced, confused = mend_faces(recording)
-    converted, wrong = mend_stations(faced)
-    first = adjust(converted, construction)
+    converted, wrong = mend_stations(recording)
+    faced, confused = mend_faces(converted)
+    first = adjust(faced, construction)
     mended, use, gross = explain_gross(first)
-    gross = [*confused, *wrong, *gross]
+    gross = [*wrong, *confused, *gross]
     case = _Case(mended, construction, use, mended.sigma(), first.state, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
