@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from concealed.invented_later import LATER, LATER_AT_A_STATION, LATER_OF_NEIGHBOURS
+from concealed.law import Law
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
-Law = Callable[[Sightings, Floats], Floats]
-"""Correction (n,) per unit of size at constants (5,), each uniform between 0 and 1; or displacement (n, 3)."""
 Laws = Literal["first", "later", "all"]
+"""Which of the invented laws are drawn."""
 
 
 def _turn(u: float) -> float:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from concealed.law import Law
 from ltsim.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE
-
-if TYPE_CHECKING:
-    from concealed.invented import Law
 
 
 def _turn(u: float) -> float:
