@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +13,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.diagnosis import Estimate
 from ltsim.effects.effect import Effect, Parameter, Stage
 from ltsim.model.construction import Construction
-from ltsim.model.measurement import State
+from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 
@@ -56,23 +56,27 @@ class ShapeDirection(Effect):
 
 @dataclass(frozen=True)
 class FirstOrder(Effect):
-    """An effect held to its first-order form, where its exact one keeps a refit from converging."""
+    """An effect in its first-order form at one state of the network, where the exact one keeps a refit from ending.
+
+    A fine encoder error, say, moves by a good part of a period while the network settles.
+    """
 
     base: Effect | None = None
+    at: Floats | None = field(default=None, compare=False, repr=False)
 
     @classmethod
-    def of(cls, effect: Effect) -> FirstOrder:
-        """The first-order form of an effect."""
-        return cls(effect.stations, effect.targets, effect)
+    def of(cls, effect: Effect, sightings: Sightings) -> FirstOrder:
+        """The first-order form of an effect for these pointings."""
+        return cls(effect.stations, effect.targets, effect, effect.design(sightings))
 
     def __post_init__(self) -> None:
         for name in ("name", "number", "stage", "parameters", "observables", "covariates"):
             object.__setattr__(self, name, getattr(self.base, name))
 
     def design(self, sightings: Sightings) -> Floats:
-        """The design of the effect."""
-        assert self.base is not None
-        return self.base.design(sightings)
+        """The design (n, 3, p) of the effect as it was."""
+        assert self.at is not None
+        return self.at
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """The gauge design of the effect."""
@@ -128,7 +132,8 @@ def refit(
     plain = replace(start, extra=np.zeros(0))
     found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
-        current = [FirstOrder.of(effect) for effect in current]
+        sightings = MeasurementModel(recording, construction).sightings(plain)
+        current = [FirstOrder.of(effect, sightings) for effect in current]
         found = adjusted(effects=current, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     joint, best = found, (found, list(current))
@@ -150,7 +155,8 @@ def refit(
             found, current = best
             break
         best = (found, list(current))
-    return Refit(found, tuple(current), _estimates(found, joint, current, directions))
+    named = tuple(e.base if isinstance(e, FirstOrder) and e.base else e for e in current)
+    return Refit(found, named, _estimates(found, joint, current, directions))
 
 
 def _split(effects: Sequence[Effect], extra: Floats) -> list[Floats]:
