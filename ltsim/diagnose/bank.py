@@ -37,11 +37,15 @@ class Hypothesis:
         A catalogued effect, or a flexible term (`diagnose.flexible.FlexibleTerm`).
     known : bool
         In the catalogue.
+    tuning : float
+        Log evidence that moving its shape and place to the optimum has cost: a peak fills little of the room it was
+        sought in.
     """
 
     family: str
     effect: Effect
     known: bool = True
+    tuning: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ CYCLES = 0.6
 EDGES = 24
 """Values of a covariate at which a step is tried."""
 MOST_CYCLES = 60
+MOST_STATIONS, MOST_TARGETS = 12, 60
+"""Places up to whose number each has smooth terms of its own."""
 LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
 """Widths of a local bump, as a share of the covariate's span."""
 AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
@@ -208,10 +210,14 @@ def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             if (sightings.face == 2).any():
                 odd = tuple((("face", "power", 1.0), *c) for c in columns)
                 yield Hypothesis(f"unknown:{observable}:{name}:face", FlexibleTerm((), (), observable, odd), False)
-        if len(sightings.station_names) <= 12:
+        if len(sightings.station_names) <= MOST_STATIONS:
             for station in sightings.station_names:
                 term = FlexibleTerm((station,), (), observable, smooth(name, 4))
                 yield Hypothesis(f"unknown:{observable}:{name}:station", term, False)
+        if len(sightings.target_names) <= MOST_TARGETS:
+            for target in sightings.target_names:
+                term = FlexibleTerm((), (target,), observable, smooth(name, 2))
+                yield Hypothesis(f"unknown:{observable}:{name}:target", term, False)
 
 
 def wave(name: str, rate: float) -> tuple[Column, ...]:

@@ -150,7 +150,7 @@ class Searcher:
             for i in self._basins(members[np.argsort(-evidence[members])], evidence):
                 refined, gain = self._refined(self.bank.hypotheses[i], base, float(evidence[i]))
                 size = plausibility(self._sizes(refined, base))
-                tried.append((float(evidence[i]) + gain + size, refined))
+                tried.append((float(evidence[i]) + gain - refined.tuning + size, refined))
             value, refined = max(tried, key=lambda pair: pair[0])
             top = float(evidence[members].max())
             entries.append((self.bank.families[f], refined, float(families[f]) + value - top))
@@ -193,6 +193,7 @@ class Searcher:
     def _refined(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
         """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
         best, value = self._nearby(hypothesis, base, evidence)
+        moves = type(hypothesis.effect).ways if value > evidence else 0
         for shape in type(hypothesis.effect).shape:
             now = getattr(best.effect, shape.name)
             if not isinstance(now, float) or shape.steps < 2:
@@ -207,8 +208,9 @@ class Searcher:
             found = minimize_scalar(lost, bounds=bounds, method="bounded", options={"maxiter": 12})
             if -found.fun > value:
                 best = replace(best, effect=best.effect.reshaped(**{shape.name: float(found.x)}))
-                value = -float(found.fun)
-        return best, value - evidence
+                value, moves = -float(found.fun), moves + 1
+        gain = value - evidence
+        return replace(best, tuning=0.5 * moves * float(np.log1p(2.0 * gain / max(moves, 1)))), gain
 
     def _nearby(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
         """Uphill over what an effect offers near itself (`Effect.finer`) until nothing there is better."""
@@ -294,7 +296,9 @@ class Searcher:
         members = []
         for h in hypotheses:
             f = self.bank.families.index(h.family)
-            members.append(Member(h, self.space.signature(h.effect), float(np.log(self._size[f]) - self.prior[f])))
+            members.append(
+                Member(h, self.space.signature(h.effect), float(np.log(self._size[f]) - self.prior[f]) + h.tuning)
+            )
         if not members:
             return self.empty
         whole = np.hstack([m.signature for m in members])

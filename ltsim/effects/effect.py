@@ -140,6 +140,8 @@ class Effect:
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
     covariates: ClassVar[tuple[str, ...]] = ()
     scope: ClassVar[Scope] = "all"
+    ways: ClassVar[int] = 1
+    """Independent directions in which `finer` moves."""
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -52,6 +52,7 @@ class HeatPlume(Effect):
     stage = Stage.AIR
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
+    ways = 3
     parameters = (Parameter("plume-temperature", "K", "how much warmer its centre is", 5.0),)
     shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
 

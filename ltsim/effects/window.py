@@ -49,6 +49,7 @@ class Window(Effect):
     stage = Stage.AIR
     covariates = ("azimuth", "incidence")
     scope = "pointing"
+    ways = 2
     parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE),)
 
     @classmethod
