@@ -35,7 +35,6 @@ from ltsim.adjust.adjustment import adjust
 from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
 from ltsim.calibrate.history import History, history_json
 from ltsim.diagnose import diagnose
-from ltsim.diagnose.files import write_diagnosis
 from ltsim.effects import BASELINE
 from ltsim.evaluate.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
 from ltsim.geometry.polar import from_polar
@@ -314,10 +313,7 @@ def diagnoses() -> None:
     rows: Rows = []
     for label, stated in (("default", None), ("found", found_noise())):
         for name in EPOCHS:
-            folder = Path(tempfile.gettempdir()) / "ltsim-11-diagnoses" / label / name
-            if not (folder / "diagnosis.json").is_file():
-                write_diagnosis(diagnose(epoch(name, stated)), folder)
-            content = json.loads((folder / "diagnosis.json").read_text())
+            content = diagnose(epoch(name, stated)).to_json()
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
