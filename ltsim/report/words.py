@@ -44,6 +44,11 @@ def listing(words: Sequence[str], most: int = 6) -> str:
     return ", ".join(words[:most]) + f" and {len(words) - most} more"
 
 
+def typeset(sentence: str) -> str:
+    """A sentence of a result file with the signs of print: plus-minus, micro."""
+    return re.sub(r"\bu(m|rad)\b", "µ\\1", sentence.replace("+-", "±"))
+
+
 def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
     """Whether readings agree with the model at the 1 % level, and the words for it."""
     if dof <= 0 or p is None or not math.isfinite(p):

@@ -13,7 +13,7 @@ from ltsim.report.files import DiagnosisFile, FindingEntry, FitEntry, WhereEntry
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.calibration import residuals_before
 from ltsim.report.sections.network import residual_blocks, target_table
-from ltsim.report.words import count, listing, p_text
+from ltsim.report.words import count, listing, p_text, typeset
 
 FORMAT = "ltsim-diagnosis/1"
 LEAST_UM = 0.1
@@ -40,7 +40,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None) -> Secti
         blocks += residual_blocks(after, before, what="the findings")
     blocks += _limits(content) + _targets(folder)
     title = (recording.setup.title if recording else "") or folder.name
-    return Section(title, "Diagnosis", content.summary, mood(_good(content)), _facts(content), blocks)
+    return Section(title, "Diagnosis", typeset(content.summary), mood(_good(content)), _facts(content), blocks)
 
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
@@ -85,9 +85,9 @@ def _residuals(folder: Path, recording: Recording | None) -> tuple[Residuals | N
 def _finding(finding: FindingEntry, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
     """One finding: sentence, parameters, rivals, signature."""
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
-    words = finding.sentence or f"{name} {_place(finding.where)}"
+    words = typeset(finding.sentence) or f"{name} {_place(finding.where)}"
     cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
-    formula = f" Proposed term: {finding.formula}." if finding.formula else ""
+    formula = f" Proposed term: {typeset(finding.formula)}." if finding.formula else ""
     blocks: list[Block] = [Note(f"Finding {number}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
     rows = [[p.name, f"{style.with_sigma(p.value, p.sigma)} {style.unit_text(p.unit)}"] for p in finding.parameters]
     rows.append(["where", _place(finding.where)])
