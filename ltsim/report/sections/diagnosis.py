@@ -87,7 +87,8 @@ def _finding(finding: FindingEntry, number: int, before: Residuals | None, after
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
     words = typeset(finding.sentence) or f"{name} {_place(finding.where)}"
     cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
-    formula = f" Proposed term: {typeset(finding.formula)}." if finding.formula else ""
+    new = finding.formula not in finding.sentence
+    formula = f" Proposed term: {typeset(finding.formula)}." if finding.formula and new else ""
     blocks: list[Block] = [Note(f"Finding {number}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
     rows = [[p.name, f"{style.with_sigma(p.value, p.sigma)} {style.unit_text(p.unit)}"] for p in finding.parameters]
     rows.append(["where", _place(finding.where)])
