@@ -30,7 +30,7 @@ MOST_STEPS = 8
 """Moves to a neighbour that a refinement makes at most."""
 BASIN_DEPTH = 12.0
 UNKNOWN_ODDS = 1.0
-"""Prior odds of all physics outside the catalogue together against one effect of it: a wrong name is worse than none."""
+"""Prior odds of all physics outside the catalogue against one effect of it: a wrong name is worse than none."""
 LARGEST = 20.0
 """Sizes are held to so many prior sigmas where a shape leaves hardly anything of an effect to measure it by."""
 
