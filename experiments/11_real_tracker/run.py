@@ -141,9 +141,7 @@ def course() -> None:
                           history.sigma[:, k] / p.factor, history.population.mean[k] / p.factor,
                           history.population.spread[k] / p.factor)
                    for k, p in enumerate(construction.parameters) if history.constancy(k).dof]  # fmt: skip
-        figure = history_figure(courses)
-        (OUT / f"history_{label}.svg").write_text(svg(figure))
-        figure.savefig(Path(tempfile.gettempdir()) / f"history_{label}.png", dpi=110)
+        (OUT / f"history_{label}.svg").write_text(svg(history_figure(courses)))
         save(f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
              "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed"])}

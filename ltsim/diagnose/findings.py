@@ -14,7 +14,7 @@ from ltsim.diagnose.flexible import FlexibleTerm
 from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.noise import NoiseHypothesis
 from ltsim.diagnose.search import EffectSet, Ranking
-from ltsim.diagnose.words import finding_sentence, formula
+from ltsim.diagnose.words import finding_sentence, number
 from ltsim.effects.effect import Effect
 from ltsim.recording.recording import OBSERVABLES
 
@@ -82,10 +82,11 @@ MOST_TERMS = 4
 
 def _law(effect: Effect, estimates: Sequence[Estimate]) -> str:
     """The formula of a flexible term, with numbers where it is short."""
-    if len(estimates) > MOST_TERMS or not isinstance(effect, FlexibleTerm):
-        return str(getattr(effect, "formula", ""))
-    place = f" at {', '.join(effect.stations + effect.targets)}" if effect.stations + effect.targets else ""
-    return formula(effect.observable, estimates, place)
+    if not isinstance(effect, FlexibleTerm):
+        return ""
+    if not 0 < len(estimates) <= MOST_TERMS:
+        return effect.formula
+    return effect.written([f"({number(e.value, e.sigma)}) {e.unit}" for e in estimates])
 
 
 IMPLAUSIBLE = 5.0

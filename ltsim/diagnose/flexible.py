@@ -7,7 +7,7 @@ in the same way; they are only never given a name of the catalogue.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -162,7 +162,12 @@ class FlexibleTerm(Effect):
     @property
     def formula(self) -> str:
         """The term as a formula with its coefficients left open."""
-        terms = " + ".join(f"{chr(ord('a') + i)} {describe(c)}" for i, c in enumerate(self.columns))
+        return self.written([chr(ord("a") + i) for i in range(len(self.columns))])
+
+    def written(self, coefficients: Sequence[str]) -> str:
+        """The term as a formula with these coefficients."""
+        pairs = zip(coefficients, self.columns, strict=True)
+        terms = " + ".join(f"{coefficient} {describe(column)}".removesuffix(" 1") for coefficient, column in pairs)
         place = f" at {', '.join(self.stations + self.targets)}" if self.stations + self.targets else ""
         return f"{self.observable} correction = {terms}{place}"
 

@@ -40,12 +40,6 @@ def _estimate(parameter: Estimate) -> str:
     return f"{name} {number(value, sigma)} {parameter.unit}".strip()
 
 
-def formula(observable: str, parameters: Sequence[Estimate], place: str = "") -> str:
-    """A term of unknown physics with its coefficients: their names are the functions they stand before."""
-    terms = [f"({number(p.value, p.sigma)}) {p.unit} {p.name}".removesuffix(" 1") for p in parameters]
-    return f"{observable} correction = {' + '.join(terms)}{place}"
-
-
 def place(where: Where) -> str:
     """Where, in a phrase."""
     parts = []

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from concealed.score import Row
+from ltsim.recording.files import write_text
+from ltsim.report.style import new_figure, styled, svg
 
 CURVES = {
     "found": ("single", "found"),
@@ -25,13 +27,20 @@ CURVES = {
 
 def draw(rows: Sequence[Row], summary: dict[str, Any], out: Path) -> None:
     """Write power.svg and confusion.svg."""
-    with plt.rc_context({"svg.hashsalt": "ltsim", "font.size": 9}):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-        _power(left, summary)
-        _clean(right, [r["search_p_value"] for r in rows if r["kind"] == "clean" and r["exit"] == 0])
-        figure.savefig(out / "power.svg", metadata={"Date": None})
-        plt.close(figure)
-        _confusion([r for r in rows if r["kind"] in ("single", "mistake") and r["exit"] == 0], out)
+    clean = [r["search_p_value"] for r in rows if r["kind"] == "clean" and r["exit"] == 0]
+    named = [r for r in rows if r["kind"] in ("single", "mistake") and r["exit"] == 0]
+    write_text(out / "power.svg", svg(power_figure(summary, clean)))
+    write_text(out / "confusion.svg", svg(confusion_figure(named)))
+
+
+@styled
+def power_figure(summary: dict[str, Any], clean: Sequence[float]) -> Figure:
+    """Shares against strength; p-values of clean recordings against their own distribution."""
+    figure = new_figure(4.0, width=10.0)
+    left, right = figure.subplots(1, 2)
+    _power(left, summary)
+    _clean(right, clean)
+    return figure
 
 
 def _power(axes: Axes, summary: dict[str, Any]) -> None:
@@ -56,13 +65,16 @@ def _clean(axes: Axes, p_values: Sequence[float]) -> None:
     axes.legend(loc="upper left", frameon=False)
 
 
-def _confusion(rows: Sequence[Row], out: Path) -> None:
+@styled
+def confusion_figure(rows: Sequence[Row]) -> Figure:
+    """Hidden effects against first findings."""
     truths = sorted({r["truth"] for r in rows})
     names = sorted({*truths, *(r["first"] or "nothing" for r in rows)})
     counts = Counter((r["truth"], r["first"] or "nothing") for r in rows)
     share = np.array([[counts[t, n] for n in names] for t in truths], dtype=np.float64)
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1.0)
-    figure, axes = plt.subplots(figsize=(11, 9.5), layout="constrained")
+    figure = new_figure(9.5, width=11.0)
+    axes = figure.subplots()
     axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for i, truth in enumerate(truths):
         for j, name in enumerate(names):
@@ -72,5 +84,5 @@ def _confusion(rows: Sequence[Row], out: Path) -> None:
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     axes.set_yticks(range(len(truths)), truths, fontsize=7)
     axes.set(xlabel="first finding", ylabel="hidden")
-    figure.savefig(out / "confusion.svg", metadata={"Date": None})
-    plt.close(figure)
+    axes.grid(visible=False)
+    return figure
