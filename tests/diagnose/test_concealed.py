@@ -89,7 +89,9 @@ def test_the_folder_of_a_recording_holds_readings_and_set_up_and_no_word_of_an_e
     assert truth["effects"][0]["effect"] in {kind.name for kind in CATALOGUE}
 
 
-@pytest.mark.parametrize(("kind", "laws"), [("single", None), ("unknown", "first"), ("unknown", "later")])
+@pytest.mark.parametrize(
+    ("kind", "laws"), [("single", None), ("unknown", "first"), ("unknown", "later"), ("unknown", "latest")]
+)
 @pytest.mark.parametrize("number", range(4))
 def test_the_strength_is_the_drop_of_chi_square_that_the_truth_brings(kind: str, laws: Any, number: int) -> None:
     """Without noise the ordinary adjustment's chi2 is the noncentrality, and told the truth it is nothing."""
@@ -126,7 +128,7 @@ def test_drawn_shapes_lie_between_the_points_of_the_search() -> None:
     assert all(min(tried) <= c <= max(tried) for c in constants)
 
 
-@pytest.mark.parametrize("laws", ["first", "later"])
+@pytest.mark.parametrize("laws", ["first", "later", "latest"])
 def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: Any) -> None:
     from concealed.invented import ALL, SETS, Invented
     from concealed.workshop import draw_scene
@@ -145,15 +147,15 @@ def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: A
     assert acting >= 8
 
 
-@pytest.mark.parametrize("laws", ["first", "later"])
-def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any) -> None:
+@pytest.mark.parametrize(("laws", "count"), [("first", 16), ("later", 16), ("latest", 20)])
+def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any, count: int) -> None:
     """Some need a column, two faces or fixed reflectors, so that one workshop does not serve them all."""
     from concealed.hidden import Hidden, strength
     from concealed.invented import SETS, draw_invented
     from concealed.workshop import draw_scene
 
     missing = set(SETS[laws])
-    assert len(missing) == 16
+    assert len(missing) == count
     for number in range(40):
         scene = draw_scene(stream(5, "sets", number))
         sightings, rng = sightings_of(scene.recording, scene.state), stream(5, "drawn", number)
@@ -183,13 +185,16 @@ def test_the_set_of_laws_changes_what_is_drawn_and_no_name(root: Path, tmp_path:
     assert (one.name, one.key) == (other.name, other.key)
     scene = draw_scene(stream(6, "sets"))
     sightings = sightings_of(scene.recording, scene.state)
-    assert not set(SETS["first"]) & set(SETS["later"])
-    assert set(SETS["all"]) == {*SETS["first"], *SETS["later"]}
+    each = [*SETS["first"], *SETS["later"], *SETS["latest"]]
+    assert len(set(each)) == len(each)
+    assert set(SETS["all"]) == set(each)
     assert {draw_invented(sightings, stream(6, n), "first").law in SETS["first"] for n in range(30)} == {True}
     plan = tmp_path / "plan.toml"
     plan.write_text('seed = 1\nlaws = "none"\n', encoding="utf-8")
     with pytest.raises(SystemExit, match="not one of"):
         read_plan(plan)
+    plan.write_text('seed = 1\nlaws = "latest"\n[unknown]\n200 = 2\n', encoding="utf-8")
+    assert {c.laws for c in read_plan(plan)} == {"latest"}
 
 
 def finding(effect: str, **changes: Any) -> dict[str, Any]:

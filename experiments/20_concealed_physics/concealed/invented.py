@@ -8,13 +8,14 @@ from typing import Literal
 import numpy as np
 
 from concealed.invented_later import LATER, LATER_AT_A_STATION, LATER_OF_NEIGHBOURS
+from concealed.invented_latest import LATEST, LATEST_AT_A_STATION, LATEST_OF_NEIGHBOURS
 from concealed.law import Law
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
-Laws = Literal["first", "later", "all"]
+Laws = Literal["first", "later", "latest", "all"]
 """Which of the invented laws are drawn."""
 
 
@@ -90,15 +91,21 @@ LAWS: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "azimuth by the load of a table": ("azimuth", ("table_load_kg",), _load),
     "targets sway with time": ("place", ("place", "time"), _period),
 }
-SETS: dict[Laws, tuple[str, ...]] = {"first": tuple(LAWS), "later": tuple(LATER), "all": (*LAWS, *LATER)}
-ALL = LAWS | LATER
-AT_A_STATION = {"range by squared height at a station", *LATER_AT_A_STATION}
+ALL = LAWS | LATER | LATEST
+SETS: dict[Laws, tuple[str, ...]] = {
+    "first": tuple(LAWS),
+    "later": tuple(LATER),
+    "latest": tuple(LATEST),
+    "all": tuple(ALL),
+}
+AT_A_STATION = {"range by squared height at a station", *LATER_AT_A_STATION, *LATEST_AT_A_STATION}
+OF_NEIGHBOURS = LATER_OF_NEIGHBOURS | LATEST_OF_NEIGHBOURS
 LOAD = "table_load_kg"
 
 
 @dataclass(frozen=True)
 class Invented(Effect):
-    """One law of either set with its constants."""
+    """One law of any set with its constants."""
 
     law: str = ""
     constants: tuple[float, ...] = (0.0,) * 5
@@ -141,7 +148,7 @@ def draw_invented(sightings: Sightings, rng: np.random.Generator, laws: Laws = "
             continue
         station = sightings.station_names[int(rng.integers(len(sightings.station_names)))]
         place = (station,) if law in AT_A_STATION else ()
-        group = _neighbours(sightings, rng) if law in LATER_OF_NEIGHBOURS else ()
+        group = _neighbours(sightings, rng) if law in OF_NEIGHBOURS else ()
         return Invented(place, group, law, tuple(rng.random(5).tolist()))
 
 
