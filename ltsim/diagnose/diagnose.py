@@ -15,7 +15,6 @@ from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
 from ltsim.diagnose.detect import Detection, detect, noise_prior
 from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Fit
 from ltsim.diagnose.findings import equivalents_of, gross_finding, mean_finding, noise_finding
-from ltsim.diagnose.flexible import flexible_hypotheses
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import (
     held_out_rms,
@@ -28,6 +27,7 @@ from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.search import EffectSet, Searcher
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.stations import mend_faces, mend_stations
+from ltsim.diagnose.terms import flexible_hypotheses
 from ltsim.diagnose.words import summarise, without_clock
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import NoiseEffect

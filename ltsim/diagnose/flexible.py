@@ -7,14 +7,12 @@ in the same way; they are only never given a name of the catalogue.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.diagnose.bank import Hypothesis
 from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
 from ltsim.errors import unknown_name
 from ltsim.geometry.polar import wrap
@@ -30,13 +28,14 @@ AXES = ("x", "y", "z")
 CYCLES = 0.6
 """Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
 EDGES = 24
-"""Values of a covariate at which a step is tried."""
-MOST_CYCLES = 60
-MOST_STATIONS, MOST_TARGETS = 12, 60
-"""Places up to whose number each has smooth terms of its own."""
+"""Values of a covariate at which a step or a bend is tried."""
 LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
 """Widths of a local bump, as a share of the covariate's span."""
-AIR_COLUMNS = ("air_temperature_c", "air_pressure_hpa", "relative_humidity_pct")
+
+
+FUNCTIONS = ("legendre", "power", "cos", "sin", "tan", "step", "bend", "abs", "decay", *LOCAL_WIDTHS)
+WORDS = {"x": "place", "y": "place", "z": "place", "station-time": "time", "air_temperature_c": "temperature"}
+"""Names of the interface for covariates that have others here."""
 
 
 def covariate(sightings: Sightings, name: str) -> Floats:
@@ -54,6 +53,11 @@ def covariate(sightings: Sightings, name: str) -> Floats:
         "y": place[:, 1],
         "z": place[:, 2],
         "face": sightings.face_sign,
+        "approach-azimuth": sightings.approach[:, 0],
+        "approach-elevation": sightings.approach[:, 1],
+        "move-distance": sightings.move[:, 0],
+        "move-azimuth": sightings.move[:, 1],
+        "move-elevation": sightings.move[:, 2],
     }
     return np.nan_to_num(geometry[name] if name in geometry else sightings.covariates[name])
 
@@ -84,7 +88,13 @@ def evaluate(sightings: Sightings, factor: Factor) -> Floats:
             return np.exp(-0.5 * (gap / (LOCAL_WIDTHS[function] * float(np.ptp(x)))) ** 2)
         case "step":
             return (x > k).astype(np.float64)
-    raise unknown_name("function", function, ("legendre", "power", "cos", "sin", "tan", "step", *LOCAL_WIDTHS))
+        case "bend":
+            return np.maximum(x - k, 0.0)
+        case "abs":
+            return np.abs(x)
+        case "decay":
+            return np.exp(-x / k)
+    raise unknown_name("function", function, FUNCTIONS)
 
 
 @dataclass(frozen=True)
@@ -123,7 +133,7 @@ class FlexibleTerm(Effect):
     def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
         """What the term depends on, in the words of the interface."""
         names = dict.fromkeys(f[0] for column in self.columns for f in column)
-        words = ["place" if n in AXES else ("time" if n == "station-time" else n) for n in names]
+        words = ["approach" if n.startswith(("approach-", "move-")) else WORDS.get(n, n) for n in names]
         return tuple(dict.fromkeys(words))
 
     def design(self, sightings: Sightings) -> Floats:
@@ -148,7 +158,7 @@ class FlexibleTerm(Effect):
         if function == "cos" and all(f[:1] == (name,) and f[2] == k for (f, *_) in self.columns):
             step = 2 * np.pi * CYCLES / float(np.ptp(covariate(sightings, name)))
             return [self._retuned(float(r)) for r in k + step * np.linspace(-0.9, 0.9, 13) if r > 0]
-        if function == "step":
+        if function in ("step", "bend"):
             values = np.unique(covariate(sightings, name))
             middles = 0.5 * (values[1:] + values[:-1])
             near = np.argsort(np.abs(middles - k))[: 2 * max(len(middles) // EDGES, 4)]
@@ -182,8 +192,12 @@ def describe(column: Column) -> str:
             words.append({1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}"))
         elif function in LOCAL_WIDTHS:
             words.append(f"bump({name} near {k:.3g})")
-        elif function == "step":
-            words.append(f"step({name} above {k:.3g})")
+        elif function in ("step", "bend"):
+            words.append(f"{function}({name} above {k:.3g})")
+        elif function == "abs":
+            words.append(f"|{name}|")
+        elif function == "decay":
+            words.append(f"exp(-{name} / {k:.3g})")
         else:
             scale = "" if k == 1 else f"{k:.4g} "
             words.append(f"{function}({scale}{name})")
@@ -198,159 +212,6 @@ def smooth(name: str, count: int) -> tuple[Column, ...]:
     return tuple(((name, "legendre", float(k)),) for k in range(1, count + 1))
 
 
-def _further(sightings: Sightings) -> list[str]:
-    """Covariates of the network at hand: geometry, clock, and every further column that varies."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
-    if np.isfinite(sightings.incidence).any():
-        names.append("incidence")
-    names += [c for c, v in sightings.covariates.items() if np.nanstd(v) > 0]
-    return names
-
-
-def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    for observable, name in product(OBSERVABLES, _further(sightings)):
-        for count in (2, 5, 8):
-            columns = smooth(name, count)
-            yield Hypothesis(f"unknown:{observable}:{name}", FlexibleTerm((), (), observable, columns), False)
-            if (sightings.face == 2).any():
-                odd = tuple((("face", "power", 1.0), *c) for c in columns)
-                yield Hypothesis(f"unknown:{observable}:{name}:face", FlexibleTerm((), (), observable, odd), False)
-        if len(sightings.station_names) <= MOST_STATIONS:
-            for station in sightings.station_names:
-                term = FlexibleTerm((station,), (), observable, smooth(name, 4))
-                yield Hypothesis(f"unknown:{observable}:{name}:station", term, False)
-        if len(sightings.target_names) <= MOST_TARGETS:
-            for target in sightings.target_names:
-                term = FlexibleTerm((), (target,), observable, smooth(name, 2))
-                yield Hypothesis(f"unknown:{observable}:{name}:target", term, False)
-
-
 def wave(name: str, rate: float) -> tuple[Column, ...]:
     """Cosine and sine of a covariate at one rate [1 / its unit]."""
     return ((name, "cos", rate),), ((name, "sin", rate),)
-
-
-def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    for observable, name in product(OBSERVABLES, ("time", "distance", "azimuth", "elevation", "x", "y", "z")):
-        span = float(np.ptp(covariate(sightings, name)))
-        if span <= 0:
-            continue
-        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
-            term = FlexibleTerm((), (), observable, wave(name, float(2 * np.pi * cycles / span)))
-            yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
-
-
-def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    """A bump in one direction, at one distance, for a while."""
-    for observable, name in product(OBSERVABLES, ("azimuth", "elevation", "distance", "time")):
-        values = covariate(sightings, name)
-        for function, width in LOCAL_WIDTHS.items():
-            for centre in np.linspace(values.min(), values.max(), round(1.5 / width)):
-                column = ((name, function, float(centre)),)
-                term = FlexibleTerm((), (), observable, (column,))
-                yield Hypothesis(f"unknown:{observable}:{name}:local", term, False)
-
-
-def _steps(sightings: Sightings) -> Iterator[Hypothesis]:
-    """A reading that jumps where a covariate passes a value; of the circle, an arc between two."""
-    for observable in OBSERVABLES:
-        for name in ("elevation", "distance", "time", "height"):
-            values = covariate(sightings, name)
-            for edge in np.unique(np.quantile(values, np.linspace(0.0, 1.0, EDGES + 2)[1:-1])):
-                term = FlexibleTerm((), (), observable, (((name, "step", float(edge)),),))
-                yield Hypothesis(f"unknown:{observable}:{name}:step", term, False)
-
-
-def _own_constants(sightings: Sightings) -> Iterator[Hypothesis]:
-    """Constants of the instrument that are others at one station: index and tilt of the transit axis."""
-    if len(sightings.station_names) < 2:
-        return
-    sign: tuple[Factor, ...] = (("face", "power", 1.0),) if (sightings.face == 2).any() else ()
-    for station in sightings.station_names:
-        for observable, column in (("elevation", ()), ("azimuth", (("elevation", "tan", 1.0),))):
-            term = FlexibleTerm((station,), (), observable, ((*column, *sign),))
-            yield Hypothesis(f"unknown:{observable}:own constant", term, False)
-
-
-def _moving_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    """Targets that move in time along an axis of the room, together or more the farther along the room they lie."""
-    where: tuple[Column, ...] = ((), *((((axis, "legendre", 1.0),)) for axis in AXES))
-    span = float(np.ptp(sightings.time))
-    if span <= 0:
-        return
-    for axis in AXES:
-        for count in (1, 3):
-            columns = tuple((("time", "legendre", float(k)), *w) for k in range(1, count + 1) for w in where)
-            yield Hypothesis("unknown:place:time", FlexibleTerm((), (), axis, columns), False)
-        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
-            waves = wave("time", float(2 * np.pi * cycles / span))
-            columns = tuple((*factor, *w) for factor in waves for w in where)
-            yield Hypothesis("unknown:place:time:periodic", FlexibleTerm((), (), axis, columns), False)
-
-
-AZIMUTH: tuple[Column, ...] = (*(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),)
-ELEVATION: tuple[Column, ...] = (
-    (),
-    (("elevation", "sin", 1.0),),
-    (("elevation", "cos", 1.0),),
-    (("elevation", "tan", 1.0),),
-    (("elevation", "sin", 2.0),),
-    (("elevation", "power", 2.0),),
-)
-DISTANCE: tuple[Column, ...] = (
-    (),
-    (("distance", "power", 1.0),),
-    (("distance", "power", 2.0),),
-    (("distance", "power", -1.0),),
-)
-CLOCK: tuple[Column, ...] = (
-    (),
-    (("time", "power", 1.0),),
-    (("station-time", "power", 1.0),),
-)
-
-
-def _product_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    """Products of simple functions: a cosine and a sine of the azimuth always go together."""
-    both = (sightings.face == 2).any()
-    for observable, e, d, t in product(OBSERVABLES, ELEVATION, DISTANCE, CLOCK):
-        rest = e + d + t
-        for sign in ((), (("face", "power", 1.0),)) if both else ((),):
-            if rest + sign:
-                term = FlexibleTerm((), (), observable, (rest + sign,))
-                yield Hypothesis(f"unknown:{observable}:product", term, False)
-            for k in range(0, 8, 2):
-                pair = (AZIMUTH[k] + rest + sign, AZIMUTH[k + 1] + rest + sign)
-                yield Hypothesis(f"unknown:{observable}:product", FlexibleTerm((), (), observable, pair), False)
-
-
-def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    """Fields over the room and over the directions of the instrument."""
-    powers = [p for p in product(range(4), repeat=3) if 0 < sum(p) <= 3]
-    for degree in (2, 3):
-        place = tuple(
-            tuple((axis, "legendre", float(k)) for axis, k in zip(AXES, p, strict=True) if k)
-            for p in powers
-            if sum(p) <= degree
-        )
-        for observable in OBSERVABLES:
-            yield Hypothesis(f"unknown:{observable}:place", FlexibleTerm((), (), observable, place), False)
-    directions = tuple(
-        a + e for a in AZIMUTH[:6] for e in ((), (("elevation", "legendre", 1.0),), (("elevation", "legendre", 2.0),))
-    )
-    for observable in OBSERVABLES:
-        yield Hypothesis(f"unknown:{observable}:direction", FlexibleTerm((), (), observable, directions), False)
-
-
-def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
-    """All flexible terms tried on a network."""
-    return [
-        *_smooth_terms(sightings),
-        *_periodic_terms(sightings),
-        *_local_terms(sightings),
-        *_steps(sightings),
-        *_own_constants(sightings),
-        *_moving_terms(sightings),
-        *_product_terms(sightings),
-        *_field_terms(sightings),
-    ]

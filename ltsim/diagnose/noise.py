@@ -21,6 +21,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.flexible import covariate
+from ltsim.diagnose.terms import further
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -81,7 +82,7 @@ class NoiseHypothesis:
 def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
     """Noise that no effect of the catalogue describes."""
     names = ["elevation", "time"] + (["incidence"] if np.isfinite(sightings.incidence).any() else [])
-    names += [c for c, v in sightings.covariates.items() if np.nanstd(v) > 0]
+    names += further(sightings)
     for observable in OBSERVABLES:
         for name in names:
             for falling in (False, True):

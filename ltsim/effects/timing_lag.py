@@ -18,19 +18,15 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage
-from ltsim.geometry.polar import wrap
 from ltsim.scene.sightings import Sightings
 
 
 def approach_rate(sightings: Sightings) -> Floats:
     """(n, 3): mean rate of the raw readings [m/s, rad/s] since the last pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
-    order = sightings.order[np.argsort(sightings.station[sightings.order], kind="stable")]
-    move = np.diff(sightings.raw[order], axis=0)
-    move[:, 1] = wrap(move[:, 1])
-    lapse = np.diff(sightings.time[order])
-    going = (np.diff(sightings.station[order]) == 0) & (lapse > 0)
-    rate[order[1:][going]] = move[going] / lapse[going, None]
+    lapse = sightings.time - sightings.time[sightings.previous]
+    going = (sightings.previous >= 0) & (lapse > 0)
+    rate[going] = sightings.move[going] / lapse[going, None]
     return rate
 
 

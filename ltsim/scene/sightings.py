@@ -13,6 +13,9 @@ from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors
 from ltsim.kinematics.chain import point_and_derivatives
 from ltsim.kinematics.misalignment import MISALIGNMENT
 
+STILL = 1e-4
+"""[rad] an axis that moved less stood still."""
+
 
 @dataclass(frozen=True)
 class Sightings:
@@ -158,23 +161,35 @@ class Sightings:
         return np.argsort(self.time, kind="stable")
 
     @cached_property
+    def previous(self) -> Ints:
+        """(n,) int: row of the same station's pointing before this one, -1 for its first."""
+        rows = self.order[np.argsort(self.station[self.order], kind="stable")]
+        before = np.full(len(self), -1)
+        same = np.diff(self.station[rows]) == 0
+        before[rows[1:][same]] = rows[:-1][same]
+        return before
+
+    @cached_property
+    def move(self) -> Floats:
+        """(n, 3) [m, rad]: change of the raw readings since the same station's pointing before, 0 for its first.
+
+        The azimuth takes the short way round.
+        """
+        move: Floats = np.where(self.previous[:, None] >= 0, self.raw - self.raw[self.previous], 0.0)
+        move[:, 1] = wrap(move[:, 1])
+        return move
+
+    @cached_property
     def approach(self) -> Floats:
         """(n, 2): sign of the last move of the raw azimuth and elevation, 0 for a station's first pointing.
 
-        The azimuth takes the short way round; the sequence restarts at every station.
+        An axis that stands still was last moved earlier; the sequence restarts at every station.
         """
-        sign = np.zeros((len(self), 2))
-        for s in range(len(self.station_names)):
-            rows = self.order[self.station[self.order] == s]
-            moves = np.diff(self.raw[rows, 1:], axis=0)
-            moves[:, 0] = wrap(moves[:, 0])
-            still = np.abs(moves) < 1e-4
-            step = np.sign(moves)
-            for axis in range(2):
-                last = 0.0
-                for i, row in enumerate(rows[1:]):
-                    last = last if still[i, axis] else float(step[i, axis])
-                    sign[row, axis] = last
+        sign = np.where(np.abs(self.move[:, 1:]) < STILL, 0.0, np.sign(self.move[:, 1:]))
+        for row in self.order:
+            before = self.previous[row]
+            if before >= 0:
+                sign[row] = np.where(sign[row] == 0.0, sign[before], sign[row])
         return sign
 
     @cached_property

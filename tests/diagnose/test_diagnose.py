@@ -12,7 +12,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose import diagnose
 from ltsim.diagnose.files import write_diagnosis
 from ltsim.effects import find_effect
-from ltsim.effects.effect import on_readings
+from ltsim.effects.effect import by_displacement, on_readings
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.randomness import stream
@@ -93,6 +93,33 @@ def test_physics_outside_the_catalogue_is_called_unknown():
     assert set(first.where.covariates) == {"azimuth", "elevation"}
     assert "azimuth" in first.formula
     assert found.after.held_out_rms < found.before.held_out_rms
+
+
+def test_what_the_last_move_left_behind_is_no_noise():
+    """Scatter to the eye: only the order of the work tells that it is none."""
+    recording, state = workshop(9)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, elevation=np.abs(sightings.move[:, 1]) * sightings.range_)
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["unknown"]
+    first = found.findings[0]
+    assert first.where.observables == ("elevation",)
+    assert "approach" in first.where.covariates
+    assert "|move-azimuth|" in first.formula
+
+
+def test_neighbours_that_move_together_are_found_together():
+    recording, state = workshop(13)
+    sightings = sightings_of(recording, state)
+    corner = np.argsort(np.linalg.norm(sightings.points - sightings.points[4], axis=1))[:7]
+    sinks = np.isin(sightings.target, corner) * sightings.time / 3600.0
+    change = by_displacement(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
+    found = diagnose(strengthened(recording, state, change)[0])
+    first = found.findings[0]
+    assert first.effect == "unknown"
+    assert set(first.where.targets) == {recording.targets[t] for t in corner}
+    assert first.where.covariates == ("time",)
+    assert "z correction" in first.formula
 
 
 def test_a_noisy_station_is_noise_and_not_a_shift():

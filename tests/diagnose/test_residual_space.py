@@ -6,8 +6,9 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.diagnose.bank import Bank, Hypothesis
-from ltsim.diagnose.flexible import FlexibleTerm, flexible_hypotheses, smooth
+from ltsim.diagnose.flexible import FlexibleTerm, smooth
 from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds
+from ltsim.diagnose.terms import flexible_hypotheses
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.networks import drawn, network

@@ -1,0 +1,297 @@
+"""The flexible terms that a diagnosis tries: broad families over everything a reading may depend on.
+
+Geometry, clock, face, the move since the last pointing, nest, place and every further column of the recording; alone
+(smooth, periodic, local, stepped, decaying), two together, and confined to a station, a target or neighbouring targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations, product
+
+import numpy as np
+
+from ltsim.diagnose.bank import Hypothesis
+from ltsim.diagnose.flexible import (
+    AXES,
+    CYCLES,
+    EDGES,
+    LOCAL_WIDTHS,
+    Column,
+    Factor,
+    FlexibleTerm,
+    covariate,
+    smooth,
+    wave,
+)
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+MOST_CYCLES = 60
+MOST_STATIONS, MOST_TARGETS = 12, 60
+"""Places up to whose number each has smooth terms of its own."""
+MOVES = ("move-azimuth", "move-elevation", "move-distance")
+APPROACHES = ("approach-azimuth", "approach-elevation")
+NEIGHBOURS = (4, 6, 9)
+"""Targets that stand together: a target with so many around it."""
+DECAYS = 8
+"""Time constants tried, from a twentieth of a station's time to three times all of it."""
+
+
+def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
+    """All flexible terms tried on a network."""
+    return [
+        *_smooth_terms(sightings),
+        *_periodic_terms(sightings),
+        *_local_terms(sightings),
+        *_steps(sightings),
+        *_decays(sightings),
+        *_memory_terms(sightings),
+        *_own_constants(sightings),
+        *_moving_terms(sightings),
+        *_product_terms(sightings),
+        *_pair_terms(sightings),
+        *_field_terms(sightings),
+        *_neighbour_terms(sightings),
+    ]
+
+
+def _term(
+    observable: str, *columns: Column, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
+) -> FlexibleTerm:
+    return FlexibleTerm(stations, targets, observable, columns)
+
+
+def _covariates(sightings: Sightings) -> list[str]:
+    """What a reading may depend on here: geometry, clock, nest, and every further column that varies."""
+    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
+    if np.isfinite(sightings.incidence).any():
+        names.append("incidence")
+    return names + further(sightings)
+
+
+def further(sightings: Sightings) -> list[str]:
+    """Columns of the recording beyond the format's that vary."""
+    return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
+
+
+def _faced(sightings: Sightings) -> bool:
+    return bool((sightings.face == 2).any())
+
+
+def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    for observable, name in product(OBSERVABLES, _covariates(sightings)):
+        for count in (2, 5, 8):
+            columns = smooth(name, count)
+            yield Hypothesis(f"unknown:{observable}:{name}", _term(observable, *columns), False)
+            if _faced(sightings):
+                odd = tuple((("face", "power", 1.0), *c) for c in columns)
+                yield Hypothesis(f"unknown:{observable}:{name}:face", _term(observable, *odd), False)
+        if len(sightings.station_names) <= MOST_STATIONS:
+            for station in sightings.station_names:
+                term = _term(observable, *smooth(name, 4), stations=(station,))
+                yield Hypothesis(f"unknown:{observable}:{name}:station", term, False)
+        if len(sightings.target_names) <= MOST_TARGETS:
+            for target in sightings.target_names:
+                term = _term(observable, *smooth(name, 2), targets=(target,))
+                yield Hypothesis(f"unknown:{observable}:{name}:target", term, False)
+
+
+def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    for observable, name in product(OBSERVABLES, ("time", "distance", "azimuth", "elevation", "x", "y", "z")):
+        span = float(np.ptp(covariate(sightings, name)))
+        if span <= 0:
+            continue
+        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
+            term = _term(observable, *wave(name, float(2 * np.pi * cycles / span)))
+            yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
+
+
+def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """A bump in one direction, at one distance, for a while."""
+    for observable, name in product(OBSERVABLES, ("azimuth", "elevation", "distance", "time")):
+        values = covariate(sightings, name)
+        for function, width in LOCAL_WIDTHS.items():
+            for centre in np.linspace(values.min(), values.max(), round(1.5 / width)):
+                column = ((name, function, float(centre)),)
+                yield Hypothesis(f"unknown:{observable}:{name}:local", _term(observable, column), False)
+
+
+def _steps(sightings: Sightings) -> Iterator[Hypothesis]:
+    """A reading that jumps where a covariate passes a value, or bends there: a stop, a threshold, a saturation."""
+    for observable, name in product(OBSERVABLES, _covariates(sightings)):
+        values = covariate(sightings, name)
+        for edge in np.unique(np.quantile(values, np.linspace(0.0, 1.0, EDGES + 2)[1:-1])):
+            for function in ("step", "bend"):
+                column = ((name, function, float(edge)),)
+                yield Hypothesis(f"unknown:{observable}:{name}:{function}", _term(observable, column), False)
+
+
+def _decays(sightings: Sightings) -> Iterator[Hypothesis]:
+    """What dies away after a station has begun, alone or along the beam, up and round the instrument."""
+    longest = float(sightings.station_time.max())
+    if longest <= 0:
+        return
+    along: tuple[Column, ...] = ((), (("distance", "power", 1.0),), (("elevation", "tan", 1.0),))
+    for constant in np.geomspace(0.05 * longest, 3.0 * longest, DECAYS):
+        decay: Factor = ("station-time", "decay", float(constant))
+        for observable in OBSERVABLES:
+            for rest in along:
+                term = _term(observable, (decay, *rest))
+                yield Hypothesis(f"unknown:{observable}:station-time:decay", term, False)
+            turning = _term(observable, *((decay, *column) for column in AZIMUTH[:2]))
+            yield Hypothesis(f"unknown:{observable}:station-time:decay", turning, False)
+
+
+def _memory_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """What the last move left behind: by its direction, its length, or both."""
+    approaches = [a for a in APPROACHES if np.any(covariate(sightings, a))]
+    for observable, name in product(OBSERVABLES, approaches):
+        sign: Factor = (name, "power", 1.0)
+        for e, d in product(ELEVATION, DISTANCE):
+            yield Hypothesis(f"unknown:{observable}:approach", _term(observable, (sign, *e, *d)), False)
+            for k in range(0, 8, 2):
+                pair = ((sign, *AZIMUTH[k], *e, *d), (sign, *AZIMUTH[k + 1], *e, *d))
+                yield Hypothesis(f"unknown:{observable}:approach", _term(observable, *pair), False)
+        for clock in ("time", "station-time"):
+            columns = ((sign,), *((sign, *c) for c in smooth(clock, 2)))
+            yield Hypothesis(f"unknown:{observable}:approach", _term(observable, *columns), False)
+    moves = [m for m in MOVES if np.ptp(covariate(sightings, m)) > 0]
+    for observable, name in product(OBSERVABLES, moves):
+        for count in (1, 2, 5):
+            yield Hypothesis(f"unknown:{observable}:move", _term(observable, *smooth(name, count)), False)
+        for e, d in product(ELEVATION, DISTANCE):
+            length = ((name, "abs", 1.0), *e, *d)
+            yield Hypothesis(f"unknown:{observable}:move", _term(observable, length), False)
+            if e + d:
+                signed = ((name, "power", 1.0), *e, *d)
+                yield Hypothesis(f"unknown:{observable}:move", _term(observable, signed), False)
+
+
+def _own_constants(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Constants of the instrument that are others at one station: index and tilt of the transit axis."""
+    if len(sightings.station_names) < 2:
+        return
+    sign: tuple[Factor, ...] = (("face", "power", 1.0),) if _faced(sightings) else ()
+    for station in sightings.station_names:
+        for observable, column in (("elevation", ()), ("azimuth", (("elevation", "tan", 1.0),))):
+            term = _term(observable, (*column, *sign), stations=(station,))
+            yield Hypothesis(f"unknown:{observable}:own constant", term, False)
+
+
+def _moving_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Targets that move along an axis of the room, together or more the farther along the room they lie.
+
+    In time, or with a further column of the recording: a load, a temperature.
+    """
+    where: tuple[Column, ...] = ((), *((((axis, "legendre", 1.0),)) for axis in AXES))
+    for axis, name in product(AXES, further(sightings)):
+        columns = tuple(((name, "legendre", 1.0), *w) for w in where)
+        yield Hypothesis(f"unknown:place:{name}", _term(axis, *columns), False)
+    span = float(np.ptp(sightings.time))
+    if span <= 0:
+        return
+    for axis in AXES:
+        for count in (1, 3):
+            columns = tuple((("time", "legendre", float(k)), *w) for k in range(1, count + 1) for w in where)
+            yield Hypothesis("unknown:place:time", _term(axis, *columns), False)
+        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
+            waves = wave("time", float(2 * np.pi * cycles / span))
+            columns = tuple((*factor, *w) for factor in waves for w in where)
+            yield Hypothesis("unknown:place:time:periodic", _term(axis, *columns), False)
+
+
+AZIMUTH: tuple[Column, ...] = (*(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),)
+ELEVATION: tuple[Column, ...] = (
+    (),
+    (("elevation", "sin", 1.0),),
+    (("elevation", "cos", 1.0),),
+    (("elevation", "tan", 1.0),),
+    (("elevation", "sin", 2.0),),
+    (("elevation", "power", 2.0),),
+)
+DISTANCE: tuple[Column, ...] = (
+    (),
+    (("distance", "power", 1.0),),
+    (("distance", "power", 2.0),),
+    (("distance", "power", -1.0),),
+)
+CLOCK: tuple[Column, ...] = (
+    (),
+    (("time", "power", 1.0),),
+    (("station-time", "power", 1.0),),
+)
+
+
+def _product_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Products of simple functions: a cosine and a sine of the azimuth always go together."""
+    for observable, e, d, t in product(OBSERVABLES, ELEVATION, DISTANCE, CLOCK):
+        rest = e + d + t
+        for sign in ((), (("face", "power", 1.0),)) if _faced(sightings) else ((),):
+            if rest + sign:
+                yield Hypothesis(f"unknown:{observable}:product", _term(observable, rest + sign), False)
+            for k in range(0, 8, 2):
+                pair = (AZIMUTH[k] + rest + sign, AZIMUTH[k + 1] + rest + sign)
+                yield Hypothesis(f"unknown:{observable}:product", _term(observable, *pair), False)
+
+
+def _pair_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """What depends on two covariates together, smoothly: products of low orders in each; everywhere or at a station."""
+    names, stations = _covariates(sightings), sightings.station_names
+    places: list[tuple[str, ...]] = [(), *((s,) for s in stations if 1 < len(stations) <= MOST_STATIONS)]
+    for observable, (one, other), place in product(OBSERVABLES, combinations(names, 2), places):
+        if {one, other} == {"time", "station-time"}:
+            continue
+        for count in (1, 2):
+            first, second = ((), *_low(one, count)), ((), *_low(other, count))
+            columns = tuple(a + b for a, b in product(first, second) if a + b)
+            family = f"unknown:{observable}:pair" + (":station" if place else "")
+            yield Hypothesis(family, _term(observable, *columns, stations=place), False)
+
+
+def _low(name: str, count: int) -> tuple[Column, ...]:
+    return smooth(name, 2 * count if name == "azimuth" else count)
+
+
+def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Fields over the room and over the directions of the instrument."""
+    powers = [p for p in product(range(4), repeat=3) if 0 < sum(p) <= 3]
+    for degree in (2, 3):
+        place = tuple(
+            tuple((axis, "legendre", float(k)) for axis, k in zip(AXES, p, strict=True) if k)
+            for p in powers
+            if sum(p) <= degree
+        )
+        for observable in OBSERVABLES:
+            yield Hypothesis(f"unknown:{observable}:place", _term(observable, *place), False)
+    directions = tuple(
+        a + e for a in AZIMUTH[:6] for e in ((), (("elevation", "legendre", 1.0),), (("elevation", "legendre", 2.0),))
+    )
+    for observable in OBSERVABLES:
+        yield Hypothesis(f"unknown:{observable}:direction", _term(observable, *directions), False)
+
+
+def _neighbours(sightings: Sightings) -> list[tuple[str, ...]]:
+    """Groups of targets that stand together."""
+    points, names = sightings.points, sightings.target_names
+    groups = set()
+    for point in points:
+        near = np.argsort(np.linalg.norm(points - point, axis=1), kind="stable")
+        for count in NEIGHBOURS:
+            if 2 * count < len(names):
+                groups.add(tuple(sorted(near[: count + 1].tolist())))
+    return [tuple(names[t] for t in group) for group in sorted(groups)]
+
+
+def _neighbour_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """What befalls targets that stand together: readings that are off there, or a floor that moves."""
+    if len(sightings.target_names) > MOST_TARGETS:
+        return
+    simple: tuple[tuple[Column, ...], ...] = ((()),), smooth("distance", 1), smooth("elevation", 1), smooth("time", 1)
+    moves = [name for name in ("time", *further(sightings)) if np.ptp(covariate(sightings, name)) > 0]
+    for group in _neighbours(sightings):
+        for observable, columns in product(OBSERVABLES, simple):
+            yield Hypothesis(f"unknown:{observable}:neighbours", _term(observable, *columns, targets=group), False)
+        for axis, name in product(AXES, moves):
+            term = _term(axis, *smooth(name, 2), targets=group)
+            yield Hypothesis("unknown:place:neighbours", term, False)

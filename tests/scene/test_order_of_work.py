@@ -1,0 +1,51 @@
+"""The order of the work: what was pointed at before, and how the axes moved since."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ltsim.geometry.polar import wrap
+from ltsim.model.measurement import sightings_of
+from ltsim.randomness import stream
+from tests.networks import network
+
+
+@pytest.fixture(scope="module")
+def sightings():
+    """Of a recording whose rows are not in the order of the work."""
+    recording, truth = network(faces=2, seed=4)
+    made = sightings_of(recording, truth.state)
+    time = stream(4, "order").permutation(len(made)).astype(np.float64)
+    return replace(made, time=time)
+
+
+def test_moves_of_a_station_add_up(sightings):
+    for station in range(len(sightings.station_names)):
+        rows = sightings.order[sightings.station[sightings.order] == station]
+        whole = sightings.raw[rows[-1]] - sightings.raw[rows[0]]
+        gone = sightings.move[rows].sum(axis=0)
+        assert gone[[0, 2]] == pytest.approx(whole[[0, 2]], abs=1e-9)
+        assert wrap(np.array([gone[1] - whole[1]])) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_first_pointing_of_a_station_comes_from_nowhere(sightings):
+    first = sightings.previous < 0
+    assert first.sum() == len(sightings.station_names)
+    assert not sightings.move[first].any()
+    assert not sightings.approach[first].any()
+    assert (sightings.station[sightings.previous[~first]] == sightings.station[~first]).all()
+    assert (sightings.time[sightings.previous[~first]] < sightings.time[~first]).all()
+
+
+def test_an_axis_that_stands_still_was_moved_earlier(sightings):
+    """Twice the same target: the second pointing comes from the side of the first."""
+    rows = sightings.order[sightings.station[sightings.order] == 0]
+    target, face = sightings.target.copy(), sightings.face.copy()
+    target[rows[2]], face[rows[2]] = target[rows[1]], face[rows[1]]
+    again = replace(sightings, target=target, face=face)
+    assert not again.move[rows[2]].any()
+    assert (again.approach[rows[2]] == again.approach[rows[1]]).all()
+    assert again.approach[rows[1]].all()
