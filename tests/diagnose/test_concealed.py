@@ -90,7 +90,8 @@ def test_the_folder_of_a_recording_holds_readings_and_set_up_and_no_word_of_an_e
 
 
 @pytest.mark.parametrize(
-    ("kind", "laws"), [("single", None), ("unknown", "first"), ("unknown", "later"), ("unknown", "latest")]
+    ("kind", "laws"),
+    [("single", None), ("unknown", "first"), ("unknown", "later"), ("unknown", "latest"), ("unknown", "last")],
 )
 @pytest.mark.parametrize("number", range(4))
 def test_the_strength_is_the_drop_of_chi_square_that_the_truth_brings(kind: str, laws: Any, number: int) -> None:
@@ -128,7 +129,7 @@ def test_drawn_shapes_lie_between_the_points_of_the_search() -> None:
     assert all(min(tried) <= c <= max(tried) for c in constants)
 
 
-@pytest.mark.parametrize("laws", ["first", "later", "latest"])
+@pytest.mark.parametrize("laws", ["first", "later", "latest", "last"])
 def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: Any) -> None:
     from concealed.invented import ALL, SETS, Invented
     from concealed.workshop import draw_scene
@@ -147,7 +148,7 @@ def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: A
     assert acting >= 8
 
 
-@pytest.mark.parametrize(("laws", "count"), [("first", 16), ("later", 16), ("latest", 20)])
+@pytest.mark.parametrize(("laws", "count"), [("first", 16), ("later", 16), ("latest", 20), ("last", 20)])
 def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any, count: int) -> None:
     """Some need a column, two faces or fixed reflectors, so that one workshop does not serve them all."""
     from concealed.hidden import Hidden, strength
@@ -185,7 +186,7 @@ def test_the_set_of_laws_changes_what_is_drawn_and_no_name(root: Path, tmp_path:
     assert (one.name, one.key) == (other.name, other.key)
     scene = draw_scene(stream(6, "sets"))
     sightings = sightings_of(scene.recording, scene.state)
-    each = [*SETS["first"], *SETS["later"], *SETS["latest"]]
+    each = [*SETS["first"], *SETS["later"], *SETS["latest"], *SETS["last"]]
     assert len(set(each)) == len(each)
     assert set(SETS["all"]) == set(each)
     assert {draw_invented(sightings, stream(6, n), "first").law in SETS["first"] for n in range(30)} == {True}

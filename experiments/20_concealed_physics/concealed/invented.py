@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from concealed.invented_last import LAST, LAST_AT_A_STATION, LAST_OF_NEIGHBOURS
 from concealed.invented_later import LATER, LATER_AT_A_STATION, LATER_OF_NEIGHBOURS
 from concealed.invented_latest import LATEST, LATEST_AT_A_STATION, LATEST_OF_NEIGHBOURS
 from concealed.law import Law
@@ -15,7 +16,7 @@ from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_r
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
-Laws = Literal["first", "later", "latest", "all"]
+Laws = Literal["first", "later", "latest", "last", "all"]
 """Which of the invented laws are drawn."""
 
 
@@ -91,15 +92,21 @@ LAWS: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "azimuth by the load of a table": ("azimuth", ("table_load_kg",), _load),
     "targets sway with time": ("place", ("place", "time"), _period),
 }
-ALL = LAWS | LATER | LATEST
+ALL = LAWS | LATER | LATEST | LAST
 SETS: dict[Laws, tuple[str, ...]] = {
     "first": tuple(LAWS),
     "later": tuple(LATER),
     "latest": tuple(LATEST),
+    "last": tuple(LAST),
     "all": tuple(ALL),
 }
-AT_A_STATION = {"range by squared height at a station", *LATER_AT_A_STATION, *LATEST_AT_A_STATION}
-OF_NEIGHBOURS = LATER_OF_NEIGHBOURS | LATEST_OF_NEIGHBOURS
+AT_A_STATION = {
+    "range by squared height at a station",
+    *LATER_AT_A_STATION,
+    *LATEST_AT_A_STATION,
+    *LAST_AT_A_STATION,
+}
+OF_NEIGHBOURS = LATER_OF_NEIGHBOURS | LATEST_OF_NEIGHBOURS | LAST_OF_NEIGHBOURS
 LOAD = "table_load_kg"
 
 
