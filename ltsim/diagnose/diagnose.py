@@ -13,8 +13,8 @@ from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
 from ltsim.diagnose.detect import Detection, detect, noise_prior
-from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Fit
-from ltsim.diagnose.findings import equivalents_of, gross_finding, mean_finding, noise_finding
+from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Finding, Fit
+from ltsim.diagnose.findings import carried_by, doubted, equivalents_of, gross_finding, mean_finding, noise_finding
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import (
     held_out_rms,
@@ -270,6 +270,7 @@ def _assemble(
     found, fitted = _refitted(case, baseline, searcher, detection, found)
     clock: Callable[[Estimate], Estimate] = (lambda e: e) if case.recording.has_clock else without_clock
     findings = [gross_finding(g, baseline) for g in gross]
+    explained: list[tuple[Finding, tuple[str, ...]]] = []
     for i, member in enumerate(found.members):
         effect = fitted.effects[i]
         others = searcher.with_members(found.hypotheses[:i] + found.hypotheses[i + 1 :])
@@ -284,17 +285,17 @@ def _assemble(
             *_widened(searcher, replace(member.hypothesis, effect=effect), others, fitted, i),
             *_change(searcher, member.hypothesis, others),
         ]
-        findings.append(
-            mean_finding(
-                replace(member.hypothesis, effect=effect),
-                [clock(e) for e in told],
-                others,
-                found,
-                ranking,
-                detection,
-                advice,
-            )
+        finding = mean_finding(
+            replace(member.hypothesis, effect=effect),
+            [clock(e) for e in told],
+            others,
+            found,
+            ranking,
+            detection,
+            advice,
         )
+        explained.append((finding, carried_by(searcher.space, others, found)))
+    findings += doubted(explained)
     findings += [noise_finding(h, detection) for h in case.noise]
     findings.sort(key=lambda f: -f.evidence.chi2_drop)
     spent = found.extension.shape[1]

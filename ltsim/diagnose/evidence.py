@@ -11,7 +11,6 @@ them pays for it (the look-elsewhere effect). Changes of the noise are averaged 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import logsumexp
 
 from ltsim.arrays import Floats, Ints
 
@@ -26,14 +25,20 @@ def log_evidence(drop: Floats, rank: Floats | Ints) -> Floats:
     """Log marginal likelihood ratio of mean shifts; `drop` (..., k) of chi2, `rank` (k,) visible directions."""
     g = STRENGTHS.reshape(-1, *([1] * np.ndim(drop)))
     terms = 0.5 * drop * g / (1.0 + g) - 0.5 * rank * np.log1p(g)
-    averaged: Floats = logsumexp(terms, axis=0) - np.log(len(STRENGTHS))
+    top = terms.max(axis=0)
+    averaged: Floats = top + np.log(np.exp(terms - top).mean(axis=0))
     return averaged
 
 
-def log_mean(values: Floats, axis: int = -1) -> Floats:
-    """Log of the mean of exp(values)."""
-    mean: Floats = logsumexp(values, axis=axis) - np.log(values.shape[axis])
-    return mean
+def log_means(values: Floats, groups: Ints, count: int) -> Floats:
+    """Log of the mean of exp(values) of each of `count` groups, none of them empty; (k,) or (k, trials) values."""
+    order = np.argsort(groups, kind="stable")
+    starts = np.searchsorted(groups[order], np.arange(count))
+    top = np.maximum.reduceat(values[order], starts, axis=0)
+    total = np.add.reduceat(np.exp(values[order] - top[groups[order]]), starts, axis=0)
+    size = np.bincount(groups, minlength=count).reshape(-1, *([1] * (values.ndim - 1)))
+    means: Floats = top + np.log(total / size)
+    return means
 
 
 def plausibility(sizes: Floats) -> float:

@@ -25,6 +25,10 @@ Factor = tuple[str, str, float]
 Column = tuple[Factor, ...]
 
 AXES = ("x", "y", "z")
+CIRCULAR = ("azimuth", "nest-direction")
+"""Covariates that come round again."""
+NORMAL = "normal"
+PLACE = "place"
 CYCLES = 0.6
 """Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
 EDGES = 24
@@ -33,33 +37,24 @@ LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
 """Widths of a local bump, as a share of the covariate's span."""
 
 
-FUNCTIONS = ("legendre", "power", "cos", "sin", "tan", "step", "bend", "abs", "decay", *LOCAL_WIDTHS)
-WORDS = {"x": "place", "y": "place", "z": "place", "station-time": "time", "air_temperature_c": "temperature"}
+FUNCTIONS = ("legendre", "power", "cos", "sin", "tan", "step", "bend", "abs", "decay", "target", *LOCAL_WIDTHS)
+MEMORY = ("approach-", "move-", "last-", "lapse")
+"""What names of covariates begin with that tell of the pointing before."""
+WORDS = {
+    "horizontal": "distance",
+    "x": "place",
+    "y": "place",
+    "z": "place",
+    "station-time": "time",
+    "nest-direction": "incidence",
+    "air_temperature_c": "temperature",
+}
 """Names of the interface for covariates that have others here."""
 
 
 def covariate(sightings: Sightings, name: str) -> Floats:
     """Values (n,) of a covariate [SI, or the unit of the recording's own column]; unknown ones are zero."""
-    place = sightings.points[sightings.target]
-    geometry = {
-        "azimuth": sightings.azimuth,
-        "elevation": sightings.elevation,
-        "distance": sightings.range_,
-        "time": sightings.time,
-        "station-time": sightings.station_time,
-        "incidence": sightings.incidence,
-        "height": sightings.local[:, 2],
-        "x": place[:, 0],
-        "y": place[:, 1],
-        "z": place[:, 2],
-        "face": sightings.face_sign,
-        "approach-azimuth": sightings.approach[:, 0],
-        "approach-elevation": sightings.approach[:, 1],
-        "move-distance": sightings.move[:, 0],
-        "move-azimuth": sightings.move[:, 1],
-        "move-elevation": sightings.move[:, 2],
-    }
-    return np.nan_to_num(geometry[name] if name in geometry else sightings.covariates[name])
+    return sightings.quantities[name]
 
 
 def _centred(values: Floats) -> Floats:
@@ -71,6 +66,8 @@ def _centred(values: Floats) -> Floats:
 def evaluate(sightings: Sightings, factor: Factor) -> Floats:
     """Values (n,) of one factor."""
     name, function, k = factor
+    if function == "target":
+        return (sightings.target == sightings.target_names.index(name)).astype(np.float64)
     x = covariate(sightings, name)
     match function:
         case "legendre":
@@ -97,17 +94,44 @@ def evaluate(sightings: Sightings, factor: Factor) -> Floats:
     raise unknown_name("function", function, FUNCTIONS)
 
 
+def direction(sightings: Sightings, axis: str) -> Floats:
+    """Unit vectors (n, 3) of an axis of the room or of the targets' nests; zero where a nest is unknown."""
+    if axis == NORMAL:
+        return np.nan_to_num(sightings.nest_normal[sightings.target])
+    return np.tile(np.eye(3)[AXES.index(axis)], (len(sightings), 1))
+
+
+FACTORS: tuple[Factor, ...] = (
+    ("face", "power", 1.0),
+    ("approach-azimuth", "power", 1.0),
+    ("approach-elevation", "power", 1.0),
+    ("lapse", "power", 1.0),
+    ("elevation", "legendre", 1.0),
+    ("elevation", "tan", 1.0),
+    ("distance", "legendre", 1.0),
+    ("distance", "power", -1.0),
+    ("height", "legendre", 1.0),
+    ("time", "legendre", 1.0),
+    ("station-time", "legendre", 1.0),
+    ("incidence", "legendre", 1.0),
+    ("x", "legendre", 1.0),
+    ("y", "legendre", 1.0),
+)
+"""What a term that stands out may be multiplied by."""
+MOST_GROWN = 12
+"""Columns up to which a term grows, and stations it may be confined to."""
+
+
 @dataclass(frozen=True)
 class FlexibleTerm(Effect):
-    """A sum of columns on one observable, or a displacement of the targets along one axis.
+    """A sum of columns on one observable, or a displacement of the targets.
 
     Attributes
     ----------
     observable : str
-        distance, azimuth (across the beam, as a length over distance), elevation, or x, y, z for a displacement.
+        distance, azimuth, elevation, or place for a displacement.
     columns : tuple of Column
-    across : bool
-        The azimuth's error is one across the beam: divided by cos(elevation).
+        Those of a displacement end with the factor (axis, "along", 1): an axis of the room, or the nest's normal.
     """
 
     observable: str = "distance"
@@ -127,13 +151,14 @@ class FlexibleTerm(Effect):
     @property
     def observables(self) -> tuple[str, ...]:  # type: ignore[override]
         """What the term acts on."""
-        return OBSERVABLES if self.observable in AXES else (self.observable,)
+        return OBSERVABLES if self.observable == PLACE else (self.observable,)
 
     @property
     def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
         """What the term depends on, in the words of the interface."""
-        names = dict.fromkeys(f[0] for column in self.columns for f in column)
-        words = ["approach" if n.startswith(("approach-", "move-")) else WORDS.get(n, n) for n in names]
+        factors = [factor for column in self.columns for factor in column if factor[1] != "along"]
+        names = dict.fromkeys(PLACE if function == "target" else name for name, function, _ in factors)
+        words = ["approach" if n.startswith(MEMORY) else WORDS.get(n, n) for n in names]
         return tuple(dict.fromkeys(words))
 
     def design(self, sightings: Sightings) -> Floats:
@@ -141,13 +166,13 @@ class FlexibleTerm(Effect):
         acts = self.mask(sightings)
         made = []
         for column in self.columns:
+            factors = column[:-1] if self.observable == PLACE else column
             values = acts.copy()
-            for factor in column:
+            for factor in factors:
                 values = values * evaluate(sightings, factor)
-            if self.observable in AXES:
-                moved = np.zeros((len(sightings), 3, 1))
-                moved[:, AXES.index(self.observable), 0] = values
-                made.append(by_displacement(sightings, moved)[:, :, 0])
+            if self.observable == PLACE:
+                moved: Floats = values[:, None] * direction(sightings, column[-1][0])
+                made.append(by_displacement(sightings, moved[:, :, None])[:, :, 0])
             else:
                 made.append(on_readings(sightings, **{self.observable: values}))
         return np.stack(made, axis=2)
@@ -169,6 +194,26 @@ class FlexibleTerm(Effect):
         """The same with another argument of the first factor of every column."""
         return self.reshaped(columns=tuple(((name, function, k), *rest) for (name, function, _), *rest in self.columns))
 
+    def grown(self, sightings: Sightings) -> list[FlexibleTerm]:
+        """Terms one step richer: a further harmonic, times another factor or with it beside, at one station only."""
+        columns, found = self.columns, list[tuple[Column, ...]]()
+        waves = [c for c in columns if c and c[0][1] in ("cos", "sin")]
+        if waves and len(columns) < MOST_GROWN:
+            order = 1 + sum(c[0][1] == "cos" for c in waves)
+            first = waves[:2]
+            further = tuple(((n, f, order * k), *rest) for (n, f, k), *rest in first)
+            found.append((*columns, *further))
+        along = [c[-1:] if self.observable == PLACE else () for c in columns]
+        bare = [c[: len(c) - len(a)] for c, a in zip(columns, along, strict=True)]
+        for factor in FACTORS:
+            times = tuple((*c, factor, *a) for c, a in zip(bare, along, strict=True))
+            if not any(factor in c for c in columns) and any(evaluate(sightings, factor)):
+                found += [times, *([(*columns, *times)] if 2 * len(columns) <= MOST_GROWN else [])]
+        terms = [self.reshaped(columns=c) for c in found]
+        if not self.stations and not self.targets:
+            terms += [self.reshaped(stations=(station,)) for station in sightings.station_names[:MOST_GROWN]]
+        return terms
+
     @property
     def formula(self) -> str:
         """The term as a formula with its coefficients left open."""
@@ -179,34 +224,48 @@ class FlexibleTerm(Effect):
         pairs = zip(coefficients, self.columns, strict=True)
         terms = " + ".join(f"{coefficient} {describe(column)}".removesuffix(" 1") for coefficient, column in pairs)
         place = f" at {', '.join(self.stations + self.targets)}" if self.stations + self.targets else ""
-        return f"{self.observable} correction = {terms}{place}"
+        what = "displacement" if self.observable == PLACE else f"{self.observable} correction"
+        return f"{what} = {terms}{place}"
 
 
 def describe(column: Column) -> str:
     """A column in words: ``cos(2 azimuth) tan(elevation)``."""
     words = []
     for name, function, k in column:
-        if function == "legendre":
-            words.append(f"P{int(k)}({name})")
-        elif function == "power":
-            words.append({1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}"))
-        elif function in LOCAL_WIDTHS:
-            words.append(f"bump({name} near {k:.3g})")
-        elif function in ("step", "bend"):
-            words.append(f"{function}({name} above {k:.3g})")
-        elif function == "abs":
-            words.append(f"|{name}|")
-        elif function == "decay":
-            words.append(f"exp(-{name} / {k:.3g})")
-        else:
-            scale = "" if k == 1 else f"{k:.4g} "
-            words.append(f"{function}({scale}{name})")
+        match function:
+            case "legendre":
+                words.append(f"P{int(k)}({name})")
+            case "power":
+                words.append({1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}"))
+            case "narrow" | "wide":
+                words.append(f"bump({name} near {_value(name, k)})")
+            case "step" | "bend":
+                words.append(f"{function}({name} above {_value(name, k)})")
+            case "abs":
+                words.append(f"|{name}|")
+            case "decay":
+                words.append(f"exp(-{name} / {_value(name, k)})")
+            case "target":
+                words.append(f"at {name}")
+            case "along":
+                words.append(f"along {'the nest' if name == NORMAL else name}")
+            case _:
+                scale = "" if k == 1 else f"{k:.4g} "
+                words.append(f"{function}({scale}{name})")
     return " ".join(words) or "1"
 
 
+def _value(name: str, value: float) -> str:
+    """A value of a covariate with its unit; a further column of the recording names its own."""
+    if name.removeprefix("move-") in ("azimuth", "elevation", "incidence", "nest-direction"):
+        return f"{np.degrees(value):.3g} deg"
+    unit = {"time": " s", "station-time": " s"} | dict.fromkeys(("distance", "move-distance", "height", *AXES), " m")
+    return f"{value:.4g}{unit.get(name, '')}"
+
+
 def smooth(name: str, count: int) -> tuple[Column, ...]:
-    """Columns of a smooth function of one covariate: Fourier in the azimuth, Legendre elsewhere; no constant."""
-    if name == "azimuth":
+    """Columns of a smooth function of one covariate: Fourier round a circle, Legendre elsewhere; no constant."""
+    if name in CIRCULAR:
         waves = range(1, count // 2 + 1)
         return tuple(((name, f, float(k)),) for k in waves for f in ("cos", "sin"))
     return tuple(((name, "legendre", float(k)),) for k in range(1, count + 1))

@@ -15,12 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
-from scipy.special import logsumexp
+from scipy.special import expit
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
+from ltsim.diagnose.evidence import log_means
 from ltsim.diagnose.flexible import covariate
+from ltsim.diagnose.repeats import repeats
 from ltsim.diagnose.terms import further
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.recording.recording import OBSERVABLES
@@ -37,6 +39,7 @@ class NoisePattern(NoiseEffect):
     observable: str = "distance"
     covariate_name: str = ""
     falling: bool = False
+    repeating: bool = False
 
     name = "unknown"
     number = 0
@@ -52,6 +55,15 @@ class NoisePattern(NoiseEffect):
     def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
         """What the scatter depends on."""
         return (self.covariate_name,) if self.covariate_name else ()
+
+    @property
+    def law(self) -> str:
+        """What the noise does, in words."""
+        if self.repeating:
+            return "amounts without a visible law that repeat when a target is measured again"
+        if not self.covariate_name:
+            return "larger noise"
+        return f"noise that {'falls' if self.falling else 'grows'} with {self.covariate_name}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3)."""
@@ -148,11 +160,9 @@ class NoiseBank:
 
     def family_evidence(self, ratio: Floats) -> Floats:
         """Log evidence (families, ...) from log likelihood ratios (h, ...)."""
-        rows = []
-        for f in range(len(self.families)):
-            members = ratio[self.family == f]
-            rows.append(logsumexp(members, axis=0) - np.log(len(members)))
-        return np.stack(rows) if rows else np.zeros((0, *ratio.shape[1:]))
+        if not self.families:
+            return np.zeros((0, *ratio.shape[1:]))
+        return log_means(ratio, self.family, len(self.families))
 
     def best(self, space: ResidualSpace, ratio: Floats, prior: Floats, residual: Floats) -> NoiseHypothesis:
         """The most probable hypothesis with its size at the maximum of the likelihood.
@@ -182,11 +192,46 @@ class NoiseBank:
             total[found.effect.name] = total.get(found.effect.name, 0.0) + float(w)
         best = rows[0][1]
         name = best.effect.name
+        physics = _repeating(space, best, residual)
+        again = repeats(space, _factor(space, best), residual)
+        doubt = float(expit(np.log(LOOKS_LIKE_NOISE) + np.logaddexp(0.0, again)))
+        total = {n: p * (1.0 - doubt) for n, p in total.items()}
+        total["unknown"] = total.get("unknown", 0.0) + doubt
+        best, name = (physics, "unknown") if doubt > 0.5 else (best, name)
         others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
         return replace(best, probability=total[name], equivalents=tuple(others[:3]))
 
     def _of(self, family: int) -> list[NoiseHypothesis]:
         return [h for h, f in zip(self.hypotheses, self.family, strict=True) if f == family]
+
+
+LOOKS_LIKE_NOISE = 0.15
+"""Odds of a law that changes from pointing to pointing against noise that looks like it; the same if it repeats."""
+DOMINANT = 0.8
+"""Share of the gain from which one observable is said to scatter alone."""
+
+
+def _factor(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Floats:
+    """Variance (n, 3) of a hypothesis over that of the space."""
+    variance = hypothesis.effect.variance(space.sightings, space.sigma, np.array(hypothesis.values))
+    return np.asarray(variance / space.sigma**2)
+
+
+def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats) -> NoiseHypothesis:
+    """The same scatter as physics without a name: where it is, and in which observable."""
+    used = space.use
+    factor = np.ones(used.shape)
+    factor[used] = _factor(space, hypothesis)[used]
+    gain, share = np.zeros(used.shape), space.redundancy[: int(used.sum())]
+    gain[used] = residual[: len(share)] ** 2 * (1 - 1 / factor[used]) - share * np.log(factor[used])
+    by_kind = gain.sum(axis=0)
+    top = int(np.argmax(by_kind))
+    observable = OBSERVABLES[top] if by_kind[top] > DOMINANT * by_kind.sum() else ""
+    added = max(float(factor[used].max()) - 1.0, 0.1)
+    effect = NoisePattern(hypothesis.effect.stations, hypothesis.effect.targets, observable, repeating=True)
+    found = NoiseHypothesis("unknown:noise:repeating", effect, (added,), False)
+    values, drop, sigma = _most_likely(space, space.sigma, found, residual)
+    return replace(found, values=values, drop=drop, sigma=sigma)
 
 
 PROFILED = 8

@@ -18,7 +18,8 @@ from scipy.optimize import minimize_scalar
 from ltsim.adjust.residual_space import VISIBLE, ResidualSpace, orthonormal
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.bank import Bank, Hypothesis
-from ltsim.diagnose.evidence import log_evidence, log_mean, plausibility
+from ltsim.diagnose.evidence import log_evidence, log_means, plausibility
+from ltsim.diagnose.flexible import FlexibleTerm
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.effects.effect import ShapeParameter
 
@@ -26,6 +27,7 @@ BEAM = 4
 MOST_MEMBERS = 4
 REFINED = 8
 MOST_BASINS = 3
+MOST_GROWTHS = 3
 MOST_STEPS = 8
 """Moves to a neighbour that a refinement makes at most."""
 BASIN_DEPTH = 12.0
@@ -133,10 +135,7 @@ class Searcher:
 
     def family_evidence(self, drop: Floats, rank: Ints) -> Floats:
         """Log evidence (families,) with places and shapes averaged, prior odds included."""
-        evidence = log_evidence(drop, rank)
-        return (
-            np.array([log_mean(evidence[self.bank.family == f]) for f in range(len(self.bank.families))]) + self.prior
-        )
+        return log_means(log_evidence(drop, rank), self.bank.family, len(self.bank.families)) + self.prior
 
     def rank(self, base: EffectSet, count: int = REFINED) -> Ranking:
         """The best hypothesis of each family beside a set, shapes refined and sizes weighed for the first ones."""
@@ -193,6 +192,8 @@ class Searcher:
     def _refined(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
         """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
         best, value = self._nearby(hypothesis, base, evidence)
+        if isinstance(best.effect, FlexibleTerm):
+            return self._grown(best, base, evidence, value)
         moves = type(hypothesis.effect).ways if value > evidence else 0
         for shape in type(hypothesis.effect).shape:
             now = getattr(best.effect, shape.name)
@@ -202,8 +203,7 @@ class Searcher:
 
             def lost(x: float, name: str = shape.name, start: Hypothesis = best) -> float:
                 moved = replace(start, effect=start.effect.reshaped(**{name: float(x)}))
-                drop, rank = self._drop(moved, base)
-                return -float(log_evidence(np.array([drop]), np.array([rank]))[0])
+                return -self._evidence(moved, base)
 
             found = minimize_scalar(lost, bounds=bounds, method="bounded", options={"maxiter": 12})
             if -found.fun > value:
@@ -219,13 +219,36 @@ class Searcher:
             before = value
             for effect in best.effect.finer(self.space.sightings):
                 near = replace(hypothesis, effect=effect)
-                drop, rank = self._drop(near, base)
-                found = float(log_evidence(np.array([drop]), np.array([rank]))[0])
+                found = self._evidence(near, base)
                 if found > value:
                     best, value = near, found
             if value <= before:
                 break
         return best, value
+
+    def _grown(
+        self, hypothesis: Hypothesis, base: EffectSet, evidence: float, value: float
+    ) -> tuple[Hypothesis, float]:
+        """A flexible term made richer while that gains more than the choice among its ways costs."""
+        best, tuning = hypothesis, 0.5 * float(np.log1p(2.0 * (value - evidence)))
+        for _ in range(MOST_GROWTHS):
+            effect = best.effect
+            assert isinstance(effect, FlexibleTerm)
+            richer = [replace(best, effect=e) for e in effect.grown(self.space.sightings)]
+            if not richer:
+                break
+            found = [self._evidence(h, base) for h in richer]
+            top, cost = int(np.argmax(found)), float(np.log(len(richer)))
+            if found[top] <= value + cost + 1.0:
+                break
+            best, value, tuning = richer[top], found[top], tuning + cost
+            nearby, higher = self._nearby(best, base, value)
+            best, value, tuning = nearby, higher, tuning + 0.5 * float(np.log1p(2.0 * (higher - value)))
+        return replace(best, tuning=tuning), value - evidence
+
+    def _evidence(self, hypothesis: Hypothesis, base: EffectSet) -> float:
+        drop, rank = self._drop(hypothesis, base)
+        return float(log_evidence(np.array([drop]), np.array([rank]))[0])
 
     def change_time(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, float] | None:
         """When a sudden change happened and its standard deviation [s], from the evidence of all gaps around it.

@@ -6,7 +6,7 @@ Geometry, clock, face, the move since the last pointing, nest, place and every f
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -14,9 +14,12 @@ import numpy as np
 from ltsim.diagnose.bank import Hypothesis
 from ltsim.diagnose.flexible import (
     AXES,
+    CIRCULAR,
     CYCLES,
     EDGES,
     LOCAL_WIDTHS,
+    NORMAL,
+    PLACE,
     Column,
     Factor,
     FlexibleTerm,
@@ -27,13 +30,16 @@ from ltsim.diagnose.flexible import (
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MOST_CYCLES = 60
+MOST_CYCLES, STATION_CYCLES = 60, 15
 MOST_STATIONS, MOST_TARGETS = 12, 60
 """Places up to whose number each has smooth terms of its own."""
 MOVES = ("move-azimuth", "move-elevation", "move-distance")
+LAST = ("last-azimuth", "last-elevation", "last-distance", "lapse")
 APPROACHES = ("approach-azimuth", "approach-elevation")
 NEIGHBOURS = (4, 6, 9)
 """Targets that stand together: a target with so many around it."""
+MOVE_TIMES = 10
+"""Moments tried at which neighbours move at once."""
 DECAYS = 8
 """Time constants tried, from a twentieth of a station's time to three times all of it."""
 
@@ -50,6 +56,7 @@ def flexible_hypotheses(sightings: Sightings) -> list[Hypothesis]:
         *_own_constants(sightings),
         *_moving_terms(sightings),
         *_product_terms(sightings),
+        *_nest_terms(sightings),
         *_pair_terms(sightings),
         *_field_terms(sightings),
         *_neighbour_terms(sightings),
@@ -65,8 +72,8 @@ def _term(
 def _covariates(sightings: Sightings) -> list[str]:
     """What a reading may depend on here: geometry, clock, nest, and every further column that varies."""
     names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
-    if np.isfinite(sightings.incidence).any():
-        names.append("incidence")
+    if _nested(sightings):
+        names += ["incidence", "nest-direction"]
     return names + further(sightings)
 
 
@@ -75,21 +82,25 @@ def further(sightings: Sightings) -> list[str]:
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
 
+def _nested(sightings: Sightings) -> bool:
+    return bool(np.isfinite(sightings.incidence).any())
+
+
 def _faced(sightings: Sightings) -> bool:
     return bool((sightings.face == 2).any())
 
 
 def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     for observable, name in product(OBSERVABLES, _covariates(sightings)):
-        for count in (2, 5, 8):
+        for count in (2, 5, 8, 14):
             columns = smooth(name, count)
             yield Hypothesis(f"unknown:{observable}:{name}", _term(observable, *columns), False)
             if _faced(sightings):
                 odd = tuple((("face", "power", 1.0), *c) for c in columns)
                 yield Hypothesis(f"unknown:{observable}:{name}:face", _term(observable, *odd), False)
         if len(sightings.station_names) <= MOST_STATIONS:
-            for station in sightings.station_names:
-                term = _term(observable, *smooth(name, 4), stations=(station,))
+            for station, count in product(sightings.station_names, (4, 10)):
+                term = _term(observable, *smooth(name, count), stations=(station,))
                 yield Hypothesis(f"unknown:{observable}:{name}:station", term, False)
         if len(sightings.target_names) <= MOST_TARGETS:
             for target in sightings.target_names:
@@ -105,6 +116,14 @@ def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
         for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
             term = _term(observable, *wave(name, float(2 * np.pi * cycles / span)))
             yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
+    if not 1 < len(sightings.station_names) <= MOST_STATIONS:
+        return
+    for observable, name in product(OBSERVABLES, ("station-time", "distance", "azimuth", "elevation")):
+        span = float(np.ptp(covariate(sightings, name)))
+        most = min(len(sightings) / (3 * len(sightings.station_names)), STATION_CYCLES)
+        for cycles, station in product(np.arange(1.0, most, CYCLES), sightings.station_names if span > 0 else ()):
+            term = _term(observable, *wave(name, float(2 * np.pi * cycles / span)), stations=(station,))
+            yield Hypothesis(f"unknown:{observable}:{name}:periodic:station", term, False)
 
 
 def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
@@ -119,7 +138,7 @@ def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
 
 def _steps(sightings: Sightings) -> Iterator[Hypothesis]:
     """A reading that jumps where a covariate passes a value, or bends there: a stop, a threshold, a saturation."""
-    for observable, name in product(OBSERVABLES, _covariates(sightings)):
+    for observable, name in product(OBSERVABLES, [*_covariates(sightings), *MOVES, "lapse"]):
         values = covariate(sightings, name)
         for edge in np.unique(np.quantile(values, np.linspace(0.0, 1.0, EDGES + 2)[1:-1])):
             for function in ("step", "bend"):
@@ -153,11 +172,11 @@ def _memory_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             for k in range(0, 8, 2):
                 pair = ((sign, *AZIMUTH[k], *e, *d), (sign, *AZIMUTH[k + 1], *e, *d))
                 yield Hypothesis(f"unknown:{observable}:approach", _term(observable, *pair), False)
-        for clock in ("time", "station-time"):
+        for clock in ("time", "station-time", "lapse"):
             columns = ((sign,), *((sign, *c) for c in smooth(clock, 2)))
             yield Hypothesis(f"unknown:{observable}:approach", _term(observable, *columns), False)
     moves = [m for m in MOVES if np.ptp(covariate(sightings, m)) > 0]
-    for observable, name in product(OBSERVABLES, moves):
+    for observable, name in product(OBSERVABLES, [*moves, *LAST] if moves else []):
         for count in (1, 2, 5):
             yield Hypothesis(f"unknown:{observable}:move", _term(observable, *smooth(name, count)), False)
         for e, d in product(ELEVATION, DISTANCE):
@@ -179,31 +198,53 @@ def _own_constants(sightings: Sightings) -> Iterator[Hypothesis]:
             yield Hypothesis(f"unknown:{observable}:own constant", term, False)
 
 
-def _moving_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    """Targets that move along an axis of the room, together or more the farther along the room they lie.
+def _moved(columns: Sequence[Column], axes: Sequence[str]) -> tuple[Column, ...]:
+    """Columns of a displacement along some axes."""
+    return tuple((*column, (axis, "along", 1.0)) for axis in axes for column in columns)
 
-    In time, or with a further column of the recording: a load, a temperature.
+
+def _moving_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """Targets that move: in time, with a further column of the recording, in their nests, or for one station.
+
+    Together, or more the farther along the room they lie; along one axis or in any direction.
     """
     where: tuple[Column, ...] = ((), *((((axis, "legendre", 1.0),)) for axis in AXES))
-    for axis, name in product(AXES, further(sightings)):
+    ways: tuple[tuple[str, ...], ...] = tuple((axis,) for axis in AXES)
+    for name, way in product(further(sightings), ways):
         columns = tuple(((name, "legendre", 1.0), *w) for w in where)
-        yield Hypothesis(f"unknown:place:{name}", _term(axis, *columns), False)
+        yield Hypothesis(f"unknown:place:{name}", _term(PLACE, *_moved(columns, way)), False)
+    if _nested(sightings):
+        for name, count in product(("incidence", "azimuth", "elevation", "time"), (2, 4)):
+            for way in (*ways, (NORMAL,)):
+                term = _term(PLACE, *_moved(smooth(name, count), way))
+                yield Hypothesis("unknown:place:nest", term, False)
+    if 1 < len(sightings.station_names) <= MOST_STATIONS:
+        for station, way, degree in product(sightings.station_names, (*ways, AXES), (1, 2)):
+            term = _term(PLACE, *_moved(_field(degree), way), stations=(station,))
+            yield Hypothesis("unknown:place:station", term, False)
     span = float(np.ptp(sightings.time))
     if span <= 0:
         return
-    for axis in AXES:
+    for way in ways:
         for count in (1, 3):
             columns = tuple((("time", "legendre", float(k)), *w) for k in range(1, count + 1) for w in where)
-            yield Hypothesis("unknown:place:time", _term(axis, *columns), False)
+            yield Hypothesis("unknown:place:time", _term(PLACE, *_moved(columns, way)), False)
         for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
             waves = wave("time", float(2 * np.pi * cycles / span))
             columns = tuple((*factor, *w) for factor in waves for w in where)
-            yield Hypothesis("unknown:place:time:periodic", _term(axis, *columns), False)
+            yield Hypothesis("unknown:place:time:periodic", _term(PLACE, *_moved(columns, way)), False)
+
+
+def _field(degree: int) -> tuple[Column, ...]:
+    """A polynomial field over the room without its constant."""
+    powers = (p for p in product(range(degree + 1), repeat=3) if 0 < sum(p) <= degree)
+    return tuple(tuple((axis, "legendre", float(k)) for axis, k in zip(AXES, p, strict=True) if k) for p in powers)
 
 
 AZIMUTH: tuple[Column, ...] = (*(((("azimuth", f, float(k)),)) for k in (1, 2, 3, 4) for f in ("cos", "sin")),)
 ELEVATION: tuple[Column, ...] = (
     (),
+    (("elevation", "power", 1.0),),
     (("elevation", "sin", 1.0),),
     (("elevation", "cos", 1.0),),
     (("elevation", "tan", 1.0),),
@@ -216,6 +257,8 @@ DISTANCE: tuple[Column, ...] = (
     (("distance", "power", 2.0),),
     (("distance", "power", -1.0),),
 )
+NEARER: tuple[Column, ...] = ((), (("distance", "power", -1.0),), (("horizontal", "power", -1.0),))
+"""An angle of something across the beam, by its length over the distance."""
 CLOCK: tuple[Column, ...] = (
     (),
     (("time", "power", 1.0),),
@@ -224,7 +267,13 @@ CLOCK: tuple[Column, ...] = (
 
 
 def _product_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    """Products of simple functions: a cosine and a sine of the azimuth always go together."""
+    """Products of simple functions: a cosine and a sine of the azimuth always go together.
+
+    Of the azimuth as it was turned, too: a cable winds up from the zero of the circle.
+    """
+    for observable, e, d, function in product(OBSERVABLES, ELEVATION, DISTANCE, ("power", "abs")):
+        wound = (("azimuth", function, 1.0), *e, *d)
+        yield Hypothesis(f"unknown:{observable}:winding", _term(observable, wound), False)
     for observable, e, d, t in product(OBSERVABLES, ELEVATION, DISTANCE, CLOCK):
         rest = e + d + t
         for sign in ((), (("face", "power", 1.0),)) if _faced(sightings) else ((),):
@@ -233,6 +282,18 @@ def _product_terms(sightings: Sightings) -> Iterator[Hypothesis]:
             for k in range(0, 8, 2):
                 pair = (AZIMUTH[k] + rest + sign, AZIMUTH[k + 1] + rest + sign)
                 yield Hypothesis(f"unknown:{observable}:product", _term(observable, *pair), False)
+
+
+def _nest_terms(sightings: Sightings) -> Iterator[Hypothesis]:
+    """A reflector that errs with the direction it is seen from: off the normal of its nest, and round it."""
+    if not _nested(sightings):
+        return
+    tilts: tuple[Column, ...] = tuple((("incidence", f, k),) for f, k in (("sin", 1.0), ("cos", 1.0), ("power", 2.0)))
+    for observable, tilt, distance in product(OBSERVABLES, ((), *tilts), NEARER):
+        yield Hypothesis(f"unknown:{observable}:nest", _term(observable, tilt + distance), False)
+        for order in (1.0, 2.0):
+            round_ = tuple((*tilt, ("nest-direction", f, order), *distance) for f in ("cos", "sin"))
+            yield Hypothesis(f"unknown:{observable}:nest", _term(observable, *round_), False)
 
 
 def _pair_terms(sightings: Sightings) -> Iterator[Hypothesis]:
@@ -250,20 +311,17 @@ def _pair_terms(sightings: Sightings) -> Iterator[Hypothesis]:
 
 
 def _low(name: str, count: int) -> tuple[Column, ...]:
-    return smooth(name, 2 * count if name == "azimuth" else count)
+    return smooth(name, 2 * count if name in CIRCULAR else count)
 
 
 def _field_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     """Fields over the room and over the directions of the instrument."""
-    powers = [p for p in product(range(4), repeat=3) if 0 < sum(p) <= 3]
-    for degree in (2, 3):
-        place = tuple(
-            tuple((axis, "legendre", float(k)) for axis, k in zip(AXES, p, strict=True) if k)
-            for p in powers
-            if sum(p) <= degree
-        )
+    for degree, observable in product((2, 3), OBSERVABLES):
+        yield Hypothesis(f"unknown:{observable}:place", _term(observable, *_field(degree)), False)
+    if len(sightings.target_names) <= MOST_TARGETS:
+        each: tuple[Column, ...] = tuple(((name, "target", 1.0),) for name in sightings.target_names)
         for observable in OBSERVABLES:
-            yield Hypothesis(f"unknown:{observable}:place", _term(observable, *place), False)
+            yield Hypothesis(f"unknown:{observable}:targets", _term(observable, *each), False)
     directions = tuple(
         a + e for a in AZIMUTH[:6] for e in ((), (("elevation", "legendre", 1.0),), (("elevation", "legendre", 2.0),))
     )
@@ -289,9 +347,14 @@ def _neighbour_terms(sightings: Sightings) -> Iterator[Hypothesis]:
         return
     simple: tuple[tuple[Column, ...], ...] = ((()),), smooth("distance", 1), smooth("elevation", 1), smooth("time", 1)
     moves = [name for name in ("time", *further(sightings)) if np.ptp(covariate(sightings, name)) > 0]
+    steps = np.quantile(sightings.time, np.linspace(0.0, 1.0, MOVE_TIMES + 2)[1:-1])
+    sudden = [((("time", "step", float(edge)),),) for edge in np.unique(steps)] if "time" in moves else []
     for group in _neighbours(sightings):
         for observable, columns in product(OBSERVABLES, simple):
             yield Hypothesis(f"unknown:{observable}:neighbours", _term(observable, *columns, targets=group), False)
         for axis, name in product(AXES, moves):
-            term = _term(axis, *smooth(name, 2), targets=group)
+            term = _term(PLACE, *_moved(smooth(name, 2), (axis,)), targets=group)
+            yield Hypothesis("unknown:place:neighbours", term, False)
+        for change in (*(smooth(name, 1) for name in moves), *sudden):
+            term = _term(PLACE, *_moved(change, AXES), targets=group)
             yield Hypothesis("unknown:place:neighbours", term, False)

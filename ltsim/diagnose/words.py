@@ -15,6 +15,14 @@ LIKELY = 0.5
 """Probability below which a name is only a suggestion."""
 
 
+COVARIATES = {
+    "approach": "the move before the pointing",
+    "place": "the place in the room",
+    "incidence": "the direction from which the reflector is seen",
+}
+"""Covariates whose names need words."""
+
+
 def number(value: float, sigma: float) -> str:
     """Value and uncertainty with the digits that mean something: 12.1 +- 1.8."""
     if not sigma > 0:
@@ -74,8 +82,8 @@ def finding_sentence(
 ) -> str:
     """One finding in one sentence; two where its size is `implausible` for its cause."""
     if effect == "unknown":
-        on = f", depending on {_list(where.covariates)}" if where.covariates else ""
-        law = f"; a formula that fits: {formula}" if formula else ""
+        on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
+        law = f"; what fits: {formula}" if formula else ""
         return f"Physics outside the catalogue {place(where)}{on}{law}."
     title, cause = card_line(find_effect(effect))
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""

@@ -193,6 +193,41 @@ class Sightings:
         return sign
 
     @cached_property
+    def quantities(self) -> dict[str, Floats]:
+        """Everything a reading may depend on, (n,) each [SI, or the unit of the recording's own column].
+
+        What is unknown, and what came before a station's first pointing, is zero.
+        """
+        place = self.points[self.target]
+        came = self.previous >= 0
+        last = np.where(came[:, None], self.polar[self.previous], 0.0)
+        known = {
+            "azimuth": self.azimuth,
+            "elevation": self.elevation,
+            "distance": self.range_,
+            "horizontal": self.range_ * np.cos(self.elevation),
+            "height": self.local[:, 2],
+            "x": place[:, 0],
+            "y": place[:, 1],
+            "z": place[:, 2],
+            "time": self.time,
+            "station-time": self.station_time,
+            "incidence": self.incidence,
+            "nest-direction": self.incidence_direction,
+            "face": self.face_sign,
+            "approach-azimuth": self.approach[:, 0],
+            "approach-elevation": self.approach[:, 1],
+            "move-distance": self.move[:, 0],
+            "move-azimuth": self.move[:, 1],
+            "move-elevation": self.move[:, 2],
+            "last-distance": last[:, 0],
+            "last-azimuth": last[:, 1],
+            "last-elevation": last[:, 2],
+            "lapse": np.where(came, self.time - self.time[self.previous], 0.0),
+        }
+        return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | known).items()}
+
+    @cached_property
     def _nest(self) -> tuple[Floats, Floats]:
         """Incidence angle and its direction in the plane of the open face."""
         normal = self.nest_normal[self.target]

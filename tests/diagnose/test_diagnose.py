@@ -119,7 +119,7 @@ def test_neighbours_that_move_together_are_found_together():
     assert first.effect == "unknown"
     assert set(first.where.targets) == {recording.targets[t] for t in corner}
     assert first.where.covariates == ("time",)
-    assert "z correction" in first.formula
+    assert "along z" in first.formula
 
 
 def test_a_noisy_station_is_noise_and_not_a_shift():
