@@ -10,9 +10,12 @@ them pays for it (the look-elsewhere effect). Changes of the noise are averaged 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
+from ltsim.effects.effect import Parameter
 
 STRENGTHS = np.array([10.0, 40.0, 160.0, 640.0])
 """Values of g: noncentralities per parameter that an effect worth naming may have."""
@@ -41,7 +44,16 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     return means
 
 
-def plausibility(sizes: Floats) -> float:
-    """Log weight of parameter sizes in units of their prior sigma: 0 up to `PLAUSIBLE`, then falling fast."""
+IMPOSSIBLE = 12.0
+"""What a size of the wrong sign costs in log evidence."""
+
+
+def plausibility(parameters: Sequence[Parameter], values: Floats) -> float:
+    """Log weight of parameter values (q,) [SI]: 0 up to `PLAUSIBLE` prior sigmas, then falling fast.
+
+    Hardly any is left below zero for what is never negative.
+    """
+    sizes = values / np.array([p.prior_sigma for p in parameters])
     excess = np.log(np.maximum(np.abs(sizes) / PLAUSIBLE, 1.0))
-    return -2.0 * float(np.max(excess**2, initial=0.0))
+    wrong = any(p.positive and size < 0.0 for p, size in zip(parameters, sizes, strict=True))
+    return -2.0 * float(np.max(excess**2, initial=0.0)) - IMPOSSIBLE * wrong

@@ -163,19 +163,15 @@ class FlexibleTerm(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, p) of the raw readings per unit of each coefficient."""
-        acts = self.mask(sightings)
-        made = []
-        for column in self.columns:
-            factors = column[:-1] if self.observable == PLACE else column
-            values = acts.copy()
-            for factor in factors:
-                values = values * evaluate(sightings, factor)
-            if self.observable == PLACE:
-                moved: Floats = values[:, None] * direction(sightings, column[-1][0])
-                made.append(by_displacement(sightings, moved[:, :, None])[:, :, 0])
-            else:
-                made.append(on_readings(sightings, **{self.observable: values}))
-        return np.stack(made, axis=2)
+        values = np.repeat(self.mask(sightings)[:, None], len(self.columns), axis=1)
+        displaced = self.observable == PLACE
+        for k, column in enumerate(self.columns):
+            for factor in column[:-1] if displaced else column:
+                values[:, k] *= evaluate(sightings, factor)
+        if not displaced:
+            return on_readings(sightings, **{self.observable: values})
+        axes = np.stack([direction(sightings, column[-1][0]) for column in self.columns], axis=2)
+        return by_displacement(sightings, values[:, None] * axes)
 
     def finer(self, sightings: Sightings) -> list[FlexibleTerm]:
         """For waves: rates between the neighbours of the grid; for a step: the gaps around its edge."""
@@ -249,18 +245,25 @@ def describe(column: Column) -> str:
                 words.append(f"at {name}")
             case "along":
                 words.append(f"along {'the nest' if name == NORMAL else name}")
+            case "cos" | "sin" if name in UNITS:
+                words.append(f"{function}(2 pi {name} / {_value(name, 2 * np.pi / k)})")
             case _:
                 scale = "" if k == 1 else f"{k:.4g} "
                 words.append(f"{function}({scale}{name})")
     return " ".join(words) or "1"
 
 
+UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
+    ("distance", "horizontal", "height", "move-distance", "last-distance", *AXES), "m"
+)
+"""Units of the covariates that are no angles; a further column of the recording names its own."""
+
+
 def _value(name: str, value: float) -> str:
-    """A value of a covariate with its unit; a further column of the recording names its own."""
-    if name.removeprefix("move-") in ("azimuth", "elevation", "incidence", "nest-direction"):
+    """A value of a covariate with its unit."""
+    if name.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
         return f"{np.degrees(value):.3g} deg"
-    unit = {"time": " s", "station-time": " s"} | dict.fromkeys(("distance", "move-distance", "height", *AXES), " m")
-    return f"{value:.4g}{unit.get(name, '')}"
+    return f"{value:.4g} {UNITS.get(name, '')}".rstrip()
 
 
 def smooth(name: str, count: int) -> tuple[Column, ...]:

@@ -148,7 +148,7 @@ class Searcher:
             tried = []
             for i in self._basins(members[np.argsort(-evidence[members])], evidence):
                 refined, gain = self._refined(self.bank.hypotheses[i], base, float(evidence[i]))
-                size = plausibility(self._sizes(refined, base))
+                size = self._plausibility(refined, base)
                 tried.append((float(evidence[i]) + gain - refined.tuning + size, refined))
             value, refined = max(tried, key=lambda pair: pair[0])
             top = float(evidence[members].max())
@@ -304,15 +304,14 @@ class Searcher:
         names = [p.name for p in effect.parameters] + [s.name for s in shapes]
         return {n: (float(m), float(d)) for n, m, d in zip(names, mean, deviation, strict=True)}
 
-    def _sizes(self, hypothesis: Hypothesis, base: EffectSet) -> Floats:
-        """Estimated parameters over their prior sigma."""
+    def _plausibility(self, hypothesis: Hypothesis, base: EffectSet) -> float:
+        """Log weight of the parameters it would have beside a set."""
         if not hypothesis.known:
-            return np.zeros(0)
+            return 0.0
         signature = self.space.signature(hypothesis.effect)
         left = self.space.project(signature)
         left -= base.extension @ (base.extension.T @ left)
-        values = estimates(left, signature, base.residual)
-        return values / np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+        return plausibility(hypothesis.effect.parameters, estimates(left, signature, base.residual))
 
     def with_members(self, hypotheses: Sequence[Hypothesis]) -> EffectSet:
         """The set of some hypotheses, scored."""
@@ -346,8 +345,7 @@ class Searcher:
         for member in made.members:
             q = member.signature.shape[1]
             if member.hypothesis.known:
-                scale = np.array([p.prior_sigma for p in member.hypothesis.effect.parameters])
-                total += plausibility(values[at : at + q] / scale)
+                total += plausibility(member.hypothesis.effect.parameters, values[at : at + q])
             at += q
         return total
 

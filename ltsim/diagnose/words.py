@@ -124,7 +124,7 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
         )
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
-    others = [e for e, _ in first.equivalents]
+    others = ["physics outside the catalogue" if e == "unknown" else e for e, _ in first.equivalents]
     open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
     gain = ""
     if after is not before:

@@ -64,6 +64,8 @@ class Parameter:
         Which guarantee of the maker bounds it; None: only `prior_sigma`.
     prior_sigma : float
         One standard deviation [SI] where the set-up gives none; also the scale of a plausible size.
+    positive : bool
+        Never negative: a thickness.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Parameter:
     meaning: str
     prior_sigma: float
     prior_kind: PriorKind | None = None
+    positive: bool = False
 
     def sigma_from(self, prior: Prior) -> float:
         """Prior standard deviation [SI] under a maker's guarantee."""
@@ -289,15 +292,17 @@ def on_readings(
     azimuth: Floats | float = 0.0,
     elevation: Floats | float = 0.0,
 ) -> Floats:
-    """A column (n, 3) of a design from corrections (truth - reading) of front-face coordinates.
+    """A design (n, 3) or (n, 3, p) from corrections (truth - reading) (n,) or (n, p) of front-face coordinates.
 
     The elevation's sign is turned on the back face, whose raw elevation runs backwards, and all are negated:
     a reading changes by minus its correction.
     """
-    column = np.empty((len(sightings), 3))
-    column[:, 0], column[:, 1] = distance, azimuth
-    column[:, 2] = np.asarray(elevation) * sightings.face_sign
-    return -column
+    corrections = [np.asarray(c, dtype=np.float64) for c in (distance, azimuth, elevation)]
+    design = np.empty((len(sightings), 3, *max((c.shape[1:] for c in corrections), key=len)))
+    for j, correction in enumerate(corrections):
+        design[:, j] = -correction
+    design[sightings.face == 2, 2] *= -1.0
+    return design
 
 
 def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:

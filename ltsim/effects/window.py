@@ -50,7 +50,7 @@ class Window(Effect):
     covariates = ("azimuth", "incidence")
     scope = "pointing"
     ways = 2
-    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE),)
+    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, positive=True),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -130,8 +130,8 @@ def effect_values(
 ) -> tuple[Floats, ...]:
     """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
 
-    A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances are
-    drawn positive.
+    A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances
+    and what is never negative are drawn positive.
     """
     seen: Counter[tuple[str, str]] = Counter()
     values = []
@@ -146,6 +146,7 @@ def effect_values(
             elif entry is not None and entry.draw:
                 own = (effect.name, place, seen[effect.name, place], parameter.name)
                 draw = stream(seed, *key, "effect", *own).standard_normal()
-                amount[k] = parameter.prior_sigma * (abs(draw) if isinstance(effect, NoiseEffect) else draw)
+                upward = parameter.positive or isinstance(effect, NoiseEffect)
+                amount[k] = parameter.prior_sigma * (abs(draw) if upward else draw)
         values.append(amount)
     return tuple(values)

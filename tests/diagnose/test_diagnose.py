@@ -169,8 +169,8 @@ def test_a_clean_recording_is_consistent(faces):
 
 
 def test_p_values_of_clean_recordings_are_uniform():
-    """The false-alarm rate is what it says: ten recordings, p-values spread over the unit interval."""
-    values = [diagnose(workshop(100 + s, repeats=1)[0], seed=s).search_p_value for s in range(10)]
+    """The false-alarm rate is what it says: six recordings, p-values spread over the unit interval."""
+    values = [diagnose(workshop(100 + s, repeats=1)[0], seed=s).search_p_value for s in range(6)]
     assert min(values) > 0.001
     assert 0.2 < np.mean(values) < 0.8
 
@@ -198,7 +198,7 @@ def test_the_same_seed_gives_the_same_diagnosis():
     ("column", "factor", "cause"), [(0, 1e-3, "metres"), (1, 10 / 9, "gon"), (0, 1 / 25.4, "inches")]
 )
 def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
-    recording, _ = workshop(13)
+    recording, _ = workshop(13, repeats=1)
     readings = recording.readings.copy()
     columns = [0] if column == 0 else [1, 2]
     for k in columns:

@@ -181,6 +181,7 @@ def _direction(effect: Effect, rng: np.random.Generator) -> Floats:
     if isinstance(effect, NoiseLevel):
         chosen = rng.random(3) < 0.5
         values = np.where(chosen if chosen.any() else True, values, 0.0)
+    values = np.where([p.positive for p in effect.parameters], np.abs(values), values)
     return values * np.array([p.prior_sigma for p in effect.parameters])
 
 
