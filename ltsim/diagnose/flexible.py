@@ -7,7 +7,7 @@ in the same way; they are only never given a name of the catalogue.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,9 +35,6 @@ EDGES = 24
 """Values of a covariate at which a step or a bend is tried."""
 LOCAL_WIDTHS = {"narrow": 0.04, "wide": 0.1}
 """Widths of a local bump, as a share of the covariate's span."""
-
-
-FUNCTIONS = ("legendre", "power", "cos", "sin", "tan", "step", "bend", "abs", "decay", "target", *LOCAL_WIDTHS)
 MEMORY = ("approach-", "move-", "last-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {
@@ -63,35 +60,38 @@ def _centred(values: Floats) -> Floats:
     return (values - 0.5 * (low + high)) / half if half > 0 else np.zeros_like(values)
 
 
+def _legendre(x: Floats, order: float) -> Floats:
+    """Legendre polynomial over the range of a covariate."""
+    return np.asarray(np.polynomial.legendre.legval(_centred(x), [0.0] * int(order) + [1.0]), dtype=np.float64)
+
+
+FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
+    "legendre": _legendre,
+    "power": lambda x, k: x**k,
+    "abs": lambda x, k: np.abs(x),
+    "cos": lambda x, k: np.cos(k * x),
+    "sin": lambda x, k: np.sin(k * x),
+    "tan": lambda x, k: np.tan(k * x),
+    "step": lambda x, k: (x > k).astype(np.float64),
+    "bend": lambda x, k: np.maximum(x - k, 0.0),
+    "saturated": lambda x, k: x / (k + np.abs(x)),
+    "decay": lambda x, k: np.exp(-x / k),
+}
+"""Functions of a covariate and an argument; besides them bumps (`LOCAL_WIDTHS`) and "target", which is one there."""
+
+
 def evaluate(sightings: Sightings, factor: Factor) -> Floats:
     """Values (n,) of one factor."""
     name, function, k = factor
     if function == "target":
         return (sightings.target == sightings.target_names.index(name)).astype(np.float64)
     x = covariate(sightings, name)
-    match function:
-        case "legendre":
-            return np.asarray(np.polynomial.legendre.legval(_centred(x), [0.0] * int(k) + [1.0]), dtype=np.float64)
-        case "power":
-            return x**k
-        case "cos":
-            return np.cos(k * x)
-        case "sin":
-            return np.sin(k * x)
-        case "tan":
-            return np.tan(k * x)
-        case "narrow" | "wide":
-            gap = wrap(x - k) if name == "azimuth" else x - k
-            return np.exp(-0.5 * (gap / (LOCAL_WIDTHS[function] * float(np.ptp(x)))) ** 2)
-        case "step":
-            return (x > k).astype(np.float64)
-        case "bend":
-            return np.maximum(x - k, 0.0)
-        case "abs":
-            return np.abs(x)
-        case "decay":
-            return np.exp(-x / k)
-    raise unknown_name("function", function, FUNCTIONS)
+    if function in LOCAL_WIDTHS:
+        gap = wrap(x - k) if name in CIRCULAR else x - k
+        return np.exp(-0.5 * (gap / (LOCAL_WIDTHS[function] * float(np.ptp(x)))) ** 2)
+    if function not in FUNCTIONS:
+        raise unknown_name("function", function, FUNCTIONS)
+    return FUNCTIONS[function](x, k)
 
 
 def direction(sightings: Sightings, axis: str) -> Floats:
@@ -237,6 +237,8 @@ def describe(column: Column) -> str:
                 words.append(f"bump({name} near {_value(name, k)})")
             case "step" | "bend":
                 words.append(f"{function}({name} above {_value(name, k)})")
+            case "saturated":
+                words.append(f"saturation({name}, half at {_value(name, k)})")
             case "abs":
                 words.append(f"|{name}|")
             case "decay":

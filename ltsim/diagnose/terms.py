@@ -30,7 +30,7 @@ from ltsim.diagnose.flexible import (
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MOST_CYCLES, STATION_CYCLES = 60, 15
+MOST_CYCLES, STATION_CYCLES, MOVE_CYCLES = 60, 15, 10
 MOST_STATIONS, MOST_TARGETS = 12, 60
 """Places up to whose number each has smooth terms of its own."""
 MOVES = ("move-azimuth", "move-elevation", "move-distance")
@@ -40,6 +40,8 @@ NEIGHBOURS = (4, 6, 9)
 """Targets that stand together: a target with so many around it."""
 MOVE_TIMES = 10
 """Moments tried at which neighbours move at once."""
+SATURATION = (0.01, 0.03, 0.1, 0.3)
+"""Moves after which half of an effect is reached, as a share of their span."""
 DECAYS = 8
 """Time constants tried, from a twentieth of a station's time to three times all of it."""
 
@@ -108,21 +110,25 @@ def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
                 yield Hypothesis(f"unknown:{observable}:{name}:target", term, False)
 
 
+def _rates(sightings: Sightings, name: str, most: float) -> list[float]:
+    """Rates of waves in a covariate with up to `most` cycles over its span; none where it does not vary."""
+    span = float(np.ptp(covariate(sightings, name)))
+    return (2 * np.pi * np.arange(1.0, most, CYCLES) / span).tolist() if span > 0 else []
+
+
 def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
-    for observable, name in product(OBSERVABLES, ("time", "distance", "azimuth", "elevation", "x", "y", "z")):
-        span = float(np.ptp(covariate(sightings, name)))
-        if span <= 0:
-            continue
-        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
-            term = _term(observable, *wave(name, float(2 * np.pi * cycles / span)))
-            yield Hypothesis(f"unknown:{observable}:{name}:periodic", term, False)
-    if not 1 < len(sightings.station_names) <= MOST_STATIONS:
+    most = dict.fromkeys(("time", "distance", "azimuth", "elevation", "x", "y", "z"), MOST_CYCLES)
+    most |= dict.fromkeys(("move-azimuth", "move-elevation", "lapse"), MOVE_CYCLES)
+    for observable, name in product(OBSERVABLES, most):
+        for rate in _rates(sightings, name, min(len(sightings) / 8, most[name])):
+            yield Hypothesis(f"unknown:{observable}:{name}:periodic", _term(observable, *wave(name, rate)), False)
+    stations = sightings.station_names
+    if not 1 < len(stations) <= MOST_STATIONS:
         return
     for observable, name in product(OBSERVABLES, ("station-time", "distance", "azimuth", "elevation")):
-        span = float(np.ptp(covariate(sightings, name)))
-        most = min(len(sightings) / (3 * len(sightings.station_names)), STATION_CYCLES)
-        for cycles, station in product(np.arange(1.0, most, CYCLES), sightings.station_names if span > 0 else ()):
-            term = _term(observable, *wave(name, float(2 * np.pi * cycles / span)), stations=(station,))
+        rates = _rates(sightings, name, min(len(sightings) / (3 * len(stations)), STATION_CYCLES))
+        for rate, station in product(rates, stations):
+            term = _term(observable, *wave(name, rate), stations=(station,))
             yield Hypothesis(f"unknown:{observable}:{name}:periodic:station", term, False)
 
 
@@ -179,6 +185,9 @@ def _memory_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     for observable, name in product(OBSERVABLES, [*moves, *LAST] if moves else []):
         for count in (1, 2, 5):
             yield Hypothesis(f"unknown:{observable}:move", _term(observable, *smooth(name, count)), False)
+        for half in SATURATION:
+            function: Factor = (name, "saturated", half * float(np.ptp(covariate(sightings, name))))
+            yield Hypothesis(f"unknown:{observable}:move", _term(observable, (function,)), False)
         for e, d in product(ELEVATION, DISTANCE):
             length = ((name, "abs", 1.0), *e, *d)
             yield Hypothesis(f"unknown:{observable}:move", _term(observable, length), False)
@@ -222,16 +231,12 @@ def _moving_terms(sightings: Sightings) -> Iterator[Hypothesis]:
         for station, way, degree in product(sightings.station_names, (*ways, AXES), (1, 2)):
             term = _term(PLACE, *_moved(_field(degree), way), stations=(station,))
             yield Hypothesis("unknown:place:station", term, False)
-    span = float(np.ptp(sightings.time))
-    if span <= 0:
-        return
-    for way in ways:
+    for way in ways if np.ptp(sightings.time) > 0 else ():
         for count in (1, 3):
             columns = tuple((("time", "legendre", float(k)), *w) for k in range(1, count + 1) for w in where)
             yield Hypothesis("unknown:place:time", _term(PLACE, *_moved(columns, way)), False)
-        for cycles in np.arange(1.0, min(len(sightings) / 8, MOST_CYCLES), CYCLES):
-            waves = wave("time", float(2 * np.pi * cycles / span))
-            columns = tuple((*factor, *w) for factor in waves for w in where)
+        for rate in _rates(sightings, "time", min(len(sightings) / 8, MOST_CYCLES)):
+            columns = tuple((*factor, *w) for factor in wave("time", rate) for w in where)
             yield Hypothesis("unknown:place:time:periodic", _term(PLACE, *_moved(columns, way)), False)
 
 

@@ -26,11 +26,12 @@ CURVES = {
 
 
 def draw(rows: Sequence[Row], summary: dict[str, Any], out: Path) -> None:
-    """Write power.svg and confusion.svg."""
+    """Write power.svg, and confusion.svg where effects of the catalogue were hidden."""
     clean = [r["search_p_value"] for r in rows if r["kind"] == "clean" and r["exit"] == 0]
     named = [r for r in rows if r["kind"] in ("single", "mistake") and r["exit"] == 0]
     write_text(out / "power.svg", svg(power_figure(summary, clean)))
-    write_text(out / "confusion.svg", svg(confusion_figure(named)))
+    if named:
+        write_text(out / "confusion.svg", svg(confusion_figure(named)))
 
 
 @styled
@@ -51,7 +52,8 @@ def _power(axes: Axes, summary: dict[str, Any]) -> None:
             x, y, low, high = np.array(points).T
             axes.errorbar(x, y, [y - low, high - y], marker="o", capsize=3, label=label)
     axes.set(xscale="log", xlabel="strength (noncentrality left by the ordinary adjustment)", ylabel="share [%]")
-    ticks = sorted({int(k.split("_")[1]) for k in summary if k.startswith("single_")})
+    kinds = tuple({f"{kind}_" for kind, _ in CURVES.values()})
+    ticks = sorted({int(k.split("_")[1]) for k in summary if k.startswith(kinds)})
     axes.set_xticks(ticks, [str(t) for t in ticks])
     axes.minorticks_off()
     axes.legend(loc="lower right", frameon=False)
