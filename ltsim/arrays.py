@@ -22,9 +22,7 @@ def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
         When the shape differs or a value is not finite; the message names the array.
     """
     array = np.asarray(values, dtype=np.float64)
-    fits = array.ndim == len(shape) and all(
-        want in (-1, have) for want, have in zip(shape, array.shape, strict=True)
-    )
+    fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
     if not fits:
         raise ModelError(f"{name} has shape {array.shape}, expected {shape} (-1: any length)")
     if not np.all(np.isfinite(array)):

@@ -31,9 +31,7 @@ MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(2400, 1
 
 def with_machine(scenario: Scenario) -> Scenario:
     """The scenario with the machine on its floor."""
-    return scenario.model_copy(
-        update={"workshop": scenario.workshop.model_copy(update={"obstacles": (MACHINE,)})}
-    )
+    return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": (MACHINE,)})})
 
 
 def row(name: str, scenario: Scenario, survey: Survey) -> Row:

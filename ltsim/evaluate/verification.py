@@ -42,9 +42,7 @@ def read_nominal(path: Path) -> dict[str, Floats]:
     rows = csv.DictReader(io.StringIO(text))
     missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
     if missing:
-        raise RecordError(
-            f"the column {missing[0]} is missing, expected {','.join(COLUMNS)}", file=path, row=0
-        )
+        raise RecordError(f"the column {missing[0]} is missing, expected {','.join(COLUMNS)}", file=path, row=0)
     points: dict[str, Floats] = {}
     for number, row in enumerate(rows, start=1):
         name = (row["target"] or "").strip()

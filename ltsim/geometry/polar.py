@@ -27,9 +27,7 @@ def from_polar(readings: Floats) -> Floats:
     """Points (n, 3) [m] of range, azimuth, elevation (n, 3); raw face-2 values give the same point."""
     range_, azimuth, elevation = readings.T
     horizontal = range_ * np.cos(elevation)
-    return np.stack(
-        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation)], axis=1
-    )
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation)], axis=1)
 
 
 def to_face(polar: Floats, face: Ints) -> Floats:

@@ -36,9 +36,7 @@ ALIKE = 0.9
 def noncentrality(parameters: int, alpha: float = ALPHA, power: float = POWER) -> float:
     """Squared length of a signature that a chi-square test of `parameters` detects with `power` at level `alpha`."""
     limit = stats.chi2.isf(alpha, parameters)
-    return float(
-        optimize.brentq(lambda size: stats.ncx2.sf(limit, parameters, size) - power, 1e-3, 200.0 + 2 * limit)
-    )
+    return float(optimize.brentq(lambda size: stats.ncx2.sf(limit, parameters, size) - power, 1e-3, 200.0 + 2 * limit))
 
 
 @dataclass(frozen=True)
@@ -270,9 +268,7 @@ class Detectability:
     def confusable(self, share: float = ALIKE) -> list[tuple[str, str, float]]:
         """Pairs (effect, what it would be taken for, share explained), the most alike first."""
         first, second = np.nonzero((self.alike > share) & ~np.eye(len(self.names), dtype=bool))
-        pairs = [
-            (self.names[i], self.names[j], float(self.alike[i, j])) for i, j in zip(first, second, strict=True)
-        ]
+        pairs = [(self.names[i], self.names[j], float(self.alike[i, j])) for i, j in zip(first, second, strict=True)]
         return sorted(pairs, key=lambda pair: -pair[2])
 
 

@@ -189,9 +189,7 @@ def further_stations(adjustment: Adjustment, seconds_per_move: float) -> Iterato
         station = np.full(len(target), len(recording.stations))
         whole = appended(adjustment, grown, station, target, face, start, name)
         seconds = seconds_per_move + len(target) * seconds_per_pointing(recording)
-        yield Extension(
-            "station", words, seconds, whole, grown, place=plan.place(position), yaw=plan.yaw(rotation)
-        )
+        yield Extension("station", words, seconds, whole, grown, place=plan.place(position), yaw=plan.yaw(rotation))
 
 
 def _set_ups(adjustment: Adjustment, plan: FloorPlan, name: str) -> Iterator[tuple[Floats, Floats, str]]:

@@ -60,10 +60,7 @@ class StationBlocks:
     def joined(cls, parts: Sequence[StationBlocks]) -> StationBlocks:
         """Several sets of set-ups as one."""
         return cls(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("position", "tt", "tx", "xx")
-            )
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("position", "tt", "tx", "xx"))
         )
 
 
@@ -137,16 +134,13 @@ class Reducer:
         survey = self.survey
         count, targets, faces = len(position), len(survey.points), np.array(survey.faces)
         station, target, face = (
-            axis.ravel()
-            for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
+            axis.ravel() for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
         )
         at = survey.turn(slot[station], target, face)
         visit = survey.seconds_per_move + targets * len(faces) * survey.seconds_per_pointing
         normals = [survey.setup.targets.get(t) for t in survey.target_names]
         missing = (np.nan, np.nan, np.nan)
-        normal = np.array(
-            [(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64
-        )
+        normal = np.array([(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64)
         cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros(count)
         rotation = np.stack(
             [
@@ -210,8 +204,10 @@ class Reducer:
         """
         count, targets = len(position), len(self.survey.points)
         by_target, by_value = self.rows(position, yaw, np.zeros(count, dtype=np.int64) if slot is None else slot)
-        weight = np.sqrt(self.survey.repeats) * np.ones((count, targets)) if seen is None else (
-            np.sqrt(self.survey.repeats) * seen
+        weight = (
+            np.sqrt(self.survey.repeats) * np.ones((count, targets))
+            if seen is None
+            else (np.sqrt(self.survey.repeats) * seen)
         )
         shape = (count, targets, 3 * len(self.survey.faces))
         t = by_target.reshape(*shape, 3) * weight[:, :, None, None]

@@ -83,9 +83,7 @@ def _expected(expected: Expected) -> dict[str, Any]:
 
     e = expected
     return {
-        "distance": entry(
-            float(e.distance_before[0]), float(e.distance_after[0]), float(e.distance_improvement[0])
-        ),
+        "distance": entry(float(e.distance_before[0]), float(e.distance_after[0]), float(e.distance_improvement[0])),
         "coordinate": entry(
             float(e.coordinate_before[0]), float(e.coordinate_after[0]), float(e.coordinate_improvement[0])
         ),
@@ -249,9 +247,7 @@ def next_json(made: NextMeasurement, summary: str = "") -> dict[str, Any]:
 
 def plan_texts(plan: Plan, content: Mapping[str, Any]) -> dict[str, str]:
     """The files by name."""
-    flat_stations = [
-        [s["name"], *s["position_mm"], s["yaw_deg"], *s["sigma_position_um"]] for s in content["stations"]
-    ]
+    flat_stations = [[s["name"], *s["position_mm"], s["yaw_deg"], *s["sigma_position_um"]] for s in content["stations"]]
     flat_reflectors = [[r["name"], *r["position_mm"], r["sigma_um"]] for r in content["reflectors"]]
     curve = ("stations", "faces", "repeats", "pointings", "hours", "value", "efficient")
     effects = ("effect", "parameter", "unit", "best", "typical", "worst", "worst_at", "plausible", "visible")

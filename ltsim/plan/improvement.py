@@ -97,13 +97,9 @@ class Predictor:
         for name in wanted:
             if name not in self.groups:
                 raise unknown_name("group of errors", name, self.groups)
-        scale = np.stack(
-            np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.groups)), axis=1
-        )
+        scale = np.stack(np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.groups)), axis=1)
         square = scale.astype(np.float64) ** 2
-        distance = [
-            np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance
-        ]
+        distance = [np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance]
         coordinate = [self._mean_gap(square, spread) for spread in self.coordinate]
         return Expected(distance[0], distance[1], coordinate[0], coordinate[1])
 

@@ -145,17 +145,13 @@ class LayoutInformation:
         upper = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), -arm], axis=2)
         lower = np.broadcast_to(np.hstack([np.zeros((3, 3)), np.eye(3)]), (count, 3, 6))
         motion = np.concatenate([upper, lower], axis=1)
-        return self._in_targets_datum(
-            self.adjustment.pose_covariance, motion, self.adjustment.problem.layout.pose
-        )
+        return self._in_targets_datum(self.adjustment.pose_covariance, motion, self.adjustment.problem.layout.pose)
 
     @cached_property
     def target_covariance(self) -> Floats:
         """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints)."""
         motion = rigid_motion(self.adjustment.state.points).reshape(-1, 3, 6)
-        return self._in_targets_datum(
-            self.adjustment.target_covariance, motion, self.adjustment.problem.layout.target
-        )
+        return self._in_targets_datum(self.adjustment.target_covariance, motion, self.adjustment.problem.layout.target)
 
     def _in_targets_datum(self, blocks: Floats, motion: Floats, columns: Ints) -> Floats:
         """Diagonal blocks (b, k, k) after the S-transformation to inner constraints on all targets.
@@ -191,9 +187,7 @@ class LayoutInformation:
     def parameters(self) -> list[dict[str, object]]:
         """One row a parameter, in the unit a person reads it in."""
         rows: list[dict[str, object]] = []
-        for p, sigma, prior in zip(
-            self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True
-        ):
+        for p, sigma, prior in zip(self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True):
             rows.append(
                 {
                     "name": p.name,

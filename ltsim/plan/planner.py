@@ -291,9 +291,7 @@ def sight_table(site: Site, survey: Survey) -> Visibility:
     )
 
 
-def _reference(
-    file: PlanFile, scenario: Scenario, site: Site, built: Construction, way: Survey
-) -> Evaluated | None:
+def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Construction, way: Survey) -> Evaluated | None:
     """The scenario's own layout, worked in the same way."""
     own = survey_of(scenario).replace(
         faces=way.faces,

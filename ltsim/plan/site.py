@@ -80,8 +80,8 @@ class Site:
         table = visibility(position, goal, self.limits, obstacles=self.obstacles)
         turn = self.play / table.range_
         lowest = max(self.limits.elevation_min, 0.5 * (self.limits.cone_opening - np.pi))
-        good: Bools = table.visible & (table.elevation - turn >= lowest) & (
-            table.elevation + turn <= self.limits.elevation_max
+        good: Bools = (
+            table.visible & (table.elevation - turn >= lowest) & (table.elevation + turn <= self.limits.elevation_max)
         )
         return good & (table.range_ - self.play >= self.limits.range_min)
 

@@ -61,9 +61,7 @@ class Obstacles:
         way = ends - origins
         length = np.linalg.norm(way, axis=1)
         beam = way / length[:, None]
-        votes = np.stack(
-            [self._cast(origins + shift, beam, length) for shift in (0.0 * beam, *_bundle(beam))], axis=1
-        )
+        votes = np.stack([self._cast(origins + shift, beam, length) for shift in (0.0 * beam, *_bundle(beam))], axis=1)
         hit: Bools = votes[:, 0].copy()
         doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
@@ -158,9 +156,7 @@ def read_mesh(path: Path, unit: str) -> Floats:
         if path.stat().st_size > MAX_BYTES:
             raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
         with path.open("rb") as stream:
-            loaded: Any = trimesh.load(
-                stream, file_type=path.suffix.lower()[1:], force="mesh", skip_materials=True
-            )
+            loaded: Any = trimesh.load(stream, file_type=path.suffix.lower()[1:], force="mesh", skip_materials=True)
         triangles: Floats = np.array(loaded.triangles, dtype=np.float64) * FACTOR[unit]
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None

@@ -105,9 +105,7 @@ def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
     return tuple(table.lost(layout.stations, layout.targets))
 
 
-def _sightings(
-    scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int
-) -> Sightings:
+def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:
     """The pointings in the order of the work, without targets that nobody sees."""
     kept = np.flatnonzero(visible.any(axis=0))
     renumbered = np.full(len(layout.targets), -1)
@@ -155,9 +153,7 @@ def _visit(
     return pointings
 
 
-def _order(
-    scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int
-) -> list[int]:
+def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int) -> list[int]:
     """Targets in the order in which a station points at them."""
     count = len(layout.targets)
     if scenario.work.order == "as-listed":

@@ -28,9 +28,7 @@ def construction_of(instrument: Instrument) -> Construction:
     return dh(instrument.harmonics, instrument.degree) if instrument.construction == "dh" else misalignment()
 
 
-def instrument_values(
-    instrument: Instrument, construction: Construction, seed: int, *key: str | int
-) -> Floats:
+def instrument_values(instrument: Instrument, construction: Construction, seed: int, *key: str | int) -> Floats:
     """True values (p,) [SI] of the construction's parameters: as stated, drawn from the prior, or 0.
 
     Raises
@@ -125,9 +123,7 @@ def _effect_of(entry: EffectEntry, number: int) -> Effect:
     return effect
 
 
-def effect_values(
-    scenario: Scenario, effects: tuple[Effect, ...], seed: int, *key: str | int
-) -> tuple[Floats, ...]:
+def effect_values(scenario: Scenario, effects: tuple[Effect, ...], seed: int, *key: str | int) -> tuple[Floats, ...]:
     """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
 
     A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances

@@ -139,8 +139,8 @@ class Smr(Section):
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     reflector: str | None = None
     incidence_error: bool = False
-    table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = (
-        tuple(round(x / MICROMETRE, 6) for x in PAPER_TABLE)
+    table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
+        round(x / MICROMETRE, 6) for x in PAPER_TABLE
     )
     direction_deg: Angle = 0.0
 

@@ -120,9 +120,7 @@ def drawn_noise(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: st
     return np.stack(draws, axis=1) * noise_sigma(work, values)
 
 
-def _recording(
-    work: Fieldwork, readings: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
-) -> Recording:
+def _recording(work: Fieldwork, readings: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Recording:
     s = work.sightings
     return Recording(
         setup=_setup(work, values, seed, *key),
@@ -158,9 +156,7 @@ def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | i
             corrected=tracker.corrected,
             noise=tracker.noise,
             prior=tracker.prior,
-            limits=Limits(
-                elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg
-            ),
+            limits=Limits(elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg),
         ),
         gauge=_certificate(work, values, seed, *key),
         stations=stations,
@@ -219,9 +215,7 @@ def _certificate(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: s
     )
 
 
-def _truth(
-    work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
-) -> Truth:
+def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Truth:
     s, scenario = work.sightings, work.scenario
     nominal = None
     if scenario.cmm.nominal:

@@ -36,9 +36,7 @@ def effects_in(module: str) -> list[type[Effect]]:
     ]
 
 
-@pytest.mark.parametrize(
-    "module", [m.name for m in pkgutil.iter_modules(effects.__path__) if m.name not in CONTRACT]
-)
+@pytest.mark.parametrize("module", [m.name for m in pkgutil.iter_modules(effects.__path__) if m.name not in CONTRACT])
 def test_every_effect_file_is_in_the_catalogue(module: str) -> None:
     catalogue = {entry if isinstance(entry, type) else type(entry) for entry in effects.CATALOGUE}
     missing = [cls.__name__ for cls in effects_in(module) if cls not in catalogue]

@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 from ltsim.arrays import Floats, Ints
 from ltsim.geometry.polar import from_polar, polar_jacobian, to_face, to_polar, unit_vectors, wrap
 
-pointings = st.tuples(
-    st.floats(0.5, 40), st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.sampled_from([1, 2])
-)
+pointings = st.tuples(st.floats(0.5, 40), st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.sampled_from([1, 2]))
 many = st.lists(pointings, min_size=1, max_size=6)
 
 

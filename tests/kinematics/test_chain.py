@@ -103,8 +103,7 @@ def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) ->
     chain, raw = CHAINS[name], readings(seed)
     amounts = errors(chain, seed)
     one_by_one = [
-        TWINS[name](raw[i], {slot: float(amount[i]) for slot, amount in amounts.items()})
-        for i in range(len(raw))
+        TWINS[name](raw[i], {slot: float(amount[i]) for slot, amount in amounts.items()}) for i in range(len(raw))
     ]
     np.testing.assert_allclose(point(chain, raw, amounts), one_by_one, atol=1e-13)
 

@@ -56,8 +56,10 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
         found.append([criteria.distance.before.mean, after[0].mean, criteria.coordinate.before.mean, after[1].mean])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(TRIALS)
     predicted = [
-        expected.distance_before[0], expected.distance_after[0],
-        expected.coordinate_before[0], expected.coordinate_after[0],
+        expected.distance_before[0],
+        expected.distance_after[0],
+        expected.coordinate_before[0],
+        expected.coordinate_after[0],
     ]
     assert np.all(np.abs(mean - predicted) < 3.5 * error + 0.005 * mean)
     assert error[1] < 0.03 * mean[1], "the comparison would not notice a wrong prediction"

@@ -161,7 +161,8 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
         for k, effect in enumerate(effects):
             seen = examine(room, [effect])
             assert seen is not None
-            only = np.delete(np.delete(information, [16 + j for j in range(3) if j != k], 1), [
-                16 + j for j in range(3) if j != k], 2)
+            only = np.delete(
+                np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2
+            )
             size = smallest_sizes(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
             assert size == pytest.approx(seen.sizes[0][0], rel=1e-6)

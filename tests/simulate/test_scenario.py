@@ -123,7 +123,7 @@ def test_unknown_names_are_refused_with_the_closest() -> None:
 
 
 def test_a_station_that_sees_nothing_is_refused(write: Write) -> None:
-    text = MINIMAL + '[[workshop.obstacles]]\nbox_mm = [1000, 1000, 3000]\nposition_mm = [3000, 3000, 0]\n'
+    text = MINIMAL + "[[workshop.obstacles]]\nbox_mm = [1000, 1000, 3000]\nposition_mm = [3000, 3000, 0]\n"
     with pytest.raises(SetupError, match=r"stations\.S1: sees no reflector \(A is station inside an obstacle\)"):
         fieldwork(load_scenario(write(text)), 1)
 
