@@ -108,7 +108,8 @@ def doubted(explained: Sequence[tuple[Finding, tuple[str, ...]]]) -> list[Findin
     told = []
     for finding, carried in explained:
         alike = [f for f, _ in explained if f.effect == finding.effect]
-        beside = [f for f, _ in explained if not f.known and set(f.where.observables) & set(finding.where.observables)]
+        kinds = set(carried or finding.where.observables or OBSERVABLES)
+        beside = [f for f, _ in explained if not f.known and kinds & set(f.where.observables or OBSERVABLES)]
         if finding.known and len(alike) > 1 and find_effect(finding.effect).scope != "target":
             told.append(_imitating(finding, carried, "of which it would take several"))
         elif finding.known and beside:

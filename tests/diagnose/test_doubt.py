@@ -80,4 +80,4 @@ def test_a_name_that_needs_a_flexible_term_beside_it_is_none():
     assert [f.effect for f in found] == ["unknown", "unknown"]
     assert found[0].equivalents[0][0] == "range-step"
     elsewhere = finding("unknown", "", ("azimuth",), known=False)
-    assert doubted([(step, ()), (elsewhere, ())])[0].effect == "range-step"
+    assert doubted([(step, ("distance",)), (elsewhere, ())])[0].effect == "range-step"
