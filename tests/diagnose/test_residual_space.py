@@ -81,6 +81,38 @@ def test_flexible_terms_are_finite_and_picklable(space):
         assert pickle.loads(pickle.dumps(h.effect)) == h.effect
 
 
+def test_flexible_terms_speak_the_words_of_the_interface(space):
+    words = {
+        "time",
+        "azimuth",
+        "elevation",
+        "distance",
+        "incidence",
+        "height",
+        "place",
+        "temperature",
+        "approach",
+        "face",
+    }
+    columns = set(space.sightings.covariates)
+    for h in flexible_hypotheses(space.sightings):
+        assert set(h.effect.covariates) <= words | columns, h.effect.formula
+
+
+def test_grown_terms_are_effects_too(space):
+    wave = FlexibleTerm((), (), "azimuth", ((("elevation", "cos", 7.0),), (("elevation", "sin", 7.0),)))
+    moved = FlexibleTerm((), (), "place", ((("time", "legendre", 1.0), ("z", "along", 1.0)),))
+    for term in (wave, moved):
+        grown = term.grown(space.sightings)
+        assert len(grown) > 10
+        for richer in grown:
+            design = richer.design(space.sightings)
+            assert design.shape == (len(space.sightings), 3, len(richer.columns))
+            assert np.isfinite(design).all()
+    harmonic = wave.grown(space.sightings)[0]
+    assert harmonic.columns[2:] == ((("elevation", "cos", 14.0),), (("elevation", "sin", 14.0),))
+
+
 def test_simulated_evidence_is_that_of_the_same_residuals(space):
     hypotheses = flexible_hypotheses(space.sightings)[::10]
     bank = Bank.of(space, hypotheses)
