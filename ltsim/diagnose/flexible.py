@@ -220,7 +220,7 @@ class FlexibleTerm(Effect):
         pairs = zip(coefficients, self.columns, strict=True)
         terms = " + ".join(f"{coefficient} {describe(column)}".removesuffix(" 1") for coefficient, column in pairs)
         place = f" at {', '.join(self.stations + self.targets)}" if self.stations + self.targets else ""
-        what = "displacement" if self.observable == PLACE else f"{self.observable} correction"
+        what = "displacement of the targets" if self.observable == PLACE else f"{self.observable} correction"
         return f"{what} = {terms}{place}"
 
 

@@ -84,7 +84,8 @@ def finding_sentence(
     if effect == "unknown":
         on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
         law = f"; what fits: {formula}" if formula else ""
-        return f"Physics outside the catalogue {place(where)}{on}{law}."
+        at = f" {place(where)}" if where.stations or where.targets or where.observables else ""
+        return f"Physics outside the catalogue{at}{on}{law}."
     title, cause = card_line(find_effect(effect))
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
     told = "; ".join(part for part in (cause, estimates(parameters)) if part)
