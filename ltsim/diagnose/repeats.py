@@ -37,9 +37,10 @@ def _ratio(space: ResidualSpace, factor: Floats, residual: Floats, group: Ints) 
     r = residual[: len(share)]
     key = (3 * group[:, None] + np.arange(3))[used]
     _, key, count = np.unique(key, return_inverse=True, return_counts=True)
-    again = (count > 1) & (np.bincount(key, added) > 0)
+    more = np.bincount(key, added)
+    again = (count > 1) & (more > 0)
     mean_share = np.maximum(1.0 - np.bincount(key, 1.0 - share), LEAST_SHARE)
-    together = 1.0 + np.bincount(key, added)
+    together = 1.0 + np.maximum(more, 0.0)
     square = np.bincount(key, r) ** 2 / count
     shared = square * (1 - 1 / together) - mean_share * np.log(together)
     alone = np.bincount(key, r**2 * (1 - 1 / (1 + added)) - share * np.log(1 + added))

@@ -48,6 +48,11 @@ def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     assert ratio > 20.0 if shared else ratio < -20.0
 
 
+def test_less_noise_than_stated_does_not_repeat(repeated):
+    space, _ = repeated
+    assert repeats(space, np.full(space.use.shape, 0.4), space.residual) == 0.0
+
+
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
     space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
