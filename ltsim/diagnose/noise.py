@@ -192,12 +192,11 @@ class NoiseBank:
             total[found.effect.name] = total.get(found.effect.name, 0.0) + float(w)
         best = rows[0][1]
         name = best.effect.name
-        physics = _repeating(space, best, residual)
-        again = repeats(space, _factor(space, best), residual)
-        doubt = float(expit(np.log(LOOKS_LIKE_NOISE) + np.logaddexp(0.0, again)))
+        doubt = _doubt(space, best, residual)
         total = {n: p * (1.0 - doubt) for n, p in total.items()}
         total["unknown"] = total.get("unknown", 0.0) + doubt
-        best, name = (physics, "unknown") if doubt > 0.5 else (best, name)
+        if doubt > 0.5:
+            best, name = _repeating(space, best, residual), "unknown"
         others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
         return replace(best, probability=total[name], equivalents=tuple(others[:3]))
 
@@ -215,6 +214,14 @@ def _factor(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Floats:
     """Variance (n, 3) of a hypothesis over that of the space."""
     variance = hypothesis.effect.variance(space.sightings, space.sigma, np.array(hypothesis.values))
     return np.asarray(variance / space.sigma**2)
+
+
+def _doubt(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats) -> float:
+    """Probability that larger noise is a law; a law makes no readings quieter than stated."""
+    factor = _factor(space, hypothesis)
+    if float(factor[space.use].max()) <= 1.0:
+        return 0.0
+    return float(expit(np.log(LOOKS_LIKE_NOISE) + np.logaddexp(0.0, repeats(space, factor, residual))))
 
 
 def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats) -> NoiseHypothesis:
