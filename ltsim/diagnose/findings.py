@@ -186,6 +186,7 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
         evidence=Evidence(hypothesis.drop, len(rows), detection.p_value, hypothesis.probability),
         sentence=finding_sentence(name, where, rows, hypothesis.probability, law),
         equivalents=hypothesis.equivalents,
+        separate_by=hypothesis.separate_by,
         formula=law,
     )
 

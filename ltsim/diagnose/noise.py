@@ -22,7 +22,7 @@ from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.evidence import log_means
 from ltsim.diagnose.flexible import covariate
-from ltsim.diagnose.repeats import repeats
+from ltsim.diagnose.repeats import deciding_repeats, repeats
 from ltsim.diagnose.terms import further
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.recording.recording import OBSERVABLES
@@ -89,6 +89,7 @@ class NoiseHypothesis:
     drop: float = 0.0
     probability: float = 0.0
     equivalents: tuple[tuple[str, float], ...] = ()
+    separate_by: str = ""
 
 
 def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
@@ -198,7 +199,8 @@ class NoiseBank:
         if doubt > 0.5:
             best, name = _repeating(space, best, residual), "unknown"
         others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
-        return replace(best, probability=total[name], equivalents=tuple(others[:3]))
+        advice = deciding_repeats(space, _factor(space, best), best.effect.stations) if doubt > 0.0 else ""
+        return replace(best, probability=total[name], equivalents=tuple(others[:3]), separate_by=advice)
 
     def _of(self, family: int) -> list[NoiseHypothesis]:
         return [h for h, f in zip(self.hypotheses, self.family, strict=True) if f == family]

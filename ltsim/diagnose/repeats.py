@@ -11,6 +11,9 @@ import numpy as np
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 
+DECISIVE = 10.0
+"""Expected evidence (drop of chi2) from which noise and a law count as told apart."""
+MOST_REPEATS = 5
 LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
 
@@ -28,6 +31,34 @@ def repeats(space: ResidualSpace, factor: Floats, residual: Floats) -> float:
     s = space.sightings
     pair = s.station * len(s.target_names) + s.target
     return max(_ratio(space, factor, residual, pair), _ratio(space, factor, residual, 2 * pair + (s.face == 2)))
+
+
+def deciding_repeats(space: ResidualSpace, factor: Floats, stations: tuple[str, ...] = ()) -> str:
+    """A sentence: how often each target must be measured again to tell noise from a law, and by how much it would.
+
+    The expected evidence is twice the Kullback-Leibler divergence of noise from a law of the same variance.
+    """
+    s = space.sightings
+    _, pair, count = np.unique(s.station * len(s.target_names) + s.target, return_inverse=True, return_counts=True)
+    added = np.maximum(np.where(space.use, factor - 1.0, 0.0), 0.0)
+    v = np.array([np.bincount(pair, added[:, j]) / count for j in range(3)])
+    now = _divergence(v, count)
+    for further in range(1, MOST_REPEATS + 1):
+        then = _divergence(v, count + further)
+        if then > max(DECISIVE, 2.0 * now):
+            times = "once more" if further == 1 else f"{further} more times"
+            return (
+                f"measure each target {times}: expected chi-square between noise and a law from {now:.0f} to {then:.0f}"
+            )
+    return "the repeats there are tell noise from a law that repeats; another order of the work, from one that does not"
+
+
+def _divergence(v: Floats, count: Ints) -> float:
+    """Twice the divergence, summed over groups of `count` (g,) readings of added variance v (3, g)."""
+    mean, alone = 1.0 + count * v, 1.0 + v
+    of_means = alone / mean - 1.0 - np.log(alone / mean)
+    of_differences = (count - 1) * (v - np.log(alone))
+    return float((of_means + of_differences)[:, count > 1].sum())
 
 
 def _ratio(space: ResidualSpace, factor: Floats, residual: Floats, group: Ints) -> float:

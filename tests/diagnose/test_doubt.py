@@ -12,7 +12,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.diagnosis import Estimate, Evidence, Finding, Where
 from ltsim.diagnose.evidence import plausibility
 from ltsim.diagnose.findings import doubted
-from ltsim.diagnose.repeats import repeats
+from ltsim.diagnose.repeats import deciding_repeats, repeats
 from ltsim.effects import find_effect
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
@@ -46,6 +46,17 @@ def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     residual = space.residual + space.project(more)[:, 0]
     ratio = repeats(space, np.full(space.use.shape, 1.0 + 1.5**2), residual)
     assert ratio > 20.0 if shared else ratio < -20.0
+
+
+def test_how_often_to_measure_again_is_computed(repeated):
+    space, _ = repeated
+    recording, truth = network(repeats=1, seed=6)
+    single = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    quiet, loud = (deciding_repeats(single, np.full(single.use.shape, factor)) for factor in (1.1, 3.0))
+    assert loud.startswith("measure each target once more")
+    assert "more times" in quiet
+    assert "from 0 to" in loud
+    assert deciding_repeats(space, np.full(space.use.shape, 1.001)).startswith("the repeats there are")
 
 
 def test_less_noise_than_stated_does_not_repeat(repeated):
