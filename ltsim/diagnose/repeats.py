@@ -46,10 +46,10 @@ def deciding_repeats(space: ResidualSpace, factor: Floats, stations: tuple[str, 
     for further in range(1, MOST_REPEATS + 1):
         then = _divergence(v, count + further)
         if then > max(DECISIVE, 2.0 * now):
+            where = f" from {', '.join(stations)}" if stations else ""
             times = "once more" if further == 1 else f"{further} more times"
-            return (
-                f"measure each target {times}: expected chi-square between noise and a law from {now:.0f} to {then:.0f}"
-            )
+            gain = f"expected chi-square between noise and a law from {now:.0f} to {then:.0f}"
+            return f"measure each target {times}{where}: {gain}"
     return "the repeats there are tell noise from a law that repeats; another order of the work, from one that does not"
 
 
