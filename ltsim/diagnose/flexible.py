@@ -54,6 +54,11 @@ def covariate(sightings: Sightings, name: str) -> Floats:
     return sightings.quantities[name]
 
 
+def further(sightings: Sightings) -> list[str]:
+    """Columns of the recording beyond the format's that vary."""
+    return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
+
+
 def _centred(values: Floats) -> Floats:
     low, high = float(values.min()), float(values.max())
     half = 0.5 * (high - low)

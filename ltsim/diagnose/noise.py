@@ -21,9 +21,8 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.evidence import log_means
-from ltsim.diagnose.flexible import covariate
+from ltsim.diagnose.flexible import covariate, further
 from ltsim.diagnose.repeats import deciding_repeats, repeats
-from ltsim.diagnose.terms import further
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings

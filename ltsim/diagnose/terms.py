@@ -24,6 +24,7 @@ from ltsim.diagnose.flexible import (
     Factor,
     FlexibleTerm,
     covariate,
+    further,
     smooth,
     wave,
 )
@@ -77,11 +78,6 @@ def _covariates(sightings: Sightings) -> list[str]:
     if _nested(sightings):
         names += ["incidence", "nest-direction"]
     return names + further(sightings)
-
-
-def further(sightings: Sightings) -> list[str]:
-    """Columns of the recording beyond the format's that vary."""
-    return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
 
 
 def _nested(sightings: Sightings) -> bool:
