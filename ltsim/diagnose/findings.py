@@ -110,9 +110,10 @@ def doubted(explained: Sequence[tuple[Finding, tuple[str, ...]]]) -> list[Findin
         alike = [f for f, _ in explained if f.effect == finding.effect]
         kinds = set(carried or finding.where.observables or OBSERVABLES)
         beside = [f for f, _ in explained if not f.known and kinds & set(f.where.observables or OBSERVABLES)]
-        if finding.known and len(alike) > 1 and find_effect(finding.effect).scope != "target":
+        kind = find_effect(finding.effect) if finding.known else None
+        if kind and len(alike) > 1 and not kind.plural:
             told.append(_imitating(finding, carried, "of which it would take several"))
-        elif finding.known and beside:
+        elif kind and beside and kind.scope != "reading":
             told.append(_imitating(finding, carried, "which does not follow it alone"))
         else:
             told.append(finding)

@@ -207,6 +207,8 @@ class NoiseBank:
 
 LOOKS_LIKE_NOISE = 0.15
 """Odds of a law that changes from pointing to pointing against noise that looks like it; the same if it repeats."""
+QUIETER = 0.9
+"""Factor on a variance below which the stated noise is wrong, whatever else."""
 DOMINANT = 0.8
 """Share of the gain from which one observable is said to scatter alone."""
 
@@ -218,9 +220,9 @@ def _factor(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Floats:
 
 
 def _doubt(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats) -> float:
-    """Probability that larger noise is a law; a law makes no readings quieter than stated."""
+    """Probability that larger noise is a law; a law makes no reading quieter than stated."""
     factor = _factor(space, hypothesis)
-    if float(factor[space.use].max()) <= 1.0:
+    if float(factor[space.use].min()) < QUIETER:
         return 0.0
     return float(expit(np.log(LOOKS_LIKE_NOISE) + np.logaddexp(0.0, repeats(space, factor, residual))))
 

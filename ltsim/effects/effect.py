@@ -143,6 +143,8 @@ class Effect:
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
     covariates: ClassVar[tuple[str, ...]] = ()
     scope: ClassVar[Scope] = "all"
+    plural: ClassVar[bool] = False
+    """Several of them in one recording are nothing unusual: bad readings, nests and targets."""
     ways: ClassVar[int] = 1
     """Independent directions in which `finer` moves."""
 

@@ -36,6 +36,7 @@ class GaugeShape(Effect):
     observables = ()
     covariates = ("place",)
     scope = "target"
+    plural = True
     parameters = (
         Parameter("nest-x", "um", "motion of the nest along the network's x axis", MOVED),
         Parameter("nest-y", "um", "motion of the nest along the network's y axis", MOVED),

@@ -39,6 +39,7 @@ class NestLift(Effect):
     stage = Stage.TARGET
     covariates = ("place",)
     scope = "pointing"
+    plural = True
     parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", SIZE),)
 
     def __post_init__(self) -> None:

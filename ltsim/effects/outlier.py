@@ -37,6 +37,7 @@ class Outlier(Effect):
     number = 40
     stage = Stage.ELECTRONICS
     scope = "reading"
+    plural = True
     parameters = (Parameter("outlier", "um", "correction of the range", 300 * MICROMETRE),)
 
     def __post_init__(self) -> None:

@@ -50,6 +50,7 @@ class SmrCentring(Effect):
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "target"
+    plural = True
     parameters = (
         Parameter("vertex-axial", "um", "vertex outwards of the centre, along the open face", 15 * MICROMETRE),
         Parameter("vertex-side", "um", "vertex to the side, horizontally", 15 * MICROMETRE),

@@ -32,6 +32,7 @@ class SmrDihedral(Effect):
     observables = ("azimuth", "elevation")
     covariates = ("distance", "place")
     scope = "target"
+    plural = True
     parameters = (
         Parameter("spot-left", "urad", "correction of the direction to the left", 3 * MICRORADIAN),
         Parameter("spot-up", "urad", "correction of the direction upwards", 3 * MICRORADIAN),

@@ -39,6 +39,7 @@ class TargetMoved(Effect):
     stage = Stage.TARGET
     covariates = ("time",)
     scope = "target"
+    plural = True
     parameters = tuple(
         Parameter(f"moved-{axis}", "um", f"motion of the target along the network's {axis} axis", STEP)
         for axis in "xyz"

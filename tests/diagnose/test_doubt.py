@@ -84,10 +84,11 @@ def test_several_effects_of_one_kind_are_no_name():
     assert "window" in found[0].sentence
 
 
-def test_several_bad_targets_do_occur():
-    moved = replace(finding("target-moved", ""), where=Where((), (), ("T01",)))
-    found = doubted([(moved, ()), (replace(moved, where=Where((), (), ("T02",))), ())])
-    assert [f.effect for f in found] == ["target-moved", "target-moved"]
+@pytest.mark.parametrize("effect", ["target-moved", "nest-lift", "outlier"])
+def test_several_bad_targets_do_occur(effect):
+    bad = replace(finding(effect, ""), where=Where((), (), ("T01",)))
+    found = doubted([(bad, ()), (replace(bad, where=Where((), (), ("T02",))), ())])
+    assert [f.effect for f in found] == [effect, effect]
 
 
 def test_a_name_that_needs_a_flexible_term_beside_it_is_none():
