@@ -34,7 +34,9 @@ def recording_with(**stated: object) -> tuple[Recording, State]:
     return recording.replace(setup=setup), state
 
 
-@pytest.mark.parametrize("stated", [{"position_mm"}, {"yaw_deg"}, {"position_mm", "yaw_deg"}], ids=str)
+@pytest.mark.parametrize(
+    "stated", [{"position_mm"}, {"yaw_deg"}, {"position_mm", "yaw_deg"}], ids=["position", "yaw", "both"]
+)
 def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
     recording, truth = network(faces=1)
     expected = sightings_of(recording, truth.state)
