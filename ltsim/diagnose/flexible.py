@@ -49,11 +49,6 @@ WORDS = {
 """Names of the interface for covariates that have others here."""
 
 
-def covariate(sightings: Sightings, name: str) -> Floats:
-    """Values (n,) of a covariate [SI, or the unit of the recording's own column]; unknown ones are zero."""
-    return sightings.quantities[name]
-
-
 def further(sightings: Sightings) -> list[str]:
     """Columns of the recording beyond the format's that vary."""
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
@@ -90,7 +85,7 @@ def evaluate(sightings: Sightings, factor: Factor) -> Floats:
     name, function, k = factor
     if function == "target":
         return (sightings.target == sightings.target_names.index(name)).astype(np.float64)
-    x = covariate(sightings, name)
+    x = sightings.quantities[name]
     if function in LOCAL_WIDTHS:
         gap = wrap(x - k) if name in CIRCULAR else x - k
         return np.exp(-0.5 * (gap / (LOCAL_WIDTHS[function] * float(np.ptp(x)))) ** 2)
@@ -182,10 +177,10 @@ class FlexibleTerm(Effect):
         """For waves: rates between the neighbours of the grid; for a step: the gaps around its edge."""
         name, function, k = self.columns[0][0] if self.columns and self.columns[0] else ("", "", 0.0)
         if function == "cos" and all(f[:1] == (name,) and f[2] == k for (f, *_) in self.columns):
-            step = 2 * np.pi * CYCLES / float(np.ptp(covariate(sightings, name)))
+            step = 2 * np.pi * CYCLES / float(np.ptp(sightings.quantities[name]))
             return [self._retuned(float(r)) for r in k + step * np.linspace(-0.9, 0.9, 13) if r > 0]
         if function in ("step", "bend"):
-            values = np.unique(covariate(sightings, name))
+            values = np.unique(sightings.quantities[name])
             middles = 0.5 * (values[1:] + values[:-1])
             near = np.argsort(np.abs(middles - k))[: 2 * max(len(middles) // EDGES, 4)]
             return [self._retuned(float(edge)) for edge in middles[near]]

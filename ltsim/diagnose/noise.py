@@ -21,7 +21,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.evidence import log_means
-from ltsim.diagnose.flexible import covariate, further
+from ltsim.diagnose.flexible import further
 from ltsim.diagnose.repeats import deciding_repeats, repeats
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
 from ltsim.recording.recording import OBSERVABLES
@@ -68,7 +68,7 @@ class NoisePattern(NoiseEffect):
         """Variance (n, 3)."""
         pattern = self.mask(sightings)
         if self.covariate_name:
-            x = covariate(sightings, self.covariate_name)
+            x = sightings.quantities[self.covariate_name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         acts = [float(o in self.observables) for o in OBSERVABLES]
@@ -181,10 +181,12 @@ class NoiseBank:
             members = np.flatnonzero(self.family == family)
             chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
             values, drop, sigma = _most_likely(space, space.sigma, chosen, residual)
-            spent = len(values) * np.log(max(_acting(space, chosen.effect, values), 2.0))
+            profiled = replace(chosen, values=values, sigma=sigma, drop=drop)
+            acting = np.abs(_factor(space, profiled) - 1.0) > 1e-3
+            spent = len(values) * np.log(max(float((acting & space.use).sum()), 2.0))
             cost = np.log(len({h.effect for h in self._of(int(family))}))
             evidence = 0.5 * (drop - spent) - cost + float(prior[family])
-            rows.append((evidence, replace(chosen, values=values, sigma=sigma, drop=drop)))
+            rows.append((evidence, profiled))
         rows.sort(key=lambda row: -row[0])
         weight = np.exp(np.array([row[0] for row in rows]) - rows[0][0])
         total: dict[str, float] = {}
@@ -192,13 +194,14 @@ class NoiseBank:
             total[found.effect.name] = total.get(found.effect.name, 0.0) + float(w)
         best = rows[0][1]
         name = best.effect.name
-        doubt = _doubt(space, best, residual)
+        factor = _factor(space, best)
+        doubt = _doubt(space, factor, residual)
         total = {n: p * (1.0 - doubt) for n, p in total.items()}
         total["unknown"] = total.get("unknown", 0.0) + doubt
         if doubt > 0.5:
-            best, name = _repeating(space, best, residual), "unknown"
+            best, name = _repeating(space, best, factor, residual), "unknown"
         others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
-        advice = deciding_repeats(space, _factor(space, best), best.effect.stations) if doubt > 0.0 else ""
+        advice = deciding_repeats(space, factor, best.effect.stations) if doubt > 0.0 else ""
         return replace(best, probability=total[name], equivalents=tuple(others[:3]), separate_by=advice)
 
     def _of(self, family: int) -> list[NoiseHypothesis]:
@@ -219,26 +222,23 @@ def _factor(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Floats:
     return np.asarray(variance / space.sigma**2)
 
 
-def _doubt(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats) -> float:
+def _doubt(space: ResidualSpace, factor: Floats, residual: Floats) -> float:
     """Probability that larger noise is a law; a law makes no reading quieter than stated."""
-    factor = _factor(space, hypothesis)
     if float(factor[space.use].min()) < QUIETER:
         return 0.0
     return float(expit(np.log(LOOKS_LIKE_NOISE) + np.logaddexp(0.0, repeats(space, factor, residual))))
 
 
-def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floats) -> NoiseHypothesis:
+def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, factor: Floats, residual: Floats) -> NoiseHypothesis:
     """The same scatter as physics without a name: where it is, and in which observable."""
-    used = space.use
-    factor = np.ones(used.shape)
-    factor[used] = _factor(space, hypothesis)[used]
-    gain, share = np.zeros(used.shape), space.redundancy[: int(used.sum())]
+    used, share = space.use, space.redundancy[: int(space.use.sum())]
+    gain = np.zeros(used.shape)
     gain[used] = residual[: len(share)] ** 2 * (1 - 1 / factor[used]) - share * np.log(factor[used])
     by_kind = gain.sum(axis=0)
     top = int(np.argmax(by_kind))
     observable = OBSERVABLES[top] if by_kind[top] > DOMINANT * by_kind.sum() else ""
-    added = max(float(factor[used].max()) - 1.0, 0.1)
     effect = NoisePattern(hypothesis.effect.stations, hypothesis.effect.targets, observable, repeating=True)
+    added = max(float(factor[used].max()) - 1.0, 0.1)
     found = NoiseHypothesis("unknown:noise:repeating", effect, (added,), False)
     values, drop, sigma = _most_likely(space, space.sigma, found, residual)
     return replace(found, values=values, drop=drop, sigma=sigma)
@@ -246,12 +246,6 @@ def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, residual: Floa
 
 PROFILED = 8
 """Families whose sizes are profiled before they are compared."""
-
-
-def _acting(space: ResidualSpace, effect: NoiseEffect, values: tuple[float, ...]) -> float:
-    """Number of readings whose variance an effect changes."""
-    variance = effect.variance(space.sightings, space.sigma, np.array(values))
-    return float(np.sum((np.abs(variance / space.sigma**2 - 1.0) > 1e-3) & space.use))
 
 
 LARGEST = 400.0

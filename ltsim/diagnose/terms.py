@@ -23,7 +23,6 @@ from ltsim.diagnose.flexible import (
     Column,
     Factor,
     FlexibleTerm,
-    covariate,
     further,
     smooth,
     wave,
@@ -108,7 +107,7 @@ def _smooth_terms(sightings: Sightings) -> Iterator[Hypothesis]:
 
 def _rates(sightings: Sightings, name: str, most: float) -> list[float]:
     """Rates of waves in a covariate with up to `most` cycles over its span; none where it does not vary."""
-    span = float(np.ptp(covariate(sightings, name)))
+    span = float(np.ptp(sightings.quantities[name]))
     return (2 * np.pi * np.arange(1.0, most, CYCLES) / span).tolist() if span > 0 else []
 
 
@@ -131,7 +130,7 @@ def _periodic_terms(sightings: Sightings) -> Iterator[Hypothesis]:
 def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     """A bump in one direction, at one distance, for a while."""
     for observable, name in product(OBSERVABLES, ("azimuth", "elevation", "distance", "time")):
-        values = covariate(sightings, name)
+        values = sightings.quantities[name]
         for function, width in LOCAL_WIDTHS.items():
             for centre in np.linspace(values.min(), values.max(), round(1.5 / width)):
                 column = ((name, function, float(centre)),)
@@ -141,7 +140,7 @@ def _local_terms(sightings: Sightings) -> Iterator[Hypothesis]:
 def _steps(sightings: Sightings) -> Iterator[Hypothesis]:
     """A reading that jumps where a covariate passes a value, or bends there: a stop, a threshold, a saturation."""
     for observable, name in product(OBSERVABLES, [*_covariates(sightings), *MOVES, "lapse"]):
-        values = covariate(sightings, name)
+        values = sightings.quantities[name]
         for edge in np.unique(np.quantile(values, np.linspace(0.0, 1.0, EDGES + 2)[1:-1])):
             for function in ("step", "bend"):
                 column = ((name, function, float(edge)),)
@@ -166,7 +165,7 @@ def _decays(sightings: Sightings) -> Iterator[Hypothesis]:
 
 def _memory_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     """What the last move left behind: by its direction, its length, or both."""
-    approaches = [a for a in APPROACHES if np.any(covariate(sightings, a))]
+    approaches = [a for a in APPROACHES if np.any(sightings.quantities[a])]
     for observable, name in product(OBSERVABLES, approaches):
         sign: Factor = (name, "power", 1.0)
         for e, d in product(ELEVATION, DISTANCE):
@@ -177,12 +176,12 @@ def _memory_terms(sightings: Sightings) -> Iterator[Hypothesis]:
         for clock in ("time", "station-time", "lapse"):
             columns = ((sign,), *((sign, *c) for c in smooth(clock, 2)))
             yield Hypothesis(f"unknown:{observable}:approach", _term(observable, *columns), False)
-    moves = [m for m in MOVES if np.ptp(covariate(sightings, m)) > 0]
+    moves = [m for m in MOVES if np.ptp(sightings.quantities[m]) > 0]
     for observable, name in product(OBSERVABLES, [*moves, *LAST] if moves else []):
         for count in (1, 2, 5):
             yield Hypothesis(f"unknown:{observable}:move", _term(observable, *smooth(name, count)), False)
         for half in SATURATION:
-            function: Factor = (name, "saturated", half * float(np.ptp(covariate(sightings, name))))
+            function: Factor = (name, "saturated", half * float(np.ptp(sightings.quantities[name])))
             yield Hypothesis(f"unknown:{observable}:move", _term(observable, (function,)), False)
         for e, d in product(ELEVATION, DISTANCE):
             length = ((name, "abs", 1.0), *e, *d)
@@ -347,7 +346,7 @@ def _neighbour_terms(sightings: Sightings) -> Iterator[Hypothesis]:
     if len(sightings.target_names) > MOST_TARGETS:
         return
     simple: tuple[tuple[Column, ...], ...] = ((()),), smooth("distance", 1), smooth("elevation", 1), smooth("time", 1)
-    moves = [name for name in ("time", *further(sightings)) if np.ptp(covariate(sightings, name)) > 0]
+    moves = [name for name in ("time", *further(sightings)) if np.ptp(sightings.quantities[name]) > 0]
     steps = np.quantile(sightings.time, np.linspace(0.0, 1.0, MOVE_TIMES + 2)[1:-1])
     sudden = [((("time", "step", float(edge)),),) for edge in np.unique(steps)] if "time" in moves else []
     for group in _neighbours(sightings):
