@@ -246,14 +246,27 @@ def _widened(
     ]
 
 
-def _fit(adjustment: Adjustment, dof: int) -> Fit:
-    space = ResidualSpace.of(adjustment)
+def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
+    """Chi2 and held-out error; the latter of another adjustment where one is given."""
+    space = ResidualSpace.of(predicting or adjustment)
     held_out = {
         "pointings": held_out_rms(space, pointing_folds(space)),
         "station-target pairs": held_out_rms(space, pair_folds(space)),
         "a quarter of a station's targets": held_out_rms(space, station_target_folds(space)),
     }
     return Fit(adjustment.chi2, dof, held_out["station-target pairs"], held_out)
+
+
+def _in_stated_noise(case: _Case, baseline: Adjustment, fitted: Refit) -> Adjustment:
+    """A refit with noise no quieter than stated: errors are told in the stated noise, or in what was found above it."""
+    stated = case.recording.sigma()
+    if not (case.sigma < stated).any():
+        return fitted.adjustment
+    sigma = np.maximum(case.sigma, stated)
+    if not fitted.effects:
+        return adjust(case.recording, case.construction, sigma=sigma, use=case.use, start=baseline.state)
+    effects = list(fitted.effects)
+    return refit(case.recording, case.construction, effects, start=baseline.state, sigma=sigma, use=case.use).adjustment
 
 
 def _assemble(
@@ -300,7 +313,9 @@ def _assemble(
     findings.sort(key=lambda f: -f.evidence.chi2_drop)
     spent = found.extension.shape[1]
     before = _fit(baseline, baseline.dof)
-    after = _fit(fitted.adjustment, baseline.dof - spent) if found.members or case.noise else before
+    after = before
+    if found.members or case.noise:
+        after = _fit(fitted.adjustment, baseline.dof - spent, _in_stated_noise(case, baseline, fitted))
     verdict = "mismatch" if mismatch or gross else "consistent"
     return Diagnosis(
         verdict=verdict,

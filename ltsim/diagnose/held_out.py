@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjust.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Ints
 
 PREDICTED = 1e-6
 """Directions with less redundancy than this are not predicted by the rest of the network at all."""
@@ -78,8 +78,3 @@ def _by_reading(space: ResidualSpace, fold: Ints) -> Ints:
     used = space.use
     by_reading: Ints = np.broadcast_to(fold[:, None], used.shape)[used].astype(np.int64)
     return by_reading
-
-
-def gain_by_station(before: Floats, after: Floats, station: Ints, count: int) -> Floats:
-    """Drop of the squared residuals (S,) at each station."""
-    return np.bincount(station, before**2 - after**2, minlength=count).astype(np.float64)

@@ -129,10 +129,10 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
     gain = ""
     if after is not before:
-        course = "falls" if after.held_out_rms < before.held_out_rms else "does not fall (it goes"
-        closing = "" if course == "falls" else ")"
-        gain = (
-            f" With it in the model the error on readings not used for the fit {course} from "
-            f"{before.held_out_rms:.2f} to {after.held_out_rms:.2f} times the stated noise{closing}."
+        was, now = f"{before.held_out_rms:.2f}", f"{after.held_out_rms:.2f}"
+        course = (
+            f"falls from {was} to {now}" if after.held_out_rms < before.held_out_rms else f"rises from {was} to {now}"
         )
+        course = f"stays at {now}" if was == now else course
+        gain = f" With it in the model the error on readings not used for the fit {course} times the stated noise."
     return first.sentence + open_ + more + gain

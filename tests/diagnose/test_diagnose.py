@@ -14,7 +14,7 @@ from ltsim.diagnose.files import write_diagnosis
 from ltsim.effects import find_effect
 from ltsim.effects.effect import by_displacement, on_readings
 from ltsim.model.construction import misalignment
-from ltsim.model.measurement import sightings_of
+from ltsim.model.measurement import MeasurementModel, sightings_of
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from tests.networks import drawn, network
@@ -208,6 +208,18 @@ def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
     assert (first.effect, first.where.stations) == ("wrong-unit", ("S3",))
     assert cause in first.sentence
     assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+
+
+def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
+    """Errors are told in the stated noise: less of it is found, and nothing is predicted worse."""
+    recording, state = workshop(19)
+    exact = MeasurementModel(recording, misalignment()).predict(state)
+    readings = exact + 0.6 * (recording.readings - exact)
+    found = diagnose(recording.with_readings(readings))
+    assert [f.effect for f in found.findings] == ["noise-level"]
+    assert found.findings[0].equivalents == ()
+    assert found.after.held_out_rms == pytest.approx(found.before.held_out_rms)
+    assert "stays at 0.6" in found.summary
 
 
 def test_turbulence_is_told_from_a_higher_noise_level():
