@@ -14,7 +14,8 @@ from ltsim.diagnose.bank import Bank, Hypothesis
 from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
 from ltsim.diagnose.detect import Detection, detect, noise_prior
 from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Finding, Fit
-from ltsim.diagnose.findings import carried_by, doubted, equivalents_of, gross_finding, mean_finding, noise_finding
+from ltsim.diagnose.evidence import carried_by
+from ltsim.diagnose.findings import doubted, equivalents_of, gross_finding, mean_finding, noise_finding
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import (
     held_out_rms,
@@ -307,7 +308,8 @@ def _assemble(
             detection,
             advice,
         )
-        explained.append((finding, carried_by(searcher.space, others, found)))
+        gain = (others.residual**2 - found.residual**2)[: int(searcher.space.use.sum())]
+        explained.append((finding, carried_by(searcher.space.use, gain)))
     findings += doubted(explained)
     findings += [noise_finding(h, detection) for h in case.noise]
     findings.sort(key=lambda f: -f.evidence.chi2_drop)

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Parameter
+from ltsim.recording.recording import OBSERVABLES
 
 STRENGTHS = np.array([10.0, 40.0, 160.0, 640.0])
 """Values of g: noncentralities per parameter that an effect worth naming may have."""
@@ -42,6 +43,19 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     size = np.bincount(groups, minlength=count).reshape(-1, *([1] * (values.ndim - 1)))
     means: Floats = top + np.log(total / size)
     return means
+
+
+MAINLY = 0.8
+"""Share of the evidence from which one observable is said to carry it."""
+
+
+def carried_by(use: Bools, gain: Floats) -> tuple[str, ...]:
+    """The observable that carries a gain (r,) of the readings in `use` (n, 3); empty: several do."""
+    by_reading = np.zeros(use.shape)
+    by_reading[use] = gain
+    by_kind = by_reading.sum(axis=0)
+    top = int(np.argmax(by_kind))
+    return (OBSERVABLES[top],) if by_kind[top] > MAINLY * by_kind.sum() else ()
 
 
 IMPOSSIBLE = 12.0

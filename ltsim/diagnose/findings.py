@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.bank import Hypothesis
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.diagnosis import Estimate, Evidence, Finding, Where
@@ -79,21 +78,6 @@ def mean_finding(
     )
 
 
-MAINLY = 0.8
-"""Share of the evidence from which one observable is said to carry it."""
-
-
-def carried_by(space: ResidualSpace, others: EffectSet, found: EffectSet) -> tuple[str, ...]:
-    """The observable that carries what a member of a set explains beside the others; empty: several."""
-    used = space.use
-    drop = np.zeros(used.shape)
-    count = int(used.sum())
-    drop[used] = others.residual[:count] ** 2 - found.residual[:count] ** 2
-    by_kind = drop.sum(axis=0)
-    top = int(np.argmax(by_kind))
-    return (OBSERVABLES[top],) if by_kind[top] > MAINLY * by_kind.sum() else ()
-
-
 IMITATED = 0.7
 """Probability of physics outside the catalogue where it takes several effects of one kind, or one with a flexible term
 beside it, to follow the readings. Of 31 explanations of the first sort in experiments/20 none was true, of 71 of the
@@ -152,7 +136,7 @@ def _law(effect: Effect, estimates: Sequence[Estimate]) -> str:
 
 def _told(law: str, estimates: Sequence[Estimate]) -> str:
     """A formula as a sentence tells it: a long one only by its length."""
-    if len(estimates) > MOST_TERMS:
+    if law and len(estimates) > MOST_TERMS:
         return f"{law.partition(' = ')[0]} by a smooth function with {len(estimates)} coefficients"
     legendre = " (P1, P2: Legendre polynomials over the covariate's range)" if "P1(" in law or "P2(" in law else ""
     return law + legendre

@@ -196,9 +196,8 @@ class FlexibleTerm(Effect):
         waves = [c for c in columns if c and c[0][1] in ("cos", "sin")]
         if waves and len(columns) < MOST_GROWN:
             order = 1 + sum(c[0][1] == "cos" for c in waves)
-            first = waves[:2]
-            further = tuple(((n, f, order * k), *rest) for (n, f, k), *rest in first)
-            found.append((*columns, *further))
+            harmonic = tuple(((n, f, order * k), *rest) for (n, f, k), *rest in waves[:2])
+            found.append((*columns, *harmonic))
         along = [c[-1:] if self.observable == PLACE else () for c in columns]
         bare = [c[: len(c) - len(a)] for c, a in zip(columns, along, strict=True)]
         for factor in FACTORS:

@@ -20,7 +20,7 @@ from scipy.special import expit
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.bank import sparse_rows
-from ltsim.diagnose.evidence import log_means
+from ltsim.diagnose.evidence import carried_by, log_means
 from ltsim.diagnose.flexible import further
 from ltsim.diagnose.repeats import deciding_repeats, repeats
 from ltsim.effects.effect import NoiseEffect, Parameter, Stage
@@ -212,8 +212,6 @@ LOOKS_LIKE_NOISE = 0.15
 """Odds of a law that changes from pointing to pointing against noise that looks like it; the same if it repeats."""
 QUIETER = 0.9
 """Factor on a variance below which the stated noise is wrong, whatever else."""
-DOMINANT = 0.8
-"""Share of the gain from which one observable is said to scatter alone."""
 
 
 def _factor(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Floats:
@@ -232,11 +230,8 @@ def _doubt(space: ResidualSpace, factor: Floats, residual: Floats) -> float:
 def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, factor: Floats, residual: Floats) -> NoiseHypothesis:
     """The same scatter as physics without a name: where it is, and in which observable."""
     used, share = space.use, space.redundancy[: int(space.use.sum())]
-    gain = np.zeros(used.shape)
-    gain[used] = residual[: len(share)] ** 2 * (1 - 1 / factor[used]) - share * np.log(factor[used])
-    by_kind = gain.sum(axis=0)
-    top = int(np.argmax(by_kind))
-    observable = OBSERVABLES[top] if by_kind[top] > DOMINANT * by_kind.sum() else ""
+    gain = residual[: len(share)] ** 2 * (1 - 1 / factor[used]) - share * np.log(factor[used])
+    observable = "".join(carried_by(used, gain))
     effect = NoisePattern(hypothesis.effect.stations, hypothesis.effect.targets, observable, repeating=True)
     added = max(float(factor[used].max()) - 1.0, 0.1)
     found = NoiseHypothesis("unknown:noise:repeating", effect, (added,), False)
