@@ -31,7 +31,7 @@ from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.terms import flexible_hypotheses
 from ltsim.diagnose.words import summarise, without_clock
 from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
@@ -188,6 +188,14 @@ def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
     return case.adjustment()
 
 
+def _with_effects(case: _Case, effects: Sequence[Effect], sigma: Floats) -> Refit:
+    """The exact refit with some effects; the plain adjustment without any."""
+    if effects:
+        return refit(case.recording, case.construction, list(effects), start=case.start, sigma=sigma, use=case.use)
+    plain = adjust(case.recording, case.construction, sigma=sigma, use=case.use, start=case.start)
+    return Refit(plain, (), ())
+
+
 def _refitted(
     case: _Case, baseline: Adjustment, searcher: Searcher, detection: Detection, found: EffectSet
 ) -> tuple[EffectSet, Refit]:
@@ -197,10 +205,9 @@ def _refitted(
     """
 
     def fit(members: Sequence[Hypothesis]) -> Refit:
-        if not members:
-            return Refit(case.adjustment() if case.noise else baseline, (), ())
-        effects = [h.effect for h in members]
-        return refit(case.recording, case.construction, effects, start=baseline.state, sigma=case.sigma, use=case.use)
+        if not members and not case.noise:
+            return Refit(baseline, (), ())
+        return _with_effects(case, [h.effect for h in members], case.sigma)
 
     fitted = fit(found.hypotheses)
     threshold = detection.threshold(1.0 - NEXT_LEVEL)
@@ -258,16 +265,12 @@ def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None)
     return Fit(adjustment.chi2, dof, held_out["station-target pairs"], held_out)
 
 
-def _in_stated_noise(case: _Case, baseline: Adjustment, fitted: Refit) -> Adjustment:
+def _in_stated_noise(case: _Case, fitted: Refit) -> Adjustment:
     """A refit with noise no quieter than stated: errors are told in the stated noise, or in what was found above it."""
     stated = case.recording.sigma()
     if not (case.sigma < stated).any():
         return fitted.adjustment
-    sigma = np.maximum(case.sigma, stated)
-    if not fitted.effects:
-        return adjust(case.recording, case.construction, sigma=sigma, use=case.use, start=baseline.state)
-    effects = list(fitted.effects)
-    return refit(case.recording, case.construction, effects, start=baseline.state, sigma=sigma, use=case.use).adjustment
+    return _with_effects(case, fitted.effects, np.maximum(case.sigma, stated)).adjustment
 
 
 def _assemble(
@@ -317,7 +320,7 @@ def _assemble(
     before = _fit(baseline, baseline.dof)
     after = before
     if found.members or case.noise:
-        after = _fit(fitted.adjustment, baseline.dof - spent, _in_stated_noise(case, baseline, fitted))
+        after = _fit(fitted.adjustment, baseline.dof - spent, _in_stated_noise(case, fitted))
     verdict = "mismatch" if mismatch or gross else "consistent"
     return Diagnosis(
         verdict=verdict,
