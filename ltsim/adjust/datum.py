@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import ModelError
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import rigid_motion
 
 
 def inner_covariance(adjustment: Adjustment, points: Ints | None = None) -> Floats:
@@ -52,13 +52,6 @@ def inner_covariance(adjustment: Adjustment, points: Ints | None = None) -> Floa
     transform = np.eye(3 * count) - motion @ np.linalg.solve(square, hold.T)
     inner: Floats = transform @ _target_covariance(adjustment) @ transform.T
     return inner
-
-
-def rigid_motion(points: Floats) -> Floats:
-    """Displacement (3 T, 6) of points (T, 3) by a unit translation and a unit rotation about the origin."""
-    turn = -cross_matrix(points)
-    shift = np.broadcast_to(np.eye(3), turn.shape)
-    return np.concatenate([shift, turn], axis=2).reshape(-1, 6)
 
 
 def _target_covariance(adjustment: Adjustment) -> Floats:

@@ -9,9 +9,7 @@ import numpy as np
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools
 from ltsim.model.measurement import State
-
-RANK = 1e-10
-"""Least eigenvalue over the largest of a target's whitened normal matrix: below, a direction of it is open."""
+from ltsim.solve.rank import FORMED
 
 
 def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
@@ -52,5 +50,5 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     at, axis = np.nonzero(control.axes)
     np.add.at(normal, (control.target[at], axis, axis), control.weights()[:, 0] ** 2)
     spread = np.linalg.eigvalsh(normal)
-    loose: Bools = doubtful & (spread[:, 0] <= RANK * spread[:, 2])
+    loose: Bools = doubtful & (spread[:, 0] <= FORMED * spread[:, 2])
     return loose

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
 
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats, Ints
@@ -27,6 +26,8 @@ from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
+from ltsim.solve.chain import inverse_of
+from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 CAP = 8
 STRUCTURE = ("layout", "_undetermined", "_held_columns", "_anchors", "unseen_targets")
@@ -200,14 +201,13 @@ class BatchNetwork:
         """
         dense = self._design[0]
         normal = dense.T @ dense
-        scale = 1.0 / np.sqrt(np.diag(normal))
-        factor, failed = scipy.linalg.lapack.dpotrf(normal * np.outer(scale, scale), lower=1)
-        if failed:
+        unit, scale = unit_diagonal(normal, np.diag(normal))
+        roots, determined = cholesky_where_determined(unit[None])
+        if not determined.all():
             raise SetupError(
                 "the network of the scenario does not determine all its unknowns: give priors or more pointings"
             )
-        half = np.tril(scipy.linalg.lapack.dpotri(factor, lower=1)[0])
-        inverse: Floats = (half + np.tril(half, -1).T) * np.outer(scale, scale)
+        inverse: Floats = inverse_of(roots[0]) * np.outer(scale, scale)
         return inverse
 
     @cached_property

@@ -11,25 +11,24 @@ twin, and a test holds both together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ltsim.adjust.datum import rigid_motion
 from ltsim.adjust.problem import DATUM_SIGMA
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
+from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction, misalignment
 from ltsim.plan.information import nominal_adjustment
 from ltsim.plan.survey import Survey
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
 """[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
-ROUNDING = 1e-12
-"""Share of a pivot under which it is what rounding leaves of zero."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,8 @@ class StationBlocks:
     Attributes
     ----------
     position : (N, 3) float, [m]
+    held : (N,) bool
+        Whether the targets in sight hold the pose.
     tt : (N, T, 3, 3) float
         Target with target.
     tx : (N, T, 3, 6 + P) float
@@ -48,20 +49,19 @@ class StationBlocks:
     """
 
     position: Floats
+    held: Bools
     tt: Floats
     tx: Floats
     xx: Floats
 
     def take(self, which: Ints) -> StationBlocks:
         """Some of the set-ups."""
-        return StationBlocks(self.position[which], self.tt[which], self.tx[which], self.xx[which])
+        return StationBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[StationBlocks]) -> StationBlocks:
         """Several sets of set-ups as one."""
-        return cls(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("position", "tt", "tx", "xx"))
-        )
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ class Reduced:
     Attributes
     ----------
     information : (B, P, P) float
-        Of instrument and effect parameters in units of their prior sigma; NaN where a layout determines no poses.
+        Of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose open.
     target_rms : (B,) float, [m]
-        Root mean square point error, datum the mean of all targets; NaN where not asked for.
+        Root mean square point error, datum the mean of all targets; NaN there too, and where not asked for.
     """
 
     information: Floats
@@ -104,6 +104,7 @@ class Reducer:
         )
         problem = adjustment.problem
         self._rank_free, self._free = problem.free.shape[1], problem.free
+        self._levelled = np.isin(np.arange(self.stations), problem.levels.station)
         self.prior_sigma = problem.prior_sigma[0]
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
@@ -203,12 +204,10 @@ class Reducer:
             Targets that each measures; default all.
         """
         count, targets = len(position), len(self.survey.points)
-        by_target, by_value = self.rows(position, yaw, np.zeros(count, dtype=np.int64) if slot is None else slot)
-        weight = (
-            np.sqrt(self.survey.repeats) * np.ones((count, targets))
-            if seen is None
-            else (np.sqrt(self.survey.repeats) * seen)
-        )
+        at = np.zeros(count, dtype=np.int64) if slot is None else slot
+        by_target, by_value = self.rows(position, yaw, at)
+        seen = np.ones((count, targets), dtype=bool) if seen is None else seen
+        weight = np.sqrt(self.survey.repeats) * seen
         shape = (count, targets, 3 * len(self.survey.faces))
         t = by_target.reshape(*shape, 3) * weight[:, :, None, None]
         v = by_value.reshape(*shape, -1) * weight[:, :, None, None]
@@ -217,7 +216,8 @@ class Reducer:
         x = np.concatenate([-t, turned, v], axis=3)
         flat = x.reshape(count, -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        return StationBlocks(position, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+        held = holds_pose(self.survey.points, seen, self._levelled[at])
+        return StationBlocks(position, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
         """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout.
@@ -227,30 +227,46 @@ class Reducer:
         targets : bool
             Also the targets' point error.
         """
-        schur, inverse, weights = self._eliminated(blocks, chosen)
-        rms = self._target_rms(schur, inverse, weights) if targets else np.full(len(schur), np.nan)
-        return Reduced(self.marginal(schur), rms)
+        schur, length, inverse, weights = self._eliminated(blocks, chosen)
+        information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
+        held = blocks.held[chosen].all(axis=1)
+        information[held] = self.marginal(schur[held], length[held])
+        if targets:
+            known = np.isfinite(information).all(axis=(1, 2))
+            rms[known] = self._target_rms(schur[known], inverse[known], weights[known])
+        return Reduced(information, rms)
 
-    def schur(self, blocks: StationBlocks, chosen: Ints) -> Floats:
-        """(B, K, K): normal matrices of poses, gauge targets and parameters, all other targets eliminated."""
-        return self._eliminated(blocks, chosen)[0]
+    def schur(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats]:
+        """Normal matrices (B, K, K) of poses, gauge targets and parameters, all other targets eliminated.
 
-    def marginal(self, schur: Floats) -> Floats:
-        """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated."""
-        size, count = schur.shape[1], len(self.scale)
-        corner = _cholesky(schur)[:, size - count :, size - count :]
+        And the squared lengths (B, K) of the columns before that, by which `marginal` decides rank.
+        """
+        return self._eliminated(blocks, chosen)[:2]
+
+    def marginal(self, schur: Floats, length: Floats) -> Floats:
+        """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated.
+
+        NaN where these leave a direction open, of columns whose squared lengths (B, K) the design would have.
+        """
+        unit, scale = unit_diagonal(schur, length)
+        roots, _ = cholesky_where_determined(unit)
+        last = slice(schur.shape[1] - len(self.scale), schur.shape[1])
+        corner = roots[:, last, last] / scale[:, last, None]
         information: Floats = corner @ np.swapaxes(corner, 1, 2)
         return information
 
-    def _eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
-        """Schur complement (B, K, K), inverse blocks (B, E, 3, 3) of the targets, and these times what joins them."""
+    def _eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+        """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
+
+        That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest.
+        """
         kept, tt, tk = self._normal(blocks, chosen)
         inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         weights = inverse @ tk
         size = kept.shape[1]
         flat, flat_weights = tk.reshape(len(kept), -1, size), weights.reshape(len(kept), -1, size)
         schur = kept - np.swapaxes(flat, 1, 2) @ flat_weights
-        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), inverse, weights
+        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", kept), inverse, weights
 
     def _normal(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
         """Kept block (B, K, K), mesh targets (B, E, 3, 3) and what joins them (B, E, 3, K)."""
@@ -304,7 +320,7 @@ class Reducer:
         first = size - len(self.prior_sigma) - 3 * len(gauge)
         for g, t in enumerate(gauge):
             carry[:, t, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
-        flat = carry.reshape(layouts, -1, size)
+        flat = carry.reshape(layouts, 3 * len(self.survey.points), size)
         total = np.einsum("beii->b", inverse) + np.einsum("bik,bki->b", flat @ covariance, np.swapaxes(flat, 1, 2))
         if self._rank_free:
             motion = self._motion.reshape(-1, 3, self._rank_free)
@@ -315,19 +331,3 @@ class Reducer:
             total = total - np.einsum("fg,bgf->b", held, shared)
         rms: Floats = POSE_SCALE * np.sqrt(total / len(self.survey.points))
         return rms
-
-
-def _cholesky(matrices: Floats) -> Floats:
-    """Lower factors (B, K, K); NaN where a matrix is not positive definite beyond rounding."""
-    try:
-        roots = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        roots = np.full(matrices.shape, np.nan)
-        for i, matrix in enumerate(matrices):
-            try:
-                roots[i] = np.linalg.cholesky(matrix)
-            except np.linalg.LinAlgError:
-                continue
-    pivots = np.einsum("bii->bi", roots) ** 2 / np.einsum("bii->bi", matrices)
-    roots[~(pivots.min(axis=1, initial=1.0) > ROUNDING)] = np.nan
-    return roots

@@ -13,10 +13,10 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.adjust.datum import rigid_motion
 from ltsim.arrays import Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.errors import unknown_name
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.plan.detectability import ResidualRoom
 from ltsim.plan.information import LayoutInformation
 

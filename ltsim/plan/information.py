@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.datum import rigid_motion
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Floats, Ints
 from ltsim.calibrate.cures import cures
 from ltsim.calibrate.undetermined import Direction, gains, undetermined
 from ltsim.errors import NetworkError
+from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State
@@ -36,7 +36,7 @@ def nominal_adjustment(recording: Recording, state: State, construction: Constru
         When the pointings do not determine poses and targets.
     """
     problem = NetworkProblem.of(MeasurementModel(recording, construction))
-    lost = _lost(recording)
+    lost = _lost(problem, state)
     if lost:
         raise NetworkError(lost)
     system = problem.linearise(state)
@@ -49,14 +49,18 @@ def nominal_adjustment(recording: Recording, state: State, construction: Constru
     return Adjustment(problem, solution, np.zeros(len(recording), dtype=bool))
 
 
-def _lost(recording: Recording) -> str:
-    """A sentence: what counting alone finds missing in a network; empty where nothing is."""
-    count = [len(np.unique(recording.target[recording.station == s])) for s in range(len(recording.stations))]
-    few = [name for name, n in zip(recording.stations, count, strict=True) if n < 3]
-    unseen = sorted(set(range(len(recording.targets))) - set(recording.target.tolist()))
-    if few:
-        return f"station {few[0]} sees fewer than three targets; a pose needs at least three"
-    return f"target {recording.targets[unseen[0]]} is seen from no station" if unseen else ""
+def _lost(problem: NetworkProblem, state: State) -> str:
+    """A sentence: what geometry alone finds missing in a network; empty where nothing is."""
+    recording = problem.model.recording
+    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    seen[recording.station, recording.target] = True
+    levelled = np.isin(np.arange(len(seen)), problem.levels.station)
+    few = np.flatnonzero(~holds_pose(state.points, seen, levelled))
+    if len(few):
+        name, need = recording.stations[few[0]], "two that are not above one another" if levelled[few[0]] else "three"
+        return f"station {name} sees fewer than {need} targets off one line; a pose needs at least {need}"
+    unseen = np.flatnonzero(~seen.any(axis=0))
+    return f"target {recording.targets[unseen[0]]} is seen from no station" if len(unseen) else ""
 
 
 @dataclass(frozen=True)

@@ -35,11 +35,14 @@ class PlaceTable:
         Targets that stay, known lengths, priors, datum.
     terms : (P, K, K) float
         What a reflector at each place would add.
+    length : (K,) float
+        Squared lengths of the columns before targets are eliminated, with reflectors at all places.
     """
 
     reducer: Reducer
     base: Floats
     terms: Floats
+    length: Floats
 
     @classmethod
     def of(cls, survey: Survey, stays: Bools, places: Floats, seen: Bools, reducer: Reducer) -> PlaceTable:
@@ -48,7 +51,9 @@ class PlaceTable:
         slots = np.arange(count)
         only = seen.copy()
         only[:, kept:] = False
-        base = reducer.schur(reducer.blocks(survey.position, survey.yaw, slots, only), slots[None])[0]
+        base, length = (
+            a[0] for a in reducer.schur(reducer.blocks(survey.position, survey.yaw, slots, only), slots[None])
+        )
         t, v = reducer.rows(survey.position, survey.yaw, slots)
         shape = (count, kept + len(places), 3 * len(survey.faces))
         weight = np.sqrt(survey.repeats) * seen[:, kept:, None, None]
@@ -62,11 +67,12 @@ class PlaceTable:
         rows = x.reshape(len(places), -1, size)
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         left = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        return cls(reducer, base, np.swapaxes(left, 1, 2) @ left)
+        return cls(reducer, base, np.swapaxes(left, 1, 2) @ left, length + np.sum(rows**2, axis=(0, 1)))
 
     def values(self, totals: Floats, objective: Objective) -> Floats:
         """Objective (B,) of normal matrices (B, K, K)."""
-        reduced = Reduced(self.reducer.marginal(totals), np.full(len(totals), np.nan))
+        length = np.broadcast_to(self.length, totals.shape[:2])
+        reduced = Reduced(self.reducer.marginal(totals, length), np.full(len(totals), np.nan))
         return objective.values(reduced, self.reducer.construction.size)
 
 

@@ -18,12 +18,10 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
+from ltsim.solve.rank import DOUBTFUL, RANK
 from ltsim.solve.threads import in_one_thread
 
-SUSPECT = 1e-8
-"""Pivots of unit columns below this may be rounding error; then the weakest direction is looked at itself."""
-ROUNDING = 1e-18
-"""Squared length of the image of a unit vector under unit columns, below which it is rounding error."""
+UNDETERMINED = "the observations leave a direction undetermined"
 DENSE = 600_000
 """Designs with fewer entries are worked on as dense ones: sparse bookkeeping would cost more than the zeros."""
 
@@ -53,7 +51,7 @@ class BlockSystem:
 
 
 class SingularSystemError(Exception):
-    """The normal matrix is not positive definite."""
+    """The rows leave a direction of the unknowns undetermined (`ltsim.solve.rank`)."""
 
 
 class Factor:
@@ -68,7 +66,7 @@ class Factor:
     Raises
     ------
     SingularSystemError
-        When a block or the Schur complement is not positive definite.
+        When the rows and the damping leave a direction undetermined.
     """
 
     @in_one_thread
@@ -84,9 +82,9 @@ class Factor:
             else:
                 self._elimination = SparseElimination(scaled, system.kept, damping)
         except np.linalg.LinAlgError as error:
-            raise SingularSystemError("the normal matrix is not positive definite") from error
-        if self._elimination.smallest_pivot < SUSPECT and damping + self._weakest(scaled) < ROUNDING:
-            raise SingularSystemError("the observations leave a direction undetermined")
+            raise SingularSystemError(UNDETERMINED) from error
+        if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest(scaled) <= RANK:
+            raise SingularSystemError(UNDETERMINED)
 
     def _weakest(self, scaled: sp.csr_array) -> float:
         """Squared length of the image of the weakest direction, by inverse iteration; accurate however small."""
@@ -137,7 +135,7 @@ class Factor:
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the Schur complement for unit columns."""
+        """The smallest pivot for unit columns."""
         return self._elimination.smallest_pivot
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:

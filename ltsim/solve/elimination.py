@@ -24,7 +24,7 @@ class Elimination(Protocol):
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the Schur complement."""
+        """The smallest pivot of the blocks and of the Schur complement."""
         ...
 
     def solve(self, right: Floats) -> Floats:
@@ -57,7 +57,7 @@ class DenseElimination:
         normal[np.diag_indices_from(normal)] += damping
         count = (len(normal) - kept) // 3
         at = kept + np.arange(3 * count).reshape(count, 3)
-        self._inverse = block_inverse(normal[at[:, :, None], at[:, None, :]])
+        self._inverse, self._least = block_inverse(normal[at[:, :, None], at[:, None, :]])
         across = normal[:kept, kept:].reshape(kept, count, 3)
         self._carry = np.einsum("kei,eij->kej", across, self._inverse).reshape(kept, 3 * count)
         schur = normal[:kept, :kept] - self._carry @ normal[kept:, :kept]
@@ -65,8 +65,8 @@ class DenseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the Schur complement."""
-        return float(np.diag(self._root).min(initial=1.0) ** 2)
+        """The smallest pivot of the blocks and of the Schur complement."""
+        return min(self._least, float(np.diag(self._root).min(initial=1.0) ** 2))
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K + 3 E, c)."""
@@ -114,7 +114,8 @@ class SparseElimination:
         self._design, self._kept = design, kept
         normal = sp.csr_array(design.T @ design)
         count = (normal.shape[0] - kept) // 3
-        self._inverse = block_inverse(_diagonal_blocks(normal[kept:, kept:], count) + damping * np.eye(3))
+        blocks = _diagonal_blocks(normal[kept:, kept:], count) + damping * np.eye(3)
+        self._inverse, self._least = block_inverse(blocks)
         across = normal[:kept, kept:]
         self._carry = sp.csc_array(across @ _block_diagonal(self._inverse))
         schur = normal[:kept, :kept] - self._carry @ across.T
@@ -124,8 +125,8 @@ class SparseElimination:
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the Schur complement."""
-        return self._chain.smallest_pivot
+        """The smallest pivot of the blocks and of the Schur complement."""
+        return min(self._least, self._chain.smallest_pivot)
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K + 3 E, c)."""
@@ -253,14 +254,14 @@ def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None =
     return dense, columns
 
 
-def block_inverse(blocks: Floats) -> Floats:
-    """Inverse of positive definite blocks (E, 3, 3); LinAlgError where one is not."""
+def block_inverse(blocks: Floats) -> tuple[Floats, float]:
+    """Inverse of positive definite blocks (E, 3, 3) and their smallest pivot; LinAlgError where one is not definite."""
     if not len(blocks):
-        return blocks
+        return blocks, 1.0
     root = np.linalg.cholesky(blocks)
     inverse_root = np.linalg.inv(root)
     inverse: Floats = np.swapaxes(inverse_root, 1, 2) @ inverse_root
-    return inverse
+    return inverse, float(np.einsum("eii->ei", root).min() ** 2)
 
 
 def _diagonal_blocks(corner: sp.csr_array, count: int) -> Floats:

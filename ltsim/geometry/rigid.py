@@ -1,0 +1,41 @@
+"""Rigid motions of points, and which points hold them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats
+from ltsim.geometry.rotations import cross_matrix
+
+ON_A_LINE = 1e-6
+"""Points that leave a line by less than this share of their extent lie on it."""
+
+
+def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
+    """Displacement (3 k, 6) of points (k, 3) by unit translations and unit rotations about `centre`, or the origin."""
+    turn = -cross_matrix(points if centre is None else points - centre)
+    return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
+
+
+def holds_pose(points: Floats, seen: Bools, levelled: Bools | bool = False) -> Bools:
+    """Whether (...) the targets that each station sees hold its six motions, as geometry alone decides.
+
+    Three targets off one line do; a levelled station needs two that are not above one another.
+
+    Parameters
+    ----------
+    points : (T, 3) float, [m]
+    seen : (..., T) bool
+        Targets that each station measures whole.
+    levelled : (...) bool
+        Stations whose vertical axis is held by a level; z is up.
+    """
+    count = np.maximum(seen.sum(axis=-1), 1)
+    centre = (seen @ points) / count[..., None]
+    arms = (points - centre[..., None, :]) * seen[..., None]
+    scatter = np.swapaxes(arms, -1, -2) @ arms
+    spread = np.linalg.eigvalsh(scatter)
+    across, extent = scatter[..., 0, 0] + scatter[..., 1, 1], spread.sum(axis=-1)
+    upright = np.asarray(levelled) & (across > ON_A_LINE**2 * extent)
+    held: Bools = upright | (spread[..., 1] > ON_A_LINE**2 * spread[..., 2])
+    return held

@@ -1,0 +1,54 @@
+"""Rank is decided by the stated tolerances: near them, far from them, for any unit."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ltsim.randomness import stream
+from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+from ltsim.solve.rank import DOUBTFUL, FORMED, RANK, cholesky_where_determined, unit_diagonal
+
+
+def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
+    """Unit columns (2 size, size) whose weakest unit combination has an image of this squared length."""
+    rng = stream(seed, "nearly dependent", size)
+    basis = np.linalg.qr(rng.standard_normal((2 * size, size)))[0]
+    mix = rng.standard_normal(size - 1)
+    last = basis[:, :-1] @ mix / np.linalg.norm(mix) + np.sqrt(2 * image) * basis[:, -1]
+    return np.hstack([basis[:, :-1], last[:, None] / np.linalg.norm(last)])
+
+
+CASES = ((100 * RANK, True), (3 * RANK, True), (RANK / 3, False), (0.0, False))
+
+
+@pytest.mark.parametrize(("image", "determined"), CASES)
+@pytest.mark.parametrize(("size", "kept"), [(12, 12), (300, 300), (3, 0)])
+def test_the_solver_decides_by_the_image_of_the_weakest_direction(
+    size: int, kept: int, image: float, determined: bool
+) -> None:
+    """Among the kept unknowns, or in a block that is eliminated; whatever the units."""
+    design = nearly_dependent(size, image) * 10.0 ** stream(1, "unit").uniform(-6, 6, size)
+    system = BlockSystem(sp.csr_array(design), np.zeros(len(design)), kept)
+    if determined:
+        assert Factor(system).smallest_pivot < DOUBTFUL
+    else:
+        with pytest.raises(SingularSystemError):
+            Factor(system)
+    Factor(system, damping=1e-9)
+
+
+def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:
+    images = np.array([1.0, 100 * FORMED, 3 * FORMED, FORMED / 3, RANK, 0.0])
+    designs = [nearly_dependent(40, image) for image in images]
+    normal = np.stack([d.T @ d for d in designs])
+    roots, determined = cholesky_where_determined(normal)
+    assert determined.tolist() == [True, True, True, False, False, False]
+    np.testing.assert_allclose(roots[:3] @ np.swapaxes(roots[:3], 1, 2), normal[:3], atol=1e-14)
+    assert np.isnan(roots[3:]).all()
+
+
+def test_scaling_takes_the_unit_out_of_a_matrix() -> None:
+    matrix = np.array([[[4e-20, 1e-10], [1e-10, 9.0]]])
+    unit, scale = unit_diagonal(matrix, np.einsum("bii->bi", matrix))
+    np.testing.assert_allclose(unit, [[[1.0, 1.0 / 6.0], [1.0 / 6.0, 1.0]]])
+    np.testing.assert_allclose(scale, [[0.5e10, 1 / 3]])
