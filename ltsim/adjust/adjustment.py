@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from ltsim.adjust.components import Component, Grouping, estimated_components
-from ltsim.adjust.inner import InnerDatum, moved_to_datum, stated_datum
+from ltsim.adjust.datum import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.loose import without_loose
 from ltsim.adjust.problem import WEAK, NetworkProblem
 from ltsim.adjust.reliability import (
@@ -232,6 +232,18 @@ class Adjustment:
             covariance = self.datum.transformed(covariance, layout.target)
         covariance[self.problem.unseen_targets] = np.nan
         return covariance
+
+    def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
+        """The same state with covariances by inner constraints over some targets, by default all that are determined.
+
+        Raises
+        ------
+        ModelError
+            When a target does not exist, or these do not hold the free motions.
+        """
+        every = [name for name in self.recording.targets if name not in self.lost_targets]
+        datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
+        return replace(self, datum=datum)
 
 
 @in_one_thread

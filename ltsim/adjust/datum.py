@@ -1,63 +1,183 @@
-"""Covariance in another datum: inner constraints over chosen targets (an S-transformation).
+"""The datum by inner constraints over chosen points: state and covariances that favour none of them.
 
-An adjustment ties the free rigid motions of its network to the first station, whose uncertainty then spreads over
-everything else. The inner-constraint datum ties them to the mean of chosen targets instead: of all datums it gives
-those targets the smallest trace of covariance, and it is the one to compare with a cloud fitted to the truth.
+What no observation determines (the free rigid motions) is tied to the mean of the chosen points, at their approximate
+coordinates where those are stated. Of all datums this one gives the chosen points the smallest trace of covariance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Floats, Ints
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.model.measurement import State
+from ltsim.solve.blocks import Factor
+from ltsim.solve.rank import FORMED, unit_diagonal
+from ltsim.units import MILLIMETRE
+
+PASSES = 5
 
 
-def inner_covariance(adjustment: Adjustment, points: Ints | None = None) -> Floats:
-    """Covariance (3 T, 3 T) [m^2] of all targets, with the free motions tied to the targets `points`.
+@dataclass(frozen=True)
+class Tied:
+    """Points that a datum is tied to.
 
-    Parameters
+    Attributes
     ----------
-    adjustment : Adjustment
-    points : (k,) int, optional
-        Indices of at least three targets off one line; default all.
+    columns : (k, 3) int
+        Their columns in the vector of unknowns.
+    places : (k, 3) float, [m]
+        Where they are.
+    stated : (k, 3) float, [m]
+        Approximate coordinates, NaN where none are stated.
+    """
 
-    Raises
-    ------
-    ModelError
-        When the chosen targets do not hold the free motions.
+    columns: Ints
+    places: Floats
+    stated: Floats
+
+    @classmethod
+    def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
+        """The points of these names: targets, or marks under set-ups."""
+        recording, layout, marks = problem.model.recording, problem.layout, problem.marks
+        targets = {name: i for i, name in enumerate(recording.targets)}
+        stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
+        columns, places, stated = [], [], []
+        for name in names:
+            if name in targets:
+                columns.append(layout.target[targets[name]])
+                places.append(state.points[targets[name]])
+            elif name in stations:
+                columns.append(layout.pose[stations[name], :3])
+                places.append(state.position[stations[name]] - marks.offset[stations[name]])
+            else:
+                raise unknown_name("target of the datum", name, [*targets, *stations])
+            setup = recording.target_setup(name)
+            stated.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
+        return cls(np.array(columns), np.array(places), np.array(stated) * MILLIMETRE)
+
+
+def stated_datum(problem: NetworkProblem) -> tuple[str, ...]:
+    """Names of the points that the set-up chose for the datum and that the recording reaches."""
+    recording = problem.model.recording
+    reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.names)])
+    return tuple(name for name in reached if recording.target_setup(name).datum)
+
+
+def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
+    """The state moved freely to the stated coordinates of the datum's points, and by which angle [rad]."""
+    turned = 0.0
+    for _ in range(PASSES):
+        tied = Tied.of(problem, state, names)
+        known = np.isfinite(tied.stated).all(axis=1)
+        if not known.any():
+            break
+        centre = tied.places[known].mean(axis=0)
+        free = _about(problem.free, centre)
+        motion = rigid_motion(tied.places[known], centre) @ free
+        gap = (tied.stated - tied.places)[known].ravel()
+        amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
+        shift, turn = (free @ amount).reshape(2, 3)
+        state = _moved(state, from_rotation_vector(turn), centre, shift)
+        turned += float(np.linalg.norm(turn))
+        if np.linalg.norm(turn) < 1e-12:
+            break
+    return state, turned
+
+
+def _moved(state: State, rotation: Floats, centre: Floats, shift: Floats) -> State:
+    def move(points: Floats) -> Floats:
+        moved: Floats = (points - centre) @ rotation.T + centre + shift
+        return moved
+
+    return State(move(state.position), rotation @ state.rotation, move(state.points), state.instrument, state.extra)
+
+
+@dataclass(frozen=True)
+class InnerDatum:
+    """An S-transformation of covariances: C' = C - G U^T - U G^T + G M G^T.
+
+    That is S C S^T with S = I - G (B^T G)^-1 B^T, where B are the rows of G that the datum ties.
+
+    Attributes
+    ----------
+    motion : (u, f) float
+        G, the free motions of all unknowns.
+    carried : (u, f) float
+        U.
+    middle : (f, f) float
+        M.
+    names : tuple of str
+        The points it is tied to.
 
     References
     ----------
     Baarda, S-transformations and criterion matrices (1973); Koch, Parameter Estimation and Hypothesis Testing
-    in Linear Models (1999), 3.3: S = I - G (B^T G)^-1 B^T.
+    in Linear Models (1999), 3.3.
     """
-    problem, state = adjustment.problem, adjustment.state
-    count = len(state.points)
-    chosen = np.arange(count) if points is None else np.asarray(points, dtype=np.int64)
-    centre = state.points[chosen].mean(axis=0)
-    free = problem.free.copy()
-    free[:3] += np.cross(free[3:].T, centre).T
-    motion = rigid_motion(state.points - centre) @ free
-    if not free.shape[1]:
-        return _target_covariance(adjustment)
-    tied = np.zeros((count, 3), dtype=bool)
-    tied[chosen] = True
-    hold = motion * tied.reshape(-1, 1)
-    square = hold.T @ motion
-    if np.linalg.cond(square) > 1e12:
-        raise ModelError("these targets do not define a datum: choose at least three off one line")
-    transform = np.eye(3 * count) - motion @ np.linalg.solve(square, hold.T)
-    inner: Floats = transform @ _target_covariance(adjustment) @ transform.T
-    return inner
+
+    motion: Floats
+    carried: Floats
+    middle: Floats
+    names: tuple[str, ...] = ()
+
+    @classmethod
+    def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:
+        """The datum that ties motions (u, f) to some unknowns; `spread` multiplies with the covariance (u, u).
+
+        Raises
+        ------
+        ModelError
+            When these unknowns do not hold the motions.
+        """
+        held = np.zeros_like(motion)
+        held[columns.ravel()] = motion[columns.ravel()]
+        square = held.T @ motion
+        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > FORMED:
+            raise ModelError("these targets do not define a datum: choose at least three off one line")
+        back = np.linalg.inv(square)
+        response = spread(held)
+        return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
+
+    @classmethod
+    def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
+        """The datum tied to some points; None where no motion is free.
+
+        Raises
+        ------
+        ModelError
+            When these points do not hold the free motions.
+        """
+        if not problem.free.shape[1]:
+            return None
+        tied, layout = Tied.of(problem, state, names), problem.layout
+        centre = tied.places.mean(axis=0)
+        free = _about(problem.free, centre)
+        motion = np.zeros((layout.size, free.shape[1]))
+        motion[layout.target.ravel()] = rigid_motion(state.points, centre) @ free
+        motion[layout.pose[:, 3:].ravel()] = np.tile(free[3:], (len(layout.pose), 1))
+        motion[layout.pose[:, :3].ravel()] = rigid_motion(state.position, centre) @ free
+        return replace(cls.tied_to(motion, tied.columns, factor.covariance_columns), names=tuple(names))
+
+    def transformed(self, covariance: Floats, columns: Ints) -> Floats:
+        """Covariances (c, k, k) of sets of unknowns (c, k), moved to this datum from that of `spread`."""
+        motion, carried = self.motion[columns], self.carried[columns]
+        across = motion @ np.swapaxes(carried, 1, 2)
+        moved: Floats = (
+            covariance - across - np.swapaxes(across, 1, 2) + motion @ self.middle @ np.swapaxes(motion, 1, 2)
+        )
+        return moved
 
 
-def _target_covariance(adjustment: Adjustment) -> Floats:
-    """Joint covariance (3 T, 3 T) of all targets in the datum of the adjustment."""
-    at = adjustment.problem.layout.target.ravel()
-    pick = np.zeros((adjustment.problem.layout.size, len(at)))
-    pick[at, np.arange(len(at))] = 1.0
-    covariance: Floats = adjustment.factor.covariance_columns(pick)[at]
-    return covariance
+def _about(free: Floats, centre: Floats) -> Floats:
+    """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
+    about = free.copy()
+    about[:3] += np.cross(free[3:].T, centre).T
+    basis: Floats = np.linalg.qr(about)[0]
+    return basis

@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.adjust.marks import Marks
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import verticals
 from ltsim.recording.recording import Recording
@@ -116,9 +117,7 @@ class ControlRows:
 
     def equations(self, centre: Floats, reach: float) -> Floats:
         """Rows (count, 6): what a rigid motion about `centre`, rotation in units of 1 / `reach`, does to them."""
-        turned = -cross_matrix((self.points - centre) / reach)
-        whole = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2)
-        rows: Floats = whole[self.axes]
+        rows: Floats = rigid_motion((self.points - centre) / reach)[self.axes.ravel()]
         return rows
 
 
@@ -183,7 +182,7 @@ def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) ->
     if not rows:
         return np.eye(6)
     _, singular, right = np.linalg.svd(np.vstack(rows))
-    rank = int(np.sum(singular > 1e-6 * singular.max(initial=0.0)))
+    rank = int(np.sum(singular > ON_A_LINE * singular.max(initial=0.0)))
     free = right[rank:].T
     free[3:] /= reach
     free /= np.linalg.norm(free, axis=0, keepdims=True)

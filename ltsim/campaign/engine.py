@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaign.judge import Columns, Judge
 from ltsim.campaign.network import BatchNetwork, Known
@@ -18,7 +19,7 @@ from ltsim.campaign.truth import BLOCK, Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
 from ltsim.evaluate.clouds import on_points
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Setup
@@ -180,15 +181,13 @@ class Engine:
     @cached_property
     def sigma_targets(self) -> Floats:
         """Standard deviation (T, 3) [m] of the adjusted targets after a rigid fit to any others."""
-        points = self.truth.state.points
-        arms = points - points.mean(axis=0)
-        shift = np.tile(np.eye(3), (len(points), 1))
-        motion = np.linalg.qr(np.hstack([shift, -cross_matrix(arms).reshape(-1, 3)]))[0]
         start, end = self.network.sizes[:2]
         covariance = self.network.covariance[start:end, start:end]
-        project = np.eye(len(motion)) - motion @ motion.T
-        variance = np.einsum("ij,jk,ik->i", project, covariance, project, optimize=True)
-        sigma: Floats = np.sqrt(variance).reshape(-1, 3)
+        columns = np.arange(end - start).reshape(-1, 3)
+        points = self.truth.state.points
+        datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
+        blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
+        sigma: Floats = np.sqrt(np.einsum("tii->ti", blocks))
         return sigma
 
 

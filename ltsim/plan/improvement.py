@@ -203,7 +203,7 @@ def _coordinates(information: LayoutInformation) -> Floats:
     """Gap between two stations' places of each target after rigid alignment (rows, 3, 3 S T)."""
     state = information.adjustment.state
     stations, targets = len(state.position), len(state.points)
-    motion = rigid_motion(state.points - state.points.mean(axis=0))
+    motion = rigid_motion(state.points, state.points.mean(axis=0))
     off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
     turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.rotation)
     turned = turned.reshape(stations, targets, 3, 3 * targets)

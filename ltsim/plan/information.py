@@ -13,12 +13,11 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.problem import NetworkProblem
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Floats
 from ltsim.calibrate.cures import cures
 from ltsim.calibrate.undetermined import Direction, gains, undetermined
 from ltsim.errors import NetworkError
-from ltsim.geometry.rigid import holds_pose, rigid_motion
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import holds_pose
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.plan.survey import Survey
@@ -142,40 +141,19 @@ class LayoutInformation:
         return list(sentences[0])
 
     @cached_property
+    def _inner(self) -> Adjustment:
+        """The adjustment with inner constraints over all targets."""
+        return self.adjustment.in_inner_datum()
+
+    @property
     def pose_covariance(self) -> Floats:
         """(S, 6, 6): translation [m] and rotation [rad] of each station, datum the mean of all targets."""
-        arm = cross_matrix(self.adjustment.state.position)
-        count = len(arm)
-        upper = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), -arm], axis=2)
-        lower = np.broadcast_to(np.hstack([np.zeros((3, 3)), np.eye(3)]), (count, 3, 6))
-        motion = np.concatenate([upper, lower], axis=1)
-        return self._in_targets_datum(self.adjustment.pose_covariance, motion, self.adjustment.problem.layout.pose)
+        return self._inner.pose_covariance
 
-    @cached_property
+    @property
     def target_covariance(self) -> Floats:
         """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints)."""
-        motion = rigid_motion(self.adjustment.state.points).reshape(-1, 3, 6)
-        return self._in_targets_datum(self.adjustment.target_covariance, motion, self.adjustment.problem.layout.target)
-
-    def _in_targets_datum(self, blocks: Floats, motion: Floats, columns: Ints) -> Floats:
-        """Diagonal blocks (b, k, k) after the S-transformation to inner constraints on all targets.
-
-        With G the rigid motions and H their dual on the targets: C - G (H C) - (C H^T) G^T + G (H C H^T) G^T.
-        """
-        problem, points = self.adjustment.problem, self.adjustment.state.points
-        free = problem.free
-        if not free.shape[1]:
-            return blocks
-        on_targets = rigid_motion(points) @ free
-        dual = np.zeros((problem.layout.size, free.shape[1]))
-        dual[problem.layout.target.ravel()] = np.linalg.pinv(on_targets).T
-        spread = self.adjustment.factor.covariance_columns(dual)
-        shared = dual.T @ spread
-        own = motion @ free
-        cross = np.einsum("bif,bjf->bij", own, spread[columns])
-        both = np.einsum("bif,fg,bjg->bij", own, shared, own)
-        changed: Floats = blocks - cross - np.swapaxes(cross, 1, 2) + both
-        return changed
+        return self._inner.target_covariance
 
     @cached_property
     def target_sigma(self) -> Floats:

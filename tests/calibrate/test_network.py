@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
-from ltsim.adjust.datum import inner_covariance
 from ltsim.calibrate import adjust_network, calibrate_network
 from ltsim.calibrate.cures import start_of
 from ltsim.calibrate.undetermined import gains, simple_rotation, undetermined
@@ -96,6 +95,13 @@ def test_simple_rotation_undoes_a_mixture() -> None:
     assert np.allclose(simple.T @ simple, np.eye(4))
 
 
+def joint_covariance(adjustment, names=None) -> np.ndarray:
+    """(3 T, 3 T) of all targets by inner constraints over some of them."""
+    at = adjustment.problem.layout.target.ravel()
+    whole = adjustment.factor.covariance_columns(np.eye(adjustment.problem.layout.size))[np.ix_(at, at)]
+    return adjustment.in_inner_datum(names).datum.transformed(whole[None], at[None])[0]
+
+
 def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     adjustment = adjust(make(drawn(misalignment(), 1, 5)), misalignment())
     layout, system = adjustment.problem.layout, adjustment.solution.system
@@ -109,7 +115,11 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     basis = left[:, spread > 1e-9 * spread[0]]
     free = (scaled[:, at] - basis @ (basis.T @ scaled[:, at])) * scale[at]
     dense = np.linalg.pinv(free.T @ free, rcond=1e-10, hermitian=True)
-    inner = inner_covariance(adjustment)
+    inner = joint_covariance(adjustment)
+    blocks = adjustment.in_inner_datum().target_covariance
+    assert np.allclose(
+        blocks, [inner[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(28)], atol=1e-12 * inner.max()
+    )
     assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
     assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
     motion = rigid_motion(adjustment.state.points - adjustment.state.points.mean(axis=0))
@@ -119,9 +129,10 @@ def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
 def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
     adjustment = adjust(make(drawn(misalignment(), 1, 6)), misalignment())
     chosen = np.array([0, 7, 13, 20])
-    inner, whole = inner_covariance(adjustment, chosen), inner_covariance(adjustment)
+    names = [adjustment.recording.targets[t] for t in chosen]
+    inner, whole = joint_covariance(adjustment, names), joint_covariance(adjustment)
     at = (3 * chosen[:, None] + np.arange(3)).ravel()
     assert np.trace(inner[np.ix_(at, at)]) < np.trace(whole[np.ix_(at, at)])
     assert np.trace(inner) > np.trace(whole)
     with pytest.raises(ModelError, match="three off one line"):
-        inner_covariance(adjustment, np.array([0, 1]))
+        adjustment.in_inner_datum(names[:2])
