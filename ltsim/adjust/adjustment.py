@@ -25,7 +25,7 @@ from ltsim.adjust.screening import screened
 from ltsim.adjust.snooping import snooped
 from ltsim.adjust.start import reached_network
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
@@ -86,7 +86,7 @@ class Adjustment:
         return self.problem.model.construction
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[Signature, ...]:
         """The further effects that were estimated."""
         return self.problem.model.effects
 
@@ -251,7 +251,7 @@ def adjust(
     recording: Recording,
     construction: Construction | None = None,
     *,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[Signature] = (),
     sigma: Floats | None = None,
     use: Bools | None = None,
     start: State | None = None,
@@ -267,7 +267,7 @@ def adjust(
     recording : Recording
     construction : Construction, optional
         Default: an ideal tracker without parameters.
-    effects : sequence of Effect
+    effects : sequence of Signature
         Further effects to estimate, free but for `held_to`.
     sigma : (n, 3) float, optional, [m, rad, rad]
         Standard deviations of the readings; default the stated noise.

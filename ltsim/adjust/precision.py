@@ -9,7 +9,7 @@ from scipy import stats
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
-from ltsim.effects.effect import parameter_names
+from ltsim.effects.signature import parameter_names
 
 
 @dataclass(frozen=True)

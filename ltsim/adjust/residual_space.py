@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Signature
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import Projection
 
@@ -88,11 +88,11 @@ class ResidualSpace:
             rows[len(place) : len(place) + len(gauge)] = gauge / self.adjustment.problem.gauge.sigma[:, None]
         return rows
 
-    def signature(self, effect: Effect) -> Floats:
-        """Whitened signature (m, q) of an effect, before the adjustment takes its share."""
+    def signature(self, law: Signature) -> Floats:
+        """Whitened signature (m, q) of a law, before the adjustment takes its share."""
         gauge = self.adjustment.problem.gauge
-        lengths = effect.gauge_design(gauge.first, gauge.second, self.adjustment.state.points)
-        return self.whiten(effect.design(self.sightings), lengths)
+        lengths = law.gauge_design(gauge.first, gauge.second, self.adjustment.state.points)
+        return self.whiten(law.design(self.sightings), lengths)
 
     def project(self, rows: Floats) -> Floats:
         """What the adjustment leaves of signatures (m, q), or of one vector (m,)."""

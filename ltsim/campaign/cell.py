@@ -152,7 +152,7 @@ def _true_effects(work: Fieldwork, grown: float, pairs: list[int]) -> tuple[True
     entries, seen, found = work.scenario.effects, Counter[tuple[str, str]](), []
     for i, effect in enumerate(work.effects):
         entry = entries[i] if i < len(entries) else None
-        place = ",".join(effect.stations + effect.targets)
+        place = effect.place
         seen[effect.name, place] += 1
         given = {} if entry is None else entry.values
         mean = np.array([given.get(p.name, 0.0) * p.factor for p in effect.parameters])

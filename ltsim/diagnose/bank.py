@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from ltsim.adjust.residual_space import VISIBLE, ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.evidence import log_evidence
-from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Tunable
 
 BATCH = 64
 LARGE = 4000
@@ -33,7 +33,7 @@ class Hypothesis:
     ----------
     family : str
         Hypotheses of one family are places and shapes of the same thing.
-    effect : Effect
+    effect : Tunable
         A catalogued effect, or a flexible term (`diagnose.flexible.FlexibleTerm`).
     known : bool
         In the catalogue.
@@ -43,7 +43,7 @@ class Hypothesis:
     """
 
     family: str
-    effect: Effect
+    effect: Tunable
     known: bool = True
     tuning: float = 0.0
 

@@ -31,7 +31,8 @@ from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.terms import flexible_hypotheses
 from ltsim.diagnose.words import summarise, without_clock
 from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.signature import Tunable
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
@@ -188,7 +189,7 @@ def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
     return case.adjustment()
 
 
-def _with_effects(case: _Case, effects: Sequence[Effect], sigma: Floats) -> Refit:
+def _with_effects(case: _Case, effects: Sequence[Tunable], sigma: Floats) -> Refit:
     """The exact refit with some effects; the plain adjustment without any."""
     if effects:
         return refit(case.recording, case.construction, list(effects), start=case.start, sigma=sigma, use=case.use)

@@ -17,7 +17,7 @@ from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
 from ltsim.diagnose.search import EffectSet, Ranking
 from ltsim.diagnose.words import finding_sentence, number
 from ltsim.effects import find_effect
-from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
 NOT_EXCLUDED = 0.01
@@ -25,7 +25,7 @@ NOT_EXCLUDED = 0.01
 MOST_EQUIVALENTS = 3
 
 
-def where_of(effect: Effect) -> Where:
+def where_of(effect: Tunable) -> Where:
     """What an effect is confined to."""
     observables = tuple(effect.observables)
     return Where(
@@ -125,7 +125,7 @@ MOST_TERMS = 4
 """Terms of a formula that are written with their coefficients; longer ones keep letters."""
 
 
-def _law(effect: Effect, estimates: Sequence[Estimate]) -> str:
+def _law(effect: Tunable, estimates: Sequence[Estimate]) -> str:
     """The formula of a flexible term, with numbers where it is short."""
     if not isinstance(effect, FlexibleTerm):
         return ""

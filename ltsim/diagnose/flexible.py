@@ -1,8 +1,8 @@
 """Flexible terms: what is fitted where the catalogue fails.
 
 A term acts on one observable (or moves the targets along one axis of the room) and is a sum of columns, each a
-product of simple functions of covariates. Terms are effects like any other, so they are tested, refitted and simulated
-in the same way; they are only never given a name of the catalogue.
+product of simple functions of covariates. A term has a signature as effects have, so it is tested and refitted in the
+same way; it has no card and no name.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_readings
+from ltsim.effects.signature import Parameter, Tunable, by_displacement, on_readings
 from ltsim.errors import unknown_name
 from ltsim.geometry.polar import wrap
 from ltsim.recording.recording import OBSERVABLES
@@ -123,7 +123,7 @@ MOST_GROWN = 12
 
 
 @dataclass(frozen=True)
-class FlexibleTerm(Effect):
+class FlexibleTerm(Tunable):
     """A sum of columns on one observable, or a displacement of the targets.
 
     Attributes
@@ -134,27 +134,27 @@ class FlexibleTerm(Effect):
         Those of a displacement end with the factor (axis, "along", 1): an axis of the room, or the nest's normal.
     """
 
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
     observable: str = "distance"
     columns: tuple[Column, ...] = ()
 
     name = "unknown"
-    number = 0
-    stage = Stage.ELECTRONICS
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[Parameter, ...]:
         """One coefficient a column."""
         angular = self.observable in ("azimuth", "elevation")
         unit, size = ("urad", 3 * ARCSECOND) if angular else ("um", 20 * MICROMETRE)
         return tuple(Parameter(describe(c), unit, "coefficient", size) for c in self.columns)
 
     @property
-    def observables(self) -> tuple[str, ...]:  # type: ignore[override]
+    def observables(self) -> tuple[str, ...]:
         """What the term acts on."""
         return OBSERVABLES if self.observable == PLACE else (self.observable,)
 
     @property
-    def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
+    def covariates(self) -> tuple[str, ...]:
         """What the term depends on, in the words of the interface."""
         factors = [factor for column in self.columns for factor in column if factor[1] != "along"]
         names = dict.fromkeys(PLACE if function == "target" else name for name, function, _ in factors)
@@ -218,7 +218,7 @@ class FlexibleTerm(Effect):
         """The term as a formula with these coefficients."""
         pairs = zip(coefficients, self.columns, strict=True)
         terms = " + ".join(f"{coefficient} {describe(column)}".removesuffix(" 1") for coefficient, column in pairs)
-        place = f" at {', '.join(self.stations + self.targets)}" if self.stations + self.targets else ""
+        place = f" at {', '.join(self.stations + self.targets)}" if self.place else ""
         what = "displacement of the targets" if self.observable == PLACE else f"{self.observable} correction"
         return f"{what} = {terms}{place}"
 

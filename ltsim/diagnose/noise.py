@@ -23,35 +23,35 @@ from ltsim.diagnose.bank import sparse_rows
 from ltsim.diagnose.evidence import carried_by, log_means
 from ltsim.diagnose.flexible import further
 from ltsim.diagnose.repeats import deciding_repeats, repeats
-from ltsim.effects.effect import NoiseEffect, Parameter, Stage
+from ltsim.effects.signature import NoiseSignature, Parameter
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class NoisePattern(NoiseEffect):
+class NoisePattern(NoiseSignature):
     """Noise of one observable that grows with a covariate, or is larger at one target: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network.
     """
 
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
     observable: str = "distance"
     covariate_name: str = ""
     falling: bool = False
     repeating: bool = False
 
     name = "unknown"
-    number = 0
-    stage = Stage.NOISE
     parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
 
     @property
-    def observables(self) -> tuple[str, ...]:  # type: ignore[override]
+    def observables(self) -> tuple[str, ...]:
         """What scatters."""
         return (self.observable,) if self.observable else OBSERVABLES
 
     @property
-    def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
+    def covariates(self) -> tuple[str, ...]:
         """What the scatter depends on."""
         return (self.covariate_name,) if self.covariate_name else ()
 
@@ -81,7 +81,7 @@ class NoiseHypothesis:
     """A noise effect with parameter values: one point of its grid of sizes."""
 
     family: str
-    effect: NoiseEffect
+    effect: NoiseSignature
     values: tuple[float, ...]
     known: bool = True
     sigma: tuple[float, ...] = ()

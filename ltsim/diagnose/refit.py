@@ -11,7 +11,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.diagnosis import Estimate
-from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.effects.signature import Parameter, Signature, Tunable
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
@@ -26,24 +26,21 @@ FELT = 1e-3
 
 
 @dataclass(frozen=True)
-class ShapeDirection(Effect):
+class ShapeDirection(Signature):
     """How an effect's readings change with one of its shape constants: lets a refit estimate the constant.
 
     The parameter is the change of the constant relative to its size.
     """
 
-    base: Effect | None = None
-    values: tuple[float, ...] = ()
-    constant: str = ""
+    base: Tunable
+    values: tuple[float, ...]
+    constant: str
 
     name = "shape"
-    number = 0
-    stage = Stage.ELECTRONICS
     parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
 
     def design(self, sightings: Sightings) -> Floats:
         """Central difference (n, 3, 1) by the relative change of the constant."""
-        assert self.base is not None
         now = getattr(self.base, self.constant)
         values = np.array(self.values)
         up, down = (
@@ -55,36 +52,55 @@ class ShapeDirection(Effect):
 
 
 @dataclass(frozen=True)
-class FirstOrder(Effect):
+class FirstOrder(Tunable):
     """An effect in its first-order form at one state of the network, where the exact one keeps a refit from ending.
 
     A fine encoder error, say, moves by a good part of a period while the network settles.
     """
 
-    base: Effect | None = None
-    at: Floats | None = field(default=None, compare=False, repr=False)
+    base: Tunable
+    at: Floats = field(compare=False, repr=False)
 
-    @classmethod
-    def of(cls, effect: Effect, sightings: Sightings) -> FirstOrder:
-        """The first-order form of an effect for these pointings."""
-        return cls(effect.stations, effect.targets, effect, effect.design(sightings))
+    @property
+    def name(self) -> str:
+        """That of the effect, like all that follows."""
+        return self.base.name
 
-    def __post_init__(self) -> None:
-        for name in ("name", "number", "stage", "parameters", "observables", "covariates"):
-            object.__setattr__(self, name, getattr(self.base, name))
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The effect's parameters."""
+        return self.base.parameters
+
+    @property
+    def stations(self) -> tuple[str, ...]:
+        """The effect's stations."""
+        return self.base.stations
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The effect's targets."""
+        return self.base.targets
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """The effect's observables."""
+        return self.base.observables
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """The effect's covariates."""
+        return self.base.covariates
 
     def design(self, sightings: Sightings) -> Floats:
         """The design (n, 3, p) of the effect as it was."""
-        assert self.at is not None
         return self.at
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """The gauge design of the effect."""
-        assert self.base is not None
         return self.base.gauge_design(first, second, points)
 
 
-def _directions(effect: Effect, values: Floats, sightings: Sightings) -> list[ShapeDirection]:
+def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[ShapeDirection]:
     """Shape constants of an effect that the readings feel and that vary smoothly."""
     found = []
     size = float(np.abs(effect.design(sightings) @ values).max())
@@ -92,13 +108,13 @@ def _directions(effect: Effect, values: Floats, sightings: Sightings) -> list[Sh
         now = getattr(effect, shape.name)
         if not isinstance(now, float) or now == 0.0 or shape.steps < 2:
             continue
-        direction = ShapeDirection((), (), effect, tuple(values), shape.name)
+        direction = ShapeDirection(effect, tuple(values), shape.name)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
             found.append(direction)
     return found
 
 
-def _bounded(effect: Effect, constant: str, change: float) -> float:
+def _bounded(effect: Tunable, constant: str, change: float) -> float:
     shape = next(s for s in type(effect).shape if s.name == constant)
     now = float(getattr(effect, constant))
     return float(np.clip(now * (1 + np.clip(change, -0.5, 1.0)), shape.low, shape.high))
@@ -109,7 +125,7 @@ class Refit:
     """A refitted network and the effects with their final shapes and estimates."""
 
     adjustment: Adjustment
-    effects: tuple[Effect, ...]
+    effects: tuple[Tunable, ...]
     estimates: tuple[tuple[Estimate, ...], ...]
 
     def values(self, member: int) -> Floats:
@@ -120,7 +136,7 @@ class Refit:
 def refit(
     recording: Recording,
     construction: Construction,
-    effects: Sequence[Effect],
+    effects: Sequence[Tunable],
     *,
     start: State,
     sigma: Floats,
@@ -133,7 +149,7 @@ def refit(
     found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
         sightings = MeasurementModel(recording, construction).sightings(plain)
-        current = [FirstOrder.of(effect, sightings) for effect in current]
+        current = [FirstOrder(effect, effect.design(sightings)) for effect in current]
         found = adjusted(effects=current, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     joint, best = found, (found, list(current))
@@ -155,16 +171,16 @@ def refit(
             found, current = best
             break
         best = (found, list(current))
-    named = tuple(e.base if isinstance(e, FirstOrder) and e.base else e for e in current)
+    named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
     return Refit(found, named, _estimates(found, joint, current, directions))
 
 
-def _split(effects: Sequence[Effect], extra: Floats) -> list[Floats]:
+def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
     sizes = [len(e.parameters) for e in effects]
     return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
 
-def _reshaped(effects: list[Effect], directions: list[list[ShapeDirection]], changes: Floats) -> list[Effect]:
+def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], changes: Floats) -> list[Tunable]:
     moved, at = [], 0
     for effect, group in zip(effects, directions, strict=True):
         constants = {}
@@ -178,7 +194,7 @@ def _reshaped(effects: list[Effect], directions: list[list[ShapeDirection]], cha
 def _estimates(
     found: Adjustment,
     joint: Adjustment,
-    effects: Sequence[Effect],
+    effects: Sequence[Tunable],
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[Estimate, ...], ...]:
     """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""

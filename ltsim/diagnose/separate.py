@@ -15,7 +15,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.arrays import Floats, Ints
-from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Signature
 from ltsim.geometry.polar import to_face
 from ltsim.geometry.rotations import about_z
 from ltsim.model.measurement import MeasurementModel, State
@@ -139,7 +139,7 @@ def planned_space(adjustment: Adjustment, extension: Extension) -> ResidualSpace
     return ResidualSpace.of(Adjustment(problem, solution, np.zeros(len(planned), dtype=bool)))
 
 
-def expected_evidence(space: ResidualSpace, truth: Effect, values: Floats, other: Effect) -> float:
+def expected_evidence(space: ResidualSpace, truth: Signature, values: Floats, other: Signature) -> float:
     """Drop of chi2 by which an effect of given size would be told from another one."""
     rival = space.signature(other)
     left = space.project(space.signature(truth) @ values[:, None])
@@ -148,7 +148,7 @@ def expected_evidence(space: ResidualSpace, truth: Effect, values: Floats, other
     return float((left**2).sum())
 
 
-def separating_measurement(adjustment: Adjustment, truth: Effect, values: Floats, other: Effect) -> str:
+def separating_measurement(adjustment: Adjustment, truth: Signature, values: Floats, other: Signature) -> str:
     """A sentence: which further measurement would decide between two effects, and by how much."""
     state = adjustment.state
     now = expected_evidence(planned_space(adjustment, (adjustment.recording, state)), truth, values, other)

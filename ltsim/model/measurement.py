@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
-from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Signature
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.model.construction import Construction
 from ltsim.model.floor_plan import plan_rotation
@@ -124,16 +124,12 @@ class MeasurementModel:
 
     recording: Recording
     construction: Construction
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Signature, ...] = ()
 
     @property
     def extra_size(self) -> int:
         """Number of parameters q of the further effects."""
         return sum(len(effect.parameters) for effect in self.effects)
-
-    def with_effects(self, effects: tuple[Effect, ...]) -> MeasurementModel:
-        """The same model with other further effects."""
-        return replace(self, effects=effects)
 
     def _instrument_values(self, state: State) -> Floats:
         if len(state.instrument) == 1:

@@ -133,7 +133,7 @@ def effect_values(scenario: Scenario, effects: tuple[Effect, ...], seed: int, *k
     values = []
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
-        place = ",".join(effect.stations + effect.targets)
+        place = effect.place
         seen[effect.name, place] += 1
         amount = np.zeros(len(effect.parameters))
         for k, parameter in enumerate(effect.parameters):
