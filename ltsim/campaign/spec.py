@@ -27,9 +27,13 @@ class FittedEffect(Section):
     """An effect that a method estimates besides the instrument's parameters; `shape` as in a scenario."""
 
     name: str
+    """As `ltsim effects` lists it."""
     stations: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     targets: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     shape: dict[str, Finite | str] = Field(default_factory=dict)
+    """Constants by name, as in a scenario."""
 
 
 class Method(Section):
@@ -40,12 +44,19 @@ class Method(Section):
     """
 
     name: str = ""
+    """What the results call it; the method's own name where it is not given."""
     method: Literal["network", "distance", "distance-l1"] = "network"
+    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations."""
     construction: Literal["misalignment", "dh", "ideal"] = "misalignment"
+    """Which parameters are estimated; `ideal` estimates none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
+    """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
+    """Degree of its polynomials in the range."""
     effects: tuple[FittedEffect, ...] = ()
+    """Further effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
+    """All trials of a geometry together, or one after the other."""
 
     @property
     def title(self) -> str:
@@ -70,18 +81,31 @@ class Campaign(Section):
     """
 
     format: Literal["ltsim-campaign/1"]
+    """Which format and version this file is in."""
     title: str = ""
+    """Free text."""
     scenario: str = "paper-workshop"
+    """A built-in scenario, or a file beside this one."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Root of all random draws."""
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
+    """Of each cell."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
+    """Trials a file of rows; a kill loses at most one in progress."""
     geometry: Literal["shared", "per-trial"] = "shared"
+    """All trials of a cell share one placing of stations and targets, or each has its own."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
+    """Trials of each shard that the full solver repeats."""
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
+    """What each row holds."""
     settings: dict[str, Any] = Field(default_factory=dict)
+    """Changes of the scenario for all cells, by dotted key."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
+    """Values that are combined with each other, by dotted key."""
     cells: tuple[dict[str, Any], ...] = ()
+    """Combinations one by one, tables `[[cells]]`."""
     methods: tuple[Method, ...] = (Method(),)
+    """The calibrators to compare, tables `[[methods]]`."""
 
     @model_validator(mode="after")
     def _names_differ(self) -> Campaign:

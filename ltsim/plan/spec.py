@@ -26,8 +26,11 @@ class Floor(Section):
     """Where tripods may stand; by default the whole floor but a margin along the walls."""
 
     corners_mm: Annotated[tuple[Corner, ...], Field(min_length=3)] | None = None
+    """Corners of the floor, x and y, in order round it; the room's without it."""
     margin_mm: NonNegative = 600.0
+    """Distance to keep from the walls, where no corners are given."""
     height_mm: tuple[Positive, Positive] | None = None
+    """Lowest and highest centre of the head; those of the scenario's stations where it is not given."""
 
     @model_validator(mode="after")
     def _low_then_high(self) -> Floor:
@@ -43,57 +46,84 @@ class Stations(Section):
     """
 
     count: Few | None = None
+    """How many; the scenario's number where it is not given."""
     tries: tuple[Few, ...] = ()
+    """Numbers of stations of the trade-off curve."""
     fixed: tuple[str, ...] = ()
+    """Stations of the scenario that stay."""
     spacing_mm: NonNegative = 1000.0
+    """Smallest distance between two stations, seen from above."""
     play_mm: NonNegative = 50.0
+    """How far off its place an instrument may stand without losing a sight."""
     seen_from: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
+    """How many stations must see each reflector."""
 
 
 class Surface(Section):
     """A flat surface with candidate places in rows and columns: origin, its two sides, how many along each."""
 
     name: str
+    """Places are called NAME-ROW-COLUMN."""
     origin_mm: Vector
+    """One corner."""
     across_mm: Vector
+    """From the origin along the rows."""
     up_mm: Vector
+    """From the origin along the columns."""
     columns: Annotated[int, Field(ge=1, le=200)] = 10
+    """Places in a row."""
     rows: Annotated[int, Field(ge=1, le=200)] = 6
+    """Number of rows."""
 
 
 class Place(Section):
     """One candidate place."""
 
     name: str
+    """Of the reflector that goes there."""
     position_mm: Vector
+    """The place."""
 
 
 class Reflectors(Section):
     """Candidate places of the mesh's reflectors; without any they stay. The gauge stays in any case."""
 
     surfaces: tuple[Surface, ...] = ()
+    """Tables `[[reflectors.surfaces]]`."""
     places: tuple[Place, ...] = ()
+    """Tables `[[reflectors.places]]`."""
     keep: tuple[str, ...] = ()
+    """Reflectors of the scenario that stay."""
     spacing_mm: NonNegative = 300.0
+    """Smallest distance between two reflectors."""
 
 
 class Budget(Section):
     """What the work may cost and which settings of it are tried; times default to the scenario's."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] = (1, 2)
+    """One face, both, or both ways tried."""
     repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] = (1, 2)
+    """Numbers of rounds that are tried."""
     seconds_per_pointing: Positive | None = None
+    """Time from one pointing to the next."""
     minutes_per_move: NonNegative | None = None
+    """Time to carry the instrument to the next station."""
     hours: Positive | None = None
+    """What the whole work may take; without it the scenario's way of working is kept."""
 
 
 class Goal(Section):
     """What a layout is for: weights of its qualities (0: of no interest)."""
 
     instrument: NonNegative = 1.0
+    """Weight of how well the instrument's parameters become known."""
     targets: NonNegative = 0.0
+    """Weight of the reflectors' point errors."""
     diagnosis: NonNegative = 0.0
+    """Weight of how small an effect of `effects` can be seen."""
     criterion: Literal["D", "A", "E"] = "D"
+    """Of the instrument's parameters. D: geometric mean; A: root mean square; E: the worst combination."""
     effects: tuple[str, ...] = (
         "station-weather",
         "range-step",
@@ -102,6 +132,7 @@ class Goal(Section):
         "bearing-wobble",
         "mesh-expansion",
     )
+    """What a diagnosis should see."""
 
     @model_validator(mode="after")
     def _something(self) -> Goal:
@@ -114,25 +145,40 @@ class Search(Section):
     """How hard to look."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Independent searches for the plan itself."""
     starts_of_the_curve: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Independent searches for each other point of the curve."""
     grid_mm: Positive = 500.0
+    """Step of the candidate places on the floor."""
     yaws: Annotated[int, Field(ge=1, le=72)] = 6
+    """Turns of the base tried at each place."""
     heights: Annotated[int, Field(ge=1, le=10)] = 2
+    """Heights tried at each place."""
     seed: Annotated[int, Field(ge=0)] = 0
+    """Root of the search."""
 
 
 class PlanFile(Section):
     """The whole file."""
 
     format: Literal["ltsim-plan/1"] = "ltsim-plan/1"
+    """Which format and version this file is in."""
     title: str = ""
+    """Free text."""
     scenario: str = "paper-workshop"
+    """A built-in scenario, or a file beside this one."""
     floor: Floor = Floor()
+    """Where tripods may stand."""
     stations: Stations = Stations()
+    """How many, and what they must keep."""
     reflectors: Reflectors = Reflectors()
+    """Candidate places of reflectors."""
     budget: Budget = Budget()
+    """What it may cost."""
     goal: Goal = Goal()
+    """What a layout is for."""
     search: Search = Search()
+    """How hard to look."""
 
 
 def plan_names() -> tuple[str, ...]:

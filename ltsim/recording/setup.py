@@ -19,16 +19,20 @@ Vector = tuple[Finite, Finite, Finite]
 class Section(BaseModel):
     """A table of the file: unknown keys are refused, values cannot change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
 
 
 class Noise(Section):
     """One standard deviation of white noise; sigma of a range = distance_mm + distance_ppm * range."""
 
     distance_mm: NonNegative = 0.003
+    """The part of a range's sigma that does not grow with the range."""
     distance_ppm: NonNegative = 0.3
+    """The part that grows with it: sigma = distance_mm + distance_ppm * range."""
     azimuth_arcsec: Positive = 0.37
+    """Across the beam: the reading's sigma is this over the cosine of the elevation."""
     elevation_arcsec: Positive = 0.37
+    """Of the elevation reading."""
 
     @model_validator(mode="after")
     def _some_range_noise(self) -> Noise:
@@ -41,44 +45,63 @@ class Prior(Section):
     """One standard deviation of what the maker guarantees."""
 
     range_scale_ppm: Positive = 2.0
+    """Of the scale of the ranges: laser frequency and air."""
     range_offset_mm: Positive = 0.010
+    """Of the zero of the ranges."""
     angle_arcsec: Positive = 3.0
+    """Of every angular misalignment and every encoder term."""
     offset_mm: Positive = 0.020
+    """Of every offset of an axis or the beam."""
 
 
 class Limits(Section):
     """Travel of the elevation axis."""
 
     elevation_min_deg: Finite = -55.0
+    """Lowest elevation that can be pointed at."""
     elevation_max_deg: Finite = 77.0
+    """Highest one."""
 
 
 class Instrument(Section):
     """One instrument: construction, noise, what its maker guarantees, its limits."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
+    """Where the beam comes from: a source in the turning head, or a mirror that steers it."""
     corrected: bool = False
+    """The maker's or a former calibration's corrections are already in the readings."""
     noise: Noise = Noise()
+    """What its white noise is."""
     prior: Prior = Prior()
+    """What its maker guarantees."""
     limits: Limits | None = None
+    """What it can point at."""
 
 
 class GaugeDistance(Section):
     """A known length between two targets, at `calibrated_at_c`."""
 
     from_: str = Field(alias="from")
+    """Target at one end."""
     to: str
+    """Target at the other end."""
     length_mm: Positive
+    """Length at `calibrated_at_c`."""
     sigma_mm: Positive
+    """Standard deviation of the length."""
 
 
 class Gauge(Section):
     """Lengths known from elsewhere and the temperatures that bring them to the workshop."""
 
     calibrated_at_c: Finite = 20.0
+    """Temperature to which the lengths refer."""
     measured_at_c: Finite = 20.0
+    """Temperature of the gauge during the recording."""
     expansion_per_k: Finite = 0.0
+    """Coefficient of thermal expansion."""
     distance: tuple[GaugeDistance, ...] = ()
+    """One table `[[gauge.distance]]` a length."""
 
 
 class Station(Section):
@@ -90,13 +113,21 @@ class Station(Section):
     """
 
     position_mm: Vector | None = None
+    """Rough place of the head on the floor plan, without weight: it turns nest directions into the frame."""
     yaw_deg: Finite | None = None
+    """Rough direction of azimuth zero, counter-clockwise from x: used where no three places are known."""
     levelled: bool = False
+    """Its standing axis follows a level: a condition with weight."""
     levelling_sigma_arcsec: Positive = 1.0
+    """Standard deviation of the level."""
     instrument: str | None = None
+    """Name of the instrument that stood here, a table `[instruments.NAME]`."""
     instrument_height_mm: Finite = 0.0
+    """Height of the head above its mark."""
     over: str | None = None
+    """Target whose mark the instrument stands over."""
     vertical: Vector | None = None
+    """Direction of plumb here, in the network's frame; z where it is not given."""
 
 
 class Target(Section):
@@ -107,26 +138,42 @@ class Target(Section):
     """
 
     nest_normal: Vector | None = None
+    """Where the open face of a fixed reflector looks, on the floor plan."""
     reflector: str | None = None
+    """Name of the ball; targets that share one share its errors."""
     reaimed: bool = True
+    """Turned toward the station before each pointing."""
     known_mm: Vector | None = None
+    """Coordinates of a control point: a condition with weight."""
     known_sigma_mm: Positive = 0.01
+    """Standard deviation of each known coordinate."""
     known_axes: Axes = "xyz"
+    """Which of the coordinates are known."""
     approximate_mm: Vector | None = None
+    """A start value without weight."""
     datum: bool = False
+    """Takes part in the inner constraints that define the frame."""
     height_mm: Finite = 0.0
+    """Height of the reflector above the mark that the name stands for."""
 
 
 class Setup(Section):
     """The whole file."""
 
     format: Literal["ltsim-recording/1"] = "ltsim-recording/1"
+    """Which format and version this file is in."""
     title: str = ""
+    """Free text."""
     instrument: Instrument = Instrument()
+    """The instrument, where one made the whole recording."""
     instruments: dict[str, Instrument] = Field(default_factory=dict)
+    """Several instruments by name, tables `[instruments.NAME]`."""
     gauge: Gauge | None = None
+    """Lengths known from elsewhere."""
     stations: dict[str, Station] = Field(default_factory=dict)
+    """What is known about set-ups, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
+    """What is known about reflectors, tables `[targets.NAME]`."""
 
     def instrument_of(self, station: str) -> Instrument:
         """Give the instrument that stood at `station`."""

@@ -36,17 +36,29 @@ class Scenario(Section):
     """The whole file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
+    """Which format and version this file is in."""
     title: str = ""
+    """Free text."""
     workshop: Workshop = Workshop()
+    """The room, its air, what stands in it."""
     placing: Placing = Placing()
+    """How far the truth is from the plan."""
     instrument: Instrument = Instrument()
+    """The tracker."""
     smr: Smr = Smr()
+    """The reflectors."""
     cmm: Cmm = Cmm()
+    """The coordinate measuring machine that calibrated the gauge."""
     work: Work = Work()
+    """Order and clock of the measurements."""
     gauge: Gauge | None = None
+    """A frame of known lengths."""
     stations: dict[str, Station]
+    """Set-ups, tables `[stations.NAME]`, in the order of the work."""
     targets: dict[str, Target] = Field(default_factory=dict)
+    """Reflectors, tables `[targets.NAME]`."""
     effects: tuple[EffectEntry, ...] = ()
+    """Physics beyond the instrument's errors, tables `[[effects]]`."""
 
     @property
     def target_names(self) -> tuple[str, ...]:

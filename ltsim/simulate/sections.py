@@ -44,11 +44,17 @@ class Obstacle(Section):
     """Something that stands in the workshop: a CAD file, or a box that stands on its place."""
 
     name: str = ""
+    """What messages and pictures call it."""
     file: str | None = None
+    """STL, OBJ, PLY or GLB file, named from the scenario's folder."""
     unit: Literal["mm", "m"] = "mm"
+    """Unit of the file's coordinates."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
+    """Width, depth and height of a box, in place of a file."""
     position_mm: Vector = (0.0, 0.0, 0.0)
+    """Where its origin goes; of a box, the middle of its base."""
     yaw_deg: Angle = 0.0
+    """Turn about the vertical."""
 
     @model_validator(mode="after")
     def _one_shape(self) -> Obstacle:
@@ -61,38 +67,57 @@ class Workshop(Section):
     """The room and its air; the air is the same everywhere, its temperature may rise."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
+    """Width, depth and height; the corner is the origin, z is up."""
     temperature_c: Celsius = 20.0
+    """Of the air, at the start."""
     temperature_rise_c_per_h: Finite = 0.0
+    """How fast the air warms."""
     pressure_hpa: Annotated[float, Field(ge=300, le=1200)] = 1013.2
+    """Of the air."""
     humidity_pct: Fraction = 50.0
+    """Relative humidity of the air."""
     shadow_cone_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
+    """Opening of the cone under each station where nothing may stand; without it, the cone that the elevation limit
+    hides."""
     obstacles: tuple[Obstacle, ...] = ()
+    """Tables `[[workshop.obstacles]]`."""
 
 
 class Placing(Section):
     """How far things truly stand from the plan, one standard deviation, and how finely the plan is read."""
 
     station_mm: NonNegative = 15.0
+    """Of each coordinate of a station."""
     yaw_deg: NonNegative = 0.4
+    """Of a station's turn about the vertical, and of the gauge's turn."""
     tilt_deg: NonNegative = 0.05
+    """Of a station's lean about each horizontal axis."""
     target_mm: NonNegative = 4.0
+    """Of each coordinate of a reflector."""
     gauge_mm: NonNegative = 10.0
+    """Of each coordinate of the gauge, which moves as one body."""
     plan_step_mm: Positive = 100.0
+    """To what the recording's floor plan rounds positions."""
     plan_step_deg: Positive = 1.0
+    """To what it rounds yaws."""
 
 
 class Resolution(Section):
     """Smallest steps of the readings; 0 for none."""
 
     distance_um: NonNegative = PAPER_DISTANCE_UM
+    """Of a range."""
     angle_arcsec: NonNegative = PAPER_ANGLE_ARCSEC
+    """Of both angles."""
 
 
 class Limits(ElevationLimits):
     """Travel of the elevation axis and the ranges that can be measured."""
 
     range_min_mm: NonNegative = 500.0
+    """Shortest range that can be measured."""
     range_max_mm: Positive = 20_000.0
+    """Longest one."""
 
 
 class Instrument(Section):
@@ -103,17 +128,29 @@ class Instrument(Section):
     """
 
     preset: Literal["paper", "modern", "after-transport"] = "paper"
+    """Where all that is not given comes from."""
     construction: Literal["misalignment", "dh"] = "misalignment"
+    """Which chain makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
+    """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
+    """Degree of its polynomials in the range."""
     corrected: bool = False
+    """What the recording says: the instrument's own corrections are in the readings."""
     noise: Noise = Noise()
+    """What the maker states, and the recording repeats."""
     noise_factor: NonNegative = 1.0
+    """How many times the stated noise the true one is."""
     resolution: Resolution = Resolution()
+    """Smallest steps of the readings."""
     prior: Prior = PAPER_PRIOR
+    """What the maker guarantees; errors are drawn from it."""
     limits: Limits = Limits()
+    """What can be pointed at."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
+    """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the others."""
     error_factor: NonNegative = 1.0
+    """How many times the prior the drawn errors are."""
 
     @model_validator(mode="after")
     def _draw_is_a_switch(self) -> Instrument:
@@ -136,13 +173,19 @@ class Smr(Section):
     """
 
     nests: Literal["re-aimed", "fixed"] = "re-aimed"
+    """Turned toward each station before it points, or left as they are."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
+    """Largest angle of incidence that returns the beam."""
     reflector: str | None = None
+    """Name of the ball, where all targets share one."""
     incidence_error: bool = False
+    """The reflectors have the error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
         round(x / MICROMETRE, 6) for x in PAPER_TABLE
     )
+    """Range error at -30, -22.5, ... +30 deg of incidence."""
     direction_deg: Angle = 0.0
+    """Where around the nest the table's positive side looks, 0 along the horizontal."""
 
 
 class Cmm(Section):
@@ -152,29 +195,43 @@ class Cmm(Section):
     """
 
     constant_um: NonNegative = 2.3
+    """Constant part of the largest permitted error."""
     length_divisor_mm: Positive = 300.0
+    """The length L adds L / length_divisor_mm micrometres."""
     coverage: Positive = 2.0
+    """Largest permitted error over standard deviation."""
     noise_factor: NonNegative = 1.0
+    """How many times the stated error the true one is."""
     nominal: bool = False
+    """It measured the targets too: `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
 
 
 class Work(Section):
     """The order and the clock of the measurements."""
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
+    """In which order each station points at the reflectors; levels go from the highest to the lowest."""
     faces: Literal[1, 2] = 1
+    """One face, or both."""
     face_order: Literal["per-target", "per-station"] = "per-target"
+    """Both faces target by target, or all targets in one face and then in the other."""
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
+    """How many rounds."""
     seconds_per_pointing: Positive = 15.0
+    """Time from one pointing to the next."""
     minutes_per_move: NonNegative = 20.0
+    """Time to carry the instrument to the next station."""
 
 
 class GaugeLength(Section):
     """A length of the gauge as it is, at the temperature of its calibration."""
 
     from_: str = Field(alias="from")
+    """Target at one end."""
     to: str
+    """Target at the other end."""
     length_mm: Positive
+    """The length."""
 
 
 class Gauge(Section):
@@ -185,37 +242,59 @@ class Gauge(Section):
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
+    """Names of its reflectors."""
     reading: Literal["columns", "rows"] = "columns"
+    """How to read the paper's Table 2, which lost its alignment in print."""
     distance: tuple[GaugeLength, ...] = ()
+    """Lengths of another gauge, tables `[[gauge.distance]]`: all that fix its shape."""
     position_mm: Vector
+    """Where its middle stands."""
     yaw_deg: Angle = 0.0
+    """Turn about z."""
     pitch_deg: Angle = 0.0
+    """Turn about y."""
     roll_deg: Angle = 0.0
+    """Turn about x."""
     nest_normal: Vector | None = None
+    """Where its fixed nests look."""
     calibrated_at_c: Celsius = 20.0
+    """Temperature of its calibration."""
     measured_at_c: Celsius | None = None
+    """Temperature that the recording states; the air's where it is not given."""
     expansion_per_k: Finite = 23.2e-6
+    """Coefficient of thermal expansion."""
     sigma_um: Positive | None = None
+    """Standard deviation of each length; by the measuring machine's where it is not given."""
 
 
 class Station(Section):
     """One set-up of the instrument: the middle of its head, and how it is turned."""
 
     position_mm: Vector
+    """Planned place of the head."""
     yaw_deg: Angle
+    """Planned direction of azimuth zero, counter-clockwise from the x axis."""
     roll_deg: Angle = 0.0
+    """Planned turn about x."""
     pitch_deg: Angle = 0.0
+    """Planned turn about y."""
     levelled: bool = False
+    """The standing axis follows a level."""
     levelling_sigma_arcsec: Positive = 1.0
+    """Standard deviation of the level."""
 
 
 class Target(Section):
     """One reflector position. Without `nest_normal` a fixed nest is aimed at the middle of the stations."""
 
     position_mm: Vector
+    """Planned place."""
     nest_normal: Vector | None = None
+    """Where its fixed nest looks."""
     reaimed: bool | None = None
+    """Turned toward each station; as `smr.nests` says where it is not given."""
     reflector: str | None = None
+    """Name of the ball."""
 
 
 class EffectEntry(Section):
@@ -226,8 +305,14 @@ class EffectEntry(Section):
     """
 
     name: str
+    """As `ltsim effects` lists it."""
     stations: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     targets: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     draw: bool = False
+    """Draw what `values` does not give."""
     values: dict[str, Finite] = Field(default_factory=dict)
+    """Parameters by name, in display units."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    """Constants by name: a wavelength, a time constant."""

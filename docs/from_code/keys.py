@@ -1,0 +1,143 @@
+"""Tables of the keys of a file, from the pydantic model that reads or writes it."""
+
+from importlib import import_module
+from typing import Any
+
+from pydantic import BaseModel
+
+UNITS = {
+    "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "µm", "_deg": "deg", "_arcsec": "arcsec", "_ppm": "ppm",
+    "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
+}  # fmt: skip
+"""Units by the ending of a key."""
+WORDS = {"seconds": "s", "minutes": "min", "hours": "h"}
+"""Units by a word at the beginning of a key."""
+HUGE = 1e8
+"""Bounds beyond it only keep nonsense out."""
+KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false", "null": "nothing"}
+
+
+def tables(model: str, style: str = "toml") -> str:
+    """Markdown: a heading and a table of keys for the file and each table in it.
+
+    Parameters
+    ----------
+    model : str
+        As in ``ltsim.plan.spec:PlanFile``.
+    style : "toml" or "json"
+        How the headings write the place of a table.
+    """
+    module, _, name = model.partition(":")
+    kind: type[BaseModel] = getattr(import_module(module), name)
+    schema = kind.model_json_schema()
+    lines: list[str] = []
+    todo, place = [("", schema)], _toml if style == "toml" else _json
+    while todo:
+        path, table = todo.pop(0)
+        lines += _table(path, table, schema)
+        inner = [_inner(key, entry, schema) for key, entry in table["properties"].items()]
+        todo = [(place(path, how, key), found) for key, how, found in filter(None, inner)] + todo
+    return "\n".join(lines)
+
+
+def _toml(path: str, how: str, key: str) -> str:
+    name = ".".join(filter(None, (path.strip("[]"), key)))
+    return {"one": f"[{name}]", "named": f"[{name}.NAME]", "several": f"[[{name}]]"}[how]
+
+
+def _json(path: str, how: str, key: str) -> str:
+    name = ".".join(filter(None, (path, key)))
+    return {"one": name, "named": f"{name}.NAME", "several": f"{name}[]"}[how]
+
+
+def _table(path: str, table: dict[str, Any], schema: dict[str, Any]) -> list[str]:
+    lines = ["", f"## `{path}`", ""] if path else [""]
+    lines += [about(table.get("description", "")), ""]
+    own = {key: entry for key, entry in table["properties"].items() if _inner(key, entry, schema) is None}
+    if own:
+        lines += ["| key | value | unit | default | meaning |", "|---|---|---|---|---|"]
+    for key, entry in own.items():
+        cells = [f"`{key}`", values(entry, schema), unit(key), default(key, entry, table), meaning(entry)]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
+    return lines
+
+
+def _inner(key: str, entry: dict[str, Any], schema: dict[str, Any]) -> tuple[str, str, dict[str, Any]] | None:
+    """Key, how many, and schema of the table that an entry holds; None where it holds a value."""
+    for choice in entry.get("anyOf", [entry]):
+        further, items = choice.get("additionalProperties"), choice.get("items")
+        for how, found in (("one", choice), ("named", further), ("several", items)):
+            if isinstance(found, dict) and "$ref" in found:
+                return key, how, schema["$defs"][found["$ref"].rpartition("/")[2]]
+    return None
+
+
+def about(docstring: str) -> str:
+    """A class docstring as Markdown: double back-quotes become single ones."""
+    return docstring.replace("``", "`")
+
+
+def meaning(entry: dict[str, Any]) -> str:
+    """What the key means."""
+    return about(entry.get("description", ""))
+
+
+def unit(key: str) -> str:
+    """The unit that a key carries in its name."""
+    for ending, name in UNITS.items():
+        if key.endswith(ending):
+            return name
+    return WORDS.get(key.partition("_")[0], "")
+
+
+def default(key: str, entry: dict[str, Any], table: dict[str, Any]) -> str:
+    """What holds where the key is left out."""
+    if key in table.get("required", ()):
+        return "required"
+    value = entry.get("default")
+    if value is None or value in ("", [], {}):
+        return ""
+    return f"`{_shown(value)}`"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return "[" + ", ".join(_shown(one) for one in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
+
+
+def values(entry: dict[str, Any], schema: dict[str, Any]) -> str:
+    """Which values are right, in words."""
+    if "$ref" in entry:
+        return "table"
+    if "anyOf" in entry:
+        return " or ".join(values(one, schema) for one in entry["anyOf"] if one.get("type") != "null")
+    if "const" in entry or "enum" in entry:
+        return ", ".join(f"`{_shown(one)}`" for one in entry.get("enum", [entry.get("const")]))
+    if entry.get("type") == "array":
+        return _list(entry, schema)
+    if entry.get("type") == "object":
+        further = entry.get("additionalProperties")
+        return "table of " + values(further, schema) if isinstance(further, dict) else "table"
+    return (KINDS[entry["type"]] if "type" in entry else "any value") + _bounds(entry)
+
+
+def _list(entry: dict[str, Any], schema: dict[str, Any]) -> str:
+    items = entry.get("prefixItems")
+    if items:
+        return f"list of {len(items)}: {values(items[0], schema)}"
+    least, most = entry.get("minItems"), entry.get("maxItems")
+    count = f"{least} times " if least is not None and least == most else ""
+    return f"list of {count}{values(entry['items'], schema)}"
+
+
+def _bounds(entry: dict[str, Any]) -> str:
+    low = [f"> {entry['exclusiveMinimum']:g}"] if "exclusiveMinimum" in entry else []
+    if abs(entry.get("minimum", HUGE)) < HUGE:
+        low = [f"≥ {entry['minimum']:g}"]
+    high = [f"< {entry['exclusiveMaximum']:g}"] if entry.get("exclusiveMaximum", HUGE) < HUGE else []
+    if entry.get("maximum", HUGE) < HUGE:
+        high = [f"≤ {entry['maximum']:g}"]
+    return "".join(" " + bound for bound in low + high)
