@@ -5,6 +5,7 @@ from __future__ import annotations
 from ltsim.calibrate import adjust_network
 from ltsim.cli.calibrate import finish
 from ltsim.cli.options import (
+    ColumnMap,
     Datum,
     FormatName,
     HintList,
@@ -31,6 +32,7 @@ def adjust(
     points: PointsFile = None,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -41,7 +43,7 @@ def adjust(
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("adjusting"):

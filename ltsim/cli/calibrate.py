@@ -11,6 +11,7 @@ import typer
 from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network, write_calibration
 from ltsim.calibrate.files import calibration_json
 from ltsim.cli.options import (
+    ColumnMap,
     Datum,
     FormatName,
     HintList,
@@ -65,6 +66,7 @@ def calibrate(
     points: PointsFile = None,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -78,7 +80,7 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": names_of(datum)}
     if method is not Method.NETWORK and any(options.values()):
         raise SetupError(f"--robust, --noise-from-data and --datum go with --method network, not {method.value}")
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("calibrating"):

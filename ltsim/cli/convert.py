@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import FormatName, HintList, Json, Quiet, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Quiet, recording_of
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import FORMATS, write
@@ -25,17 +25,20 @@ def convert(
     to: To = "native",
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Read a recording in one format and write it in another.
 
-    What an ambiguous file means is decided from the data and said, or asked for: answer with --hint.
+    Tables of any dialect are read: a header names columns and units, --columns maps one that does not. What stays
+    open is decided from the data and said, or asked for: answer with --hint. A setup.toml beside the file gives noise,
+    gauge and places.
 
-    Example: ltsim convert survey.txt my-recording --hint azimuth=clockwise
+    Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     write(recording, destination, to)
     terminal.answer({"pointings": len(recording), "notes": list(recording.notes)})

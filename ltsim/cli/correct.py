@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from ltsim.calibrate import correct as corrected_by
-from ltsim.cli.options import CalibrationFile, FormatName, HintList, Json, Quiet, Source, recording_of
+from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Quiet, Source, recording_of
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.geometry.polar import wrap
@@ -25,6 +25,7 @@ def correct(
     out: Destination,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -33,7 +34,7 @@ def correct(
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     found = calibration_of(terminal, calibration)
     if not found.names:

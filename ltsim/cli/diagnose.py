@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Seed, Source, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Seed, Source, recording_of
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 from ltsim.diagnose import Diagnosis
@@ -31,6 +31,7 @@ def diagnose(
     seed: Seed = 0,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -41,7 +42,7 @@ def diagnose(
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("diagnosing"):

@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.arrays import Bools
 from ltsim.calibrate.result import gross_rows
 from ltsim.cli.options import (
+    ColumnMap,
     FormatName,
     HintList,
     Json,
@@ -33,6 +34,7 @@ def evaluate(
     out: Out = None,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -43,7 +45,7 @@ def evaluate(
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     gross = gross_rows(recording)

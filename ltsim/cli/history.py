@@ -11,7 +11,7 @@ import typer
 from ltsim.calibrate import Calibration, calibrate_network
 from ltsim.calibrate.files import JSON as CALIBRATION_JSON
 from ltsim.calibrate.history import Change, History, history_json
-from ltsim.cli.options import FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
@@ -47,6 +47,7 @@ def history(
     noise_from_data: NoiseFromData = False,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -61,7 +62,7 @@ def history(
     treated: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data}
     with terminal.progress("calibrating", len(sources)) as done:
         for source in sources:
-            named += _calibrations(terminal, source, each_set_up, format_name, hint, treated)
+            named += _calibrations(terminal, source, each_set_up, format_name, hint, columns, treated)
             done(1)
     found = History.of(named, instrument)
     content = history_json(found)
@@ -81,13 +82,14 @@ def _calibrations(
     each_set_up: bool,
     format_name: str | None,
     hint: list[str] | None,
+    columns: str | None,
     treated: dict[str, Any],
 ) -> list[tuple[str, Calibration]]:
     """One calibration of a file, or one a set-up of a recording."""
     if source.name == CALIBRATION_JSON or (source / CALIBRATION_JSON).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == CALIBRATION_JSON else source.stem
         return [(label or source.stem, calibration_of(terminal, source))]
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     label = source.stem if source.is_file() else source.name
     if not each_set_up:

@@ -36,7 +36,16 @@ HintList = Annotated[
     typer.Option(
         "--hint",
         metavar="KEY=VALUE",
-        help="What an ambiguous file means: angle=gon, vertical=zenith, azimuth=clockwise, length=m, points=FILE.",
+        help="What an ambiguous file means: angle=gon, vertical=zenith, azimuth=clockwise, length=m, date=dmy, "
+        "points=FILE, setup=FILE, station=NAME.",
+    ),
+]
+ColumnMap = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="ROLE=HEADER[UNIT],...",
+        help='What the columns of a table hold, e.g. "target=Name,azimuth=Hz[gon],zenith=V[gon],distance=D[m]".',
     ),
 ]
 Robust = Annotated[
@@ -60,7 +69,7 @@ def names_of(listed: str | None) -> tuple[str, ...] | None:
     return None if listed is None else tuple(dict.fromkeys(n.strip() for n in listed.split(",") if n.strip()))
 
 
-def hints_of(pairs: list[str] | None) -> Hints:
+def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
     """Hints from `KEY=VALUE` texts.
 
     Raises
@@ -75,21 +84,24 @@ def hints_of(pairs: list[str] | None) -> Hints:
         "vertical": ("zenith", "elevation"),
         "azimuth": ("clockwise", "counter-clockwise"),
         "length": ("mm", "m"),
+        "date": ("dmy", "mdy"),
     }
     given: dict[str, Any] = {}
-    keys = [f.name for f in dataclasses.fields(Hints)]
+    keys = [f.name for f in dataclasses.fields(Hints) if f.name != "columns"]
     for pair in pairs or []:
         key, _, value = pair.partition("=")
         if key not in keys or not value:
             raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(keys)}")
         if key in choices and value not in choices[key]:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices[key])}")
-        given[key] = Path(value) if key == "points" else value
-    return Hints(**given)
+        given[key] = Path(value) if key in ("points", "setup") else value
+    return Hints(**given, columns=columns)
 
 
-def recording_of(path: Path, format_name: str | None = None, hints: list[str] | None = None) -> Recording:
+def recording_of(
+    path: Path, format_name: str | None = None, hints: list[str] | None = None, columns: str | None = None
+) -> Recording:
     """The recording behind the argument REC of a verb; raises RecordError."""
     from ltsim.recording import read
 
-    return read(path, format=format_name, hints=hints_of(hints))
+    return read(path, format=format_name, hints=hints_of(hints, columns))

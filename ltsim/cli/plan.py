@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ltsim.cli.options import FormatName, HintList, Jobs, Json, Quiet, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, HintList, Jobs, Json, Quiet, recording_of
 from ltsim.cli.summary import recording_line
 from ltsim.cli.terminal import Terminal, table
 from ltsim.diagnose import Diagnosis
@@ -56,6 +56,7 @@ def plan(
     between: Between = None,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -70,7 +71,7 @@ def plan(
     if after is not None:
         if source is not None:
             raise SetupError("ltsim plan takes either FILE or --after REC, not both")
-        return _after(terminal, recording_of(after, format_name, hint), _explanations(between), out)
+        return _after(terminal, recording_of(after, format_name, hint, columns), _explanations(between), out)
     if between is not None:
         raise SetupError("--between goes with --after REC: it needs a recording whose two explanations it names")
     if source is None:

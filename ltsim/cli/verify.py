@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.evaluate import show
-from ltsim.cli.options import CalibrationFile, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
 from ltsim.cli.summary import calibration_of, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.evaluate import read_nominal
@@ -26,6 +26,7 @@ def verify(
     out: Out = None,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -36,7 +37,7 @@ def verify(
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint)
+    recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     found = calibration_of(terminal, calibration)

@@ -20,6 +20,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
+from ltsim.recording.formats.point_list import read_points
 from ltsim.recording.plausibility import SHORTEST_MM, chord_gap
 from ltsim.units import FACTOR
 
@@ -39,7 +40,9 @@ class Hints:
     """What a caller says about an ambiguous file; None leaves it to the data.
 
     `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
-    azimuth; `station` names the set-up of a file that does not.
+    azimuth; `station` names the set-up of a file that does not; `columns` says what the columns of a table hold
+    (``target=Name,azimuth=Hz[gon]``), `setup` where its noise and gauge stand, `date` the order of dates with
+    strokes.
     """
 
     angle: Angle | None = None
@@ -48,9 +51,13 @@ class Hints:
     length: Length | None = None
     points: Path | None = None
     station: str | None = None
+    columns: str | None = None
+    setup: Path | None = None
+    date: Literal["dmy", "mdy"] | None = None
 
 
 NO_HINTS = Hints()
+NO_NOISE = "the file states no noise: that of the default instrument is taken, edit setup.toml to state it"
 
 
 @dataclass(frozen=True)
@@ -161,8 +168,16 @@ def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple
 
 def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
-    message = f"the angles may be {choices} and nothing in the file decides; say which (angle=, vertical=)"
+    message = f"the angles may be {choices} and nothing in the file decides; say which: " + _options(open_)
     raise RecordError(message, file=file)
+
+
+def _options(open_: list[tuple[Angle, Vertical]]) -> str:
+    """What to type for the first of the choices, without what they have in common."""
+    angles, verticals = {a for a, _ in open_}, {v for _, v in open_}
+    said = [f"--hint angle={open_[0][0]}"] if len(angles) > 1 else []
+    said += [f"--hint vertical={open_[0][1]}"] if len(verticals) > 1 else []
+    return " ".join(said)
 
 
 def length_meaning(table: PolarTable, hints: Hints) -> tuple[Length, list[str]]:
@@ -172,6 +187,38 @@ def length_meaning(table: PolarTable, hints: Hints) -> tuple[Length, list[str]]:
     longest = float(np.nanmax(table.distance, initial=0))
     length: Length = "m" if longest < SHORTEST_MM else "mm"
     return length, [f"distances taken as {length}: the longest is {longest:.6g}"]
+
+
+def sense_unknown() -> str:
+    """The sentence that asks for the sense of the azimuth."""
+    return (
+        "nothing in this file tells whether azimuths run clockwise (its mirror image fits as well); say which, "
+        "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or give coordinates of some targets, "
+        "--hint points=FILE"
+    )
+
+
+def known_sense(
+    local: Floats, table: PolarTable, targets: tuple[str, ...], hints: Hints
+) -> tuple[Azimuth, list[str]] | None:
+    """The sense by the coordinates of `hints.points`, with its notes; None where no points are given.
+
+    Raises
+    ------
+    RecordError
+        Where the points do not decide.
+    """
+    if hints.points is None:
+        return None
+    points = read_points(hints.points, strict=False)
+    place = {name: i for i, name in enumerate(targets)}
+    known = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
+    azimuth = sense_by_points(local, table, known)
+    if azimuth is None:
+        message = f"{len(known)} of its targets have coordinates here, which does not decide whether azimuths run "
+        raise RecordError(message + "clockwise; say which: --hint azimuth=clockwise", file=hints.points)
+    why = f"azimuths taken as {azimuth}: so the targets fit the coordinates in {hints.points.name}"
+    return azimuth, [why, *points.notes]
 
 
 def sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Floats]) -> Azimuth | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import native
 from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.files import decoded
 from ltsim.recording.formats import (
     cern_lgc,
     gama,
@@ -20,6 +21,7 @@ from ltsim.recording.formats import (
     spatialanalyzer,
 )
 from ltsim.recording.recording import Recording
+from ltsim.recording.tables import reader as tables
 
 HEAD = 16_384
 
@@ -99,6 +101,13 @@ FORMATS: tuple[Format, ...] = (
         point_list.recognises,
         point_list.refuse,
     ),
+    Format(
+        "table",
+        "delimited text with a header, a folder with a file a station, or a workbook",
+        (".csv", ".tsv", ".txt", ".xlsx"),
+        tables.recognises,
+        tables.read,
+    ),
 )
 
 
@@ -150,7 +159,7 @@ def recognised(path: Path, formats: tuple[Format, ...] = FORMATS) -> Format:
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                head = stream.read(HEAD).removeprefix(b"\xef\xbb\xbf").decode("latin-1").replace("\r\n", "\n")
+                head = decoded(stream.read(HEAD)).replace("\r\n", "\n")
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
     fitting = [f for f in formats if f.recognises(path, head)]

@@ -14,6 +14,7 @@ MAX_LINES = 500_000
 MAX_LINE = 20_000
 MAX_NAME = 100
 MAX_TEXT = 500
+UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _FORBIDDEN = re.compile(r"[<>/\\]")
@@ -44,11 +45,20 @@ def read_bytes(path: Path) -> bytes:
     return content
 
 
+def decoded(content: bytes) -> str:
+    """Text whose encoding only its byte-order mark tells; Latin-1 without one, a cut character replaced."""
+    if content.startswith(UTF16):
+        return content.decode("utf-16", errors="replace")
+    return content.removeprefix(UTF8).decode("latin-1")
+
+
 def read_text(path: Path, *, latin: bool = False) -> str:
-    """The text of a file in UTF-8 (with or without a byte-order mark); `latin` falls back to Latin-1."""
+    """The text of a file in UTF-8 or, with its byte-order mark, UTF-16; `latin` falls back to Latin-1."""
     content = read_bytes(path)
+    if content.startswith(UTF16):
+        content = decoded(content).encode()
     if b"\x00" in content:
-        raise RecordError("holds binary data or UTF-16, expected UTF-8 text", file=path)
+        raise RecordError("holds binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:

@@ -26,6 +26,7 @@ from ltsim.recording.plausibility import check_degrees
 from ltsim.recording.recording import KIND_COLUMN, SIGMA_COLUMNS, Recording
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
+from ltsim.recording.tables.dialect import is_folder
 from ltsim.units import DEGREE, MILLIMETRE
 
 OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
@@ -49,7 +50,7 @@ MAX_COLUMNS = 500
 
 def recognises(path: Path, head: str) -> bool:
     """Whether this is a folder, or its table of observations."""
-    return path.is_dir() or path.name == OBSERVATIONS or "azimuth_deg" in head.partition("\n")[0]
+    return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
 
 
 def read_recording(path: Path) -> Recording:

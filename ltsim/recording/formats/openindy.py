@@ -16,9 +16,8 @@ import numpy as np
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import to_polar
 from ltsim.recording.build import NAN, Pointing, recording_of
-from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
 from ltsim.recording.files import check_name, number, shown
-from ltsim.recording.formats.polar_text import NO_NOISE
 from ltsim.recording.formats.xml import attribute, parse, tag
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup

@@ -21,6 +21,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.recording.build import Pointing, indices, recording_of
 from ltsim.recording.conventions import (
     NO_HINTS,
+    NO_NOISE,
     Angle,
     Azimuth,
     Hints,
@@ -29,25 +30,20 @@ from ltsim.recording.conventions import (
     Vertical,
     angle_meaning,
     faces,
+    known_sense,
     length_meaning,
-    sense_by_points,
+    sense_unknown,
 )
 from ltsim.recording.files import comma_number, is_number, read_lines, shown, write_text
-from ltsim.recording.formats.point_list import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Setup
 from ltsim.units import DEGREE, MILLIMETRE
 
-NO_NOISE = "the file states no noise: that of the default instrument is taken, edit setup.toml to state it"
 COMMENT = "#"
 WORDS = {name: get_args(kind) for name, kind in (("angle", Angle), ("vertical", Vertical), ("azimuth", Azimuth))}
 WORDS["length"] = get_args(Length)
 _SETTING = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
 _POLAR = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
-_SENSE_UNKNOWN = (
-    "nothing in this file tells whether azimuths run clockwise (its mirror image fits as well); "
-    "say which (azimuth=), or give coordinates of some targets (points=)"
-)
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -144,21 +140,10 @@ def _table(
 def _sense(
     table: PolarTable, targets: tuple[str, ...], hints: Hints, file: Path, readings: Floats
 ) -> tuple[Azimuth, list[str]]:
-    if hints.azimuth is not None:
-        return hints.azimuth, []
-    if hints.points is None:
-        raise RecordError(_SENSE_UNKNOWN, file=file)
-    points = read_points(hints.points, strict=False)
-    place = {name: i for i, name in enumerate(targets)}
-    known = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
-    azimuth = sense_by_points(from_polar(readings), table, known)
-    if azimuth is None:
-        message = f"{len(known)} of its targets have coordinates in {hints.points.name}, which does not decide "
-        raise RecordError(message + "whether azimuths run clockwise; say which (azimuth=)", file=file)
-    return azimuth, [
-        f"azimuths taken as {azimuth}: so the targets fit the coordinates in {hints.points.name}",
-        *points.notes,
-    ]
+    found = (hints.azimuth, []) if hints.azimuth else known_sense(from_polar(readings), table, targets, hints)
+    if found is None:
+        raise RecordError(sense_unknown(), file=file)
+    return found
 
 
 def write(recording: Recording, path: Path) -> None:

@@ -25,6 +25,7 @@ from ltsim.recording.build import NAN, Pointing, indices, recording_of
 from ltsim.recording.conventions import (
     CIRCLE,
     NO_HINTS,
+    NO_NOISE,
     Angle,
     Hints,
     PolarTable,
@@ -33,7 +34,6 @@ from ltsim.recording.conventions import (
     sense_by_poses,
 )
 from ltsim.recording.files import check_name, check_text, comma_number, read_lines, shown
-from ltsim.recording.formats.polar_text import NO_NOISE
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Setup, Station
 from ltsim.units import FACTOR

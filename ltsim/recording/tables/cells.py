@@ -1,0 +1,143 @@
+"""What one cell says: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
+from decimal import Decimal
+
+from ltsim.recording.files import is_number
+
+FACES = {
+    **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
+    **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
+}
+DAY = timedelta(days=1)
+_SEXAGESIMAL = re.compile(
+    r"([+-]?)(\d{1,3})\s*(?:°|d|:|-|\s)\s*(\d{1,2})\s*(?:'|′|’|m|:|-|\s)\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:\"|″|”|''|s)?"
+)
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_DATES: tuple[tuple[str, re.Pattern[str], str], ...] = (
+    ("ymd", re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})"), "ymd"),
+    ("dmy", re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}|\d{2})"), "dmy"),
+    ("dmy", re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](\d{4}|\d{2})"), "dmy"),
+    ("mdy", re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](\d{4}|\d{2})"), "mdy"),
+)
+
+
+def plain(text: str) -> str:
+    """A number as Python writes it: comma or point as decimal sign, blanks and a degree sign gone."""
+    text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
+    comma, point = text.rfind(","), text.rfind(".")
+    if comma < 0:
+        return text
+    grouping = "." if comma > point else ","
+    return text.replace(grouping, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
+
+
+def is_value(text: str) -> bool:
+    """Whether a cell is a number or an angle in degrees, minutes and seconds."""
+    return is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None
+
+
+def is_sexagesimal(text: str) -> bool:
+    """Whether a cell is an angle in degrees, minutes and seconds."""
+    return _SEXAGESIMAL.fullmatch(text.strip()) is not None
+
+
+def value(text: str) -> Decimal | None:
+    """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none."""
+    number = plain(text)
+    if is_number(number):
+        return Decimal(number)
+    found = _SEXAGESIMAL.fullmatch(text.strip())
+    if found is None or int(found.group(3)) > 59:
+        return None
+    sign, degrees, minutes, seconds = found.groups()
+    size = Decimal(degrees) + (Decimal(minutes) * 60 + Decimal(seconds.replace(",", "."))) / 3600
+    return -size if sign == "-" else size
+
+
+def face(text: str) -> int | None:
+    """1 or 2; None where the cell names no face."""
+    return FACES.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
+
+
+def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
+    """Seconds since the earliest of clocks, dates or dates with clocks, and what had to be assumed.
+
+    `order` is ``dmy`` or ``mdy`` for dates with strokes. None where a text is in no known form, or where
+    strokes leave the order open (the remark then begins with "?").
+    """
+    clocks = [_clock(text) for text in texts]
+    if all(clock is not None for clock in clocks):
+        return _since(_unwrapped([clock for clock in clocks if clock is not None]))
+    meanings: dict[str, list[datetime]] = {}
+    for name, form, letters in _DATES:
+        if (name == "mdy" and order == "dmy") or (name == "dmy" and order == "mdy" and "/" in form.pattern):
+            continue
+        stamps = _all(texts, lambda text, f=form, k=letters: _stamp(text, f, k))  # type: ignore[misc]
+        if stamps is not None:
+            meanings.setdefault(name, stamps)
+    differing = {tuple(stamp - min(stamps) for stamp in stamps) for stamps in meanings.values()}
+    if len(differing) > 1:
+        return None, "?"
+    return _since([stamp - datetime.min for stamp in next(iter(meanings.values()))]) if meanings else (None, "")
+
+
+def _all(texts: Sequence[str], read: Callable[[str], datetime | None]) -> list[datetime] | None:
+    found = []
+    for text in texts:
+        stamp = read(text)
+        if stamp is None:
+            return None
+        found.append(stamp)
+    return found
+
+
+def _since(spans: list[timedelta], remark: str = "") -> tuple[list[float], str]:
+    first = min(spans)
+    return [(span - first).total_seconds() for span in spans], remark
+
+
+def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:
+    """Clocks without a date: one that falls back by more than half a day has passed midnight."""
+    days, last, found = timedelta(0), clocks[0], []
+    for clock in clocks:
+        if last - clock > DAY / 2:
+            days += DAY
+        last = clock
+        found.append(clock + days)
+    return found
+
+
+def _clock(text: str) -> timedelta | None:
+    found = _CLOCK.fullmatch(text.strip())
+    if found is None:
+        return None
+    hours, minutes, seconds = (int(part or 0) for part in found.groups()[:3])
+    half = (found.group(5) or "").lower()
+    if hours > 23 or minutes > 59 or seconds > 60 or (half and not 1 <= hours <= 12):
+        return None
+    if half:
+        hours = hours % 12 + (12 if half == "p" else 0)
+    return timedelta(
+        hours=hours, minutes=minutes, seconds=seconds, microseconds=float("0." + (found.group(4) or "0")) * 1e6
+    )
+
+
+def _stamp(text: str, form: re.Pattern[str], letters: str) -> datetime | None:
+    """A date with or without a clock; the zone of an ISO stamp is left aside (all are taken as of one zone)."""
+    day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
+    rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
+    found = form.fullmatch(day)
+    clock = _clock(rest) if rest else timedelta(0)
+    if found is None or clock is None:
+        return None
+    parts = dict(zip(letters, (int(part) for part in found.groups()), strict=True))
+    year = parts["y"] + (2000 if parts["y"] < 100 else 0)
+    try:
+        return datetime(year, parts["m"], parts["d"]) + clock
+    except ValueError:
+        return None

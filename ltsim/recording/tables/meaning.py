@@ -1,0 +1,171 @@
+"""What the numbers of a table mean: units, zenith or elevation, the sense of the circle, faces.
+
+What the header states is taken; the rest is decided by the data (`ltsim.recording.conventions`) or asked for. The
+mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
+a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation are the spherical
+coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle can be either and is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.errors import RecordError
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.recording.build import indices
+from ltsim.recording.conventions import (
+    Azimuth,
+    Hints,
+    PolarTable,
+    Vertical,
+    angle_meaning,
+    known_sense,
+    length_meaning,
+    sense_by_poses,
+    sense_unknown,
+)
+from ltsim.recording.setup import Setup
+from ltsim.recording.tables.header import DISTANCE, HORIZONTAL, VERTICAL, Column
+from ltsim.recording.tables.rows import Printed, Table
+from ltsim.units import DEGREE, MILLIMETRE
+
+PI = Decimal("3.14159265358979323846264338327950288")
+DEGREES = {"deg": Decimal(1), "dms": Decimal(1), "gon": Decimal("0.9"), "rad": 180 / PI}
+MILLIMETRES = {
+    "mm": Decimal(1),
+    "m": Decimal(1000),
+    "in": Decimal("25.4"),
+    "cm": Decimal(10),
+    "ft": Decimal("304.8"),
+    "um": Decimal("0.001"),
+}
+HALF, FULL, QUARTER = Decimal(180), Decimal(360), Decimal(90)
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """How the printed numbers become raw readings; `notes` says what was decided."""
+
+    horizontal_unit: str
+    vertical_unit: str
+    length_unit: str
+    vertical: Vertical
+    azimuth: Azimuth
+    notes: tuple[str, ...] = ()
+
+    def readings(self, p: Printed) -> tuple[float, float, float]:
+        """Raw range [m], azimuth, elevation [rad] of a pointing, in the numbers that a native file would hold."""
+        nan = Decimal("nan")
+        length = nan if p.distance is None else p.distance * MILLIMETRES[self.length_unit]
+        turn = nan if p.horizontal is None else p.horizontal * DEGREES[self.horizontal_unit]
+        if self.azimuth == "clockwise" and p.horizontal is not None:
+            turn = -turn % FULL
+            turn += FULL if turn < 0 else 0
+        up = nan if p.vertical is None else p.vertical * DEGREES[self.vertical_unit]
+        if self.vertical == "zenith":
+            up = QUARTER - up
+        if p.vertical is not None and up < -QUARTER:
+            up += FULL
+        return float(length) * MILLIMETRE, float(turn) * DEGREE, float(up) * DEGREE
+
+
+def meaning_of(table: Table, setup: Setup, hints: Hints, file: Path) -> Meaning:
+    """What the table's numbers mean.
+
+    Raises
+    ------
+    RecordError
+        Asking for what neither header nor data decide, with the option to type.
+    """
+    columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)}
+    stated = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
+    polar = _polar(table, file)
+    units, vertical, notes = _angles(columns, stated, polar, hints, file)
+    length, more = _length(stated["distance"], polar, hints)
+    found = Meaning(*units, length, vertical, "counter-clockwise")
+    azimuth, why = _sense(table, found, polar, setup, hints, file)
+    return replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
+
+
+def _polar(table: Table, file: Path) -> PolarTable:
+    """The numbers as printed, for whoever decides by them."""
+    _, station = indices((p.station for p in table.pointings), "station", file)
+    _, target = indices((p.target for p in table.pointings), "target", file)
+    numbers = np.array(
+        [[np.nan if v is None else float(v) for v in (p.horizontal, p.vertical, p.distance)] for p in table.pointings]
+    )
+    return PolarTable(station, target, *numbers.T)
+
+
+def _angles(
+    columns: Mapping[str, Column | None], stated: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
+) -> tuple[tuple[str, str], Vertical, list[str]]:
+    """Units of both angles and what the vertical one is."""
+    column = columns["vertical"]
+    role = column.role if column is not None else ""
+    said: Vertical | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
+    if column is None:
+        said = "elevation"
+    one, other = stated["horizontal"], stated["vertical"]
+    unit = one or other or hints.angle or ""
+    # The data are asked in one unit: angles in different ones are brought to degrees first.
+    asked, known = polar, None
+    if unit:
+        turns = [float(DEGREES[u or unit]) for u in (one, other)]
+        asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
+        known = "deg"
+    if known and (said or hints.vertical):
+        return (one or unit, other or unit), hints.vertical or said or "elevation", []
+    answer = replace(hints, angle=known or hints.angle, vertical=hints.vertical or said)  # type: ignore[arg-type]
+    angle, vertical, notes = angle_meaning(asked, answer, file)
+    if known and column is not None:
+        notes = [f"'{column.title}' taken as {vertical} angles: {note.partition(': ')[2]}" for note in notes]
+    return (one or unit or angle, other or unit or angle), vertical, notes
+
+
+def _length(stated: str, polar: PolarTable, hints: Hints) -> tuple[str, list[str]]:
+    if stated:
+        return stated, []
+    return ("mm", []) if not np.isfinite(polar.distance).any() else length_meaning(polar, hints)
+
+
+def _sense(
+    table: Table, meaning: Meaning, polar: PolarTable, setup: Setup, hints: Hints, file: Path
+) -> tuple[Azimuth, list[str]]:
+    """The sense of the circle: said, by known places, or by the words of the header."""
+    if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
+        return hints.azimuth or "counter-clockwise", []
+    readings = np.array([meaning.readings(p) for p in table.pointings])
+    targets = tuple(dict.fromkeys(p.target for p in table.pointings))
+    by_places = known_sense(from_polar(readings), polar, targets, hints)
+    if by_places is not None:
+        return by_places
+    poses = _poses(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
+    azimuth = sense_by_poses(from_polar(readings), polar, poses) if len(poses) > 1 else None
+    if azimuth is not None:
+        return azimuth, [f"azimuths taken as {azimuth}: so the stations see the same points from their rough places"]
+    column = table.column(HORIZONTAL)
+    if column is not None and column.role == "horizontal":
+        circle = f"'{column.title}' taken as a horizontal circle, clockwise"
+        return "clockwise", [circle + " (--hint azimuth=counter-clockwise says otherwise)"]
+    if meaning.vertical == "elevation":
+        spherical = "azimuth beside elevation taken as counter-clockwise (--hint azimuth=clockwise says otherwise)"
+        return "counter-clockwise", [spherical]
+    raise RecordError(sense_unknown(), file=file)
+
+
+def _poses(setup: Setup, names: tuple[str, ...]) -> dict[int, tuple[Floats, Floats]]:
+    """Rough poses by the floor plan: place and direction of zero."""
+    found = {}
+    for i, name in enumerate(names):
+        station = setup.stations.get(name)
+        if station is not None and station.position_mm is not None and station.yaw_deg is not None:
+            found[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
+    return found
