@@ -67,6 +67,11 @@ class ConvergenceError(LtsimError):
         super().__init__(message)
 
 
+def missing_extra(what: str, extra: str) -> SetupError:
+    """Build the error for something that needs packages which a plain installation leaves out."""
+    return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ModelError:
     """Build the error for a name that does not exist, with the closest ones that do."""
     choices = sorted(known)

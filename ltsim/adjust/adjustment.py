@@ -29,6 +29,7 @@ from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
+from ltsim.notebook import Shown
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor
@@ -50,8 +51,8 @@ class Outlier:
     w: float
 
 
-@dataclass(frozen=True)
-class Adjustment:
+@dataclass(frozen=True, repr=False)
+class Adjustment(Shown):
     """An adjusted network.
 
     Attributes
@@ -74,6 +75,15 @@ class Adjustment:
     datum: InnerDatum | None = None
     components: tuple[Component, ...] = ()
     untied: tuple[str, ...] = ()
+
+    def _lines(self) -> list[str]:
+        return [
+            f"Adjustment: {self.recording.headline}",
+            f"{self.construction.name}, {self.construction.size} instrument parameters, "
+            f"{len(self.effects)} further effects; {self.solution.status.value}",
+            f"chi2/dof {self.chi2:.1f}/{self.dof}, sigma0 {self.sigma0:.3f}; "
+            f"{int(self.rejected.sum())} readings left out",
+        ]
 
     @property
     def recording(self) -> Recording:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,8 +14,12 @@ from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
+from ltsim.notebook import Columns, Shown, by_entry
 from ltsim.recording.recording import Recording
+from ltsim.units import MILLIMETRE
 
+SHARPER = 0.975
+"""Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
 MOSTLY = 0.9
 """Share of the redundancy whose noise was estimated, from which chi-square over redundancy is 1 by construction."""
 
@@ -98,8 +102,8 @@ class NoiseRow:
     unit: str
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Shown):
     """Instrument parameters with their covariance, and the network they were found in.
 
     Attributes
@@ -171,6 +175,53 @@ class Calibration:
         found = sum(n.redundancy for n in self.noise if np.isfinite(n.factor_sigma))
         return found > MOSTLY * whole
 
+    def _lines(self) -> list[str]:
+        fit, count = self.fit, len(self.names)
+        test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}" + ("" if fit.p_value is None else f", p {fit.p_value:.2g}")
+        known = int((self.sigma < SHARPER * self.prior_sigma).sum())
+        lines = [
+            f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",
+            f"{len(self.stations)} stations and {len(self.targets)} targets in {self.frame}",
+        ]
+        if count:
+            undetermined = f"{len(self.undetermined)} combinations are not determined"
+            lines.append(f"{count} parameters, {known} better known than before; {undetermined}")
+        if self.outliers:
+            lines.append(f"{len(self.outliers)} readings do not belong")
+        if self.criteria is not None:
+            lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
+        return [*lines, *self.notes]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        tables = {
+            "parameters": self._parameters,
+            "targets": self._targets,
+            "stations": self._stations,
+            "outliers": lambda: by_entry(OutlierRow, self.outliers),
+            "noise": lambda: by_entry(NoiseRow, self.noise),
+        }
+        return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
+
+    def _parameters(self) -> Columns:
+        parameters = self.construction.parameters * len(self.instruments)
+        factor = np.array([p.factor for p in parameters])
+        return {
+            "parameter": list(self.names),
+            "value": (self.values.ravel() / factor).tolist(),
+            "sigma": (self.sigma.ravel() / factor).tolist(),
+            "unit": [p.unit for p in parameters],
+            "prior_sigma": (self.prior_sigma.ravel() / factor).tolist(),
+        }
+
+    def _targets(self) -> Columns:
+        sigma = np.sqrt(np.einsum("tii->ti", self.target_covariance))
+        return {"target": list(self.targets), **_axes("", self.points), **_axes("sigma_", sigma)}
+
+    def _stations(self) -> Columns:
+        position = np.array([s.position for s in self.stations]).reshape(-1, 3)
+        sigma = np.array([s.sigma_position for s in self.stations]).reshape(-1, 3)
+        return {"station": [s.name for s in self.stations], **_axes("", position), **_axes("sigma_", sigma)}
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
@@ -197,6 +248,11 @@ class Calibration:
         at = np.array([self.instruments.index(name) for name in recording.instruments])
         values: Floats = self.values[at[recording.instrument]]
         return values
+
+
+def _axes(prefix: str, places: Floats) -> dict[str, list[float]]:
+    """Columns [mm] of places (k, 3) [m]."""
+    return {f"{prefix}{axis}_mm": column.tolist() for axis, column in zip("xyz", (places / MILLIMETRE).T, strict=True)}
 
 
 def flat_names(names: tuple[str, ...], instruments: tuple[str, ...]) -> tuple[str, ...]:

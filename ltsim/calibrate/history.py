@@ -7,7 +7,7 @@ unchanged instrument would give, drawn from the prior and measured anew each tim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,6 +20,7 @@ from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.undetermined import SILENT
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
+from ltsim.notebook import Columns, Shown
 
 FORMAT = "ltsim-history/1"
 RESOLVED = 1e-12
@@ -95,8 +96,8 @@ class Population:
     spread: Floats
 
 
-@dataclass(frozen=True)
-class History:
+@dataclass(frozen=True, repr=False)
+class History(Shown):
     """Calibrations of one instrument in the order of time.
 
     Attributes
@@ -184,6 +185,21 @@ class History:
         for i in range(len(self)):
             joint[i, :, i] += pull[i] @ own[i]
         return joint
+
+    def _lines(self) -> list[str]:
+        since = self.change(0, len(self) - 1).joint
+        return [
+            f"History: {len(self)} calibrations, {self.labels[0]} to {self.labels[-1]}",
+            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, p {since.p_value:.2g}",
+        ]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"values": lambda: self._course(self.values), "sigmas": lambda: self._course(self.sigma)}
+
+    def _course(self, numbers: Floats) -> Columns:
+        """A row a calibration, a column a parameter."""
+        columns = {f"{p.name} [{p.unit}]": numbers[:, k] / p.factor for k, p in enumerate(self.construction.parameters)}
+        return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
 
     def change(self, first: int, second: int) -> Change:
         """What calibration number `second` says against number `first`."""

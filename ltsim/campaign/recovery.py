@@ -11,7 +11,7 @@ those of chance where few trials make chance wider: a correct model fails in one
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from ltsim.arrays import Floats
 from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network
 from ltsim.errors import ConvergenceError, SetupError
 from ltsim.model.construction import Construction
+from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording import Recording
 from ltsim.simulate.fieldwork import fieldwork
 from ltsim.simulate.scenario import Scenario
@@ -83,12 +84,20 @@ class Check:
         return f"{self.what} {verdict}: {self.statistic} {self.value:.3f}, allowed {self.low:.3f} to {self.high:.3f}"
 
 
-@dataclass(frozen=True)
-class Recovery:
+@dataclass(frozen=True, repr=False)
+class Recovery(Shown):
     """All trials of a recovery check; a trial that did not converge is None."""
 
     names: tuple[str, ...]
     trials: tuple[Trial | None, ...]
+
+    def _lines(self) -> list[str]:
+        failures = [check.sentence() for check in self.failures()]
+        verdict = "fails" if failures else "everything is recovered within its stated uncertainty"
+        return [f"Recovery: {len(self.trials)} trials, {len(self.converged)} converged: {verdict}", *failures]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"checks": lambda: by_row([vars(check) | {"passed": check.passed} for check in self.checks()])}
 
     @property
     def converged(self) -> list[Trial]:

@@ -12,14 +12,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from ltsim.errors import RecordError, SetupError
-from ltsim.recording.files import shown
 from ltsim.recording.settings import read_toml, sentence
 from ltsim.recording.setup import Finite, Section
-from ltsim.simulate.scenario import Scenario, load_scenario, scenario_from, scenario_to_toml
+from ltsim.simulate.scenario import Scenario, changed, load_scenario, scenario_to_toml
 
 FORMAT = "ltsim-campaign/1"
-NONE = "none"
-"""As a value it takes a key of the scenario out: ``gauge = "none"``."""
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 
 
@@ -152,15 +149,10 @@ def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
 def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
     """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
     base = load_scenario(scenario_file(campaign, path) or campaign.scenario)
-    table = base.model_dump(mode="json", by_alias=True, exclude_none=True)
-    found = []
-    for number, changes in enumerate(campaign.combinations()):
-        # Checked twice: as tables with the changes, and as what a file of it would say.
-        changed = json.loads(json.dumps(table))
-        for key, value in changes.items():
-            _set(changed, key, value, f"{path}: cell {number + 1}")
-        found.append(scenario_from(changed, path))
-    return tuple(found)
+    return tuple(
+        changed(base, changes, path, f"{path}: cell {number}")
+        for number, changes in enumerate(campaign.combinations(), start=1)
+    )
 
 
 def scenario_file(campaign: Campaign, path: Path) -> Path | None:
@@ -169,19 +161,6 @@ def scenario_file(campaign: Campaign, path: Path) -> Path | None:
         if candidate.is_file():
             return candidate.resolve()
     return None
-
-
-def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
-    """Set one dotted key of nested tables; the value ``"none"`` removes it."""
-    *parents, last = key.split(".")
-    for name in parents:
-        table = table.setdefault(name, {})
-        if not isinstance(table, dict):
-            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
-    if value == NONE:
-        table.pop(last, None)
-    else:
-        table[last] = value
 
 
 def label(changes: Mapping[str, Any]) -> str:

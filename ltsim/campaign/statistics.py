@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from ltsim.campaign.engine import FAILED
 from ltsim.campaign.rows import CHECKED
 from ltsim.campaign.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
+from ltsim.notebook import Columns, Shown, by_row
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -66,7 +68,7 @@ class Checked:
     largest_difference_sigma: float | None
 
 
-class Results:
+class Results(Shown):
     """The rows of a campaign's folder, as tables to query.
 
     Parameters
@@ -103,6 +105,30 @@ class Results:
         listed = [(entry["cell"], entry["label"]) for entry in self.manifest["cells"]]
         self._base.executemany("INSERT INTO cells VALUES (?, ?)", listed)
         self._folder = folder
+
+    def _lines(self) -> list[str]:
+        manifest = self.manifest
+        title = f"{manifest['title']}: " if manifest["title"] else ""
+        cells, methods = manifest["cells"], manifest["methods"]
+        return [
+            f"Campaign: {title}{manifest['trials']} trials of {len(cells)} cells by {', '.join(methods)}",
+            f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self._folder}",
+        ]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        summary = self.summary
+        return {
+            "ends": lambda: by_row(summary()["ends"]),
+            "cells": lambda: by_row([{"cell": c["cell"], "label": c["label"]} for c in self.manifest["cells"]]),
+            "columns": lambda: by_row(summary()["columns"]),
+            "z_scores": lambda: by_row(summary()["z_scores"]),
+            "rows": self._rows,
+        }
+
+    def _rows(self) -> Columns:
+        rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
+        names = [column[0] for column in rows.description]
+        return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Rows of any query over `rows` and `cells`.

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.calibrate import Calibration, read_calibration
+from ltsim.calibrate.calibration import SHARPER
 from ltsim.calibrate.result import AGREES
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.evaluate import Comparison, Criteria
@@ -24,13 +25,7 @@ MOST_SHOWN = 12
 
 def recording_line(recording: Recording) -> str:
     """How much was measured, in one line."""
-    faces = np.unique(recording.face)
-    in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
-    title = f"{recording.setup.title}: " if recording.setup.title else ""
-    return (
-        f"{title}{len(recording)} pointings, {len(recording.stations)} stations, {len(recording.targets)} targets, "
-        f"{in_faces}, {len(recording.gauge.distance)} known lengths"
-    )
+    return recording.headline
 
 
 def show_notes(terminal: Terminal, recording: Recording) -> None:
@@ -133,7 +128,7 @@ def parameter_table(calibration: Calibration) -> str:
 
 def _informed(calibration: Calibration, i: int) -> bool:
     """Whether the prior variance of a parameter fell by 5 % at least."""
-    return float(calibration.sigma.ravel()[i]) < 0.975 * float(calibration.prior_sigma.ravel()[i])
+    return float(calibration.sigma.ravel()[i]) < SHARPER * float(calibration.prior_sigma.ravel()[i])
 
 
 def show_undetermined(terminal: Terminal, calibration: Calibration) -> None:

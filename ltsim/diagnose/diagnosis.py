@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.notebook import Columns, Shown, by_entry
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,8 @@ class Detectable:
     unit: str
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
     """The verdict on a recording."""
 
     verdict: str
@@ -110,6 +113,37 @@ class Diagnosis:
     detectable: tuple[Detectable, ...]
     baseline: Adjustment
     adjusted: Adjustment
+
+    def _lines(self) -> list[str]:
+        before, after = self.before, self.after
+        fits = f"chi2/dof {before.chi2:.0f}/{before.dof}"
+        if self.findings:
+            fits += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
+            fits += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
+        return [f"Diagnosis: {self.verdict}", self.summary, fits]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {
+            "findings": self._findings,
+            "undetectable": lambda: by_entry(Undetectable, self.undetectable),
+            "detectable": lambda: by_entry(Detectable, self.detectable),
+        }
+
+    def _findings(self) -> Columns:
+        """One row a parameter of a finding; an unknown effect without parameters has one row."""
+        nothing = Estimate("", math.nan, math.nan, "")
+        rows = [(finding, p) for finding in self.findings for p in finding.parameters or (nothing,)]
+        return {
+            "effect": [f.effect for f, _ in rows],
+            "stations": [" ".join(f.where.stations) for f, _ in rows],
+            "targets": [" ".join(f.where.targets) for f, _ in rows],
+            "observables": [" ".join(f.where.observables) for f, _ in rows],
+            "probability": [f.evidence.probability for f, _ in rows],
+            "parameter": [p.name for _, p in rows],
+            "value": [p.value for _, p in rows],
+            "sigma": [p.sigma for _, p in rows],
+            "unit": [p.unit for _, p in rows],
+        }
 
     def to_json(self) -> dict[str, Any]:
         """The contents of diagnosis.json (format ltsim-diagnosis/1)."""

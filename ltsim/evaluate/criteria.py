@@ -7,7 +7,8 @@ the mean-based one behind the paper's Table 3, `distance_to_first` the other.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -18,6 +19,7 @@ from ltsim.arrays import Bools, Floats
 from ltsim.errors import NetworkError
 from ltsim.evaluate.clouds import in_first_frame, measured_points, station_means
 from ltsim.model.construction import Construction
+from ltsim.notebook import Columns, Shown
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
 
@@ -65,6 +67,15 @@ class Comparison:
             return None
         return 100.0 * (1.0 - self.after.mean / self.before.mean)
 
+    @property
+    def words(self) -> str:
+        """Mean before and after in um, in a line."""
+        before = f"{self.before.mean / MICROMETRE:.1f} um"
+        if self.after is None or self.improvement_percent is None:
+            return before
+        after = f"{self.after.mean / MICROMETRE:.1f} um after calibration"
+        return f"{before}, {after} ({self.improvement_percent:.0f} % less)"
+
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""
         entry: dict[str, Any] = {"before": self.before.as_json()}
@@ -73,13 +84,32 @@ class Comparison:
         return entry
 
 
-@dataclass(frozen=True)
-class Criteria:
+@dataclass(frozen=True, repr=False)
+class Criteria(Shown):
     """Both criteria; verification fills only the first and the last."""
 
     distance: Comparison
     coordinate: Comparison
     distance_to_first: Comparison | None = None
+
+    def _lines(self) -> list[str]:
+        parts = {"distance": self.distance, "coordinate": self.coordinate}
+        return [f"Criteria: {'; '.join(f'{name} {compared.words}' for name, compared in parts.items())}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"criteria": self._criteria}
+
+    def _criteria(self) -> Columns:
+        parts = {"distance": self.distance, "coordinate": self.coordinate}
+        after = [compared.after for compared in parts.values()]
+        return {
+            "criterion": list(parts),
+            "mean_um": [c.before.mean / MICROMETRE for c in parts.values()],
+            "max_um": [c.before.maximum / MICROMETRE for c in parts.values()],
+            "mean_after_um": [math.nan if a is None else a.mean / MICROMETRE for a in after],
+            "max_after_um": [math.nan if a is None else a.maximum / MICROMETRE for a in after],
+            "improvement_percent": [c.improvement_percent for c in parts.values()],
+        }
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.errors import ModelError
 from ltsim.model.construction import Construction, misalignment
+from ltsim.notebook import Columns, Shown
 from ltsim.plan.criteria import d_criterion
 from ltsim.plan.detectability import ResidualRoom, thinned
 from ltsim.plan.extensions import Extension, further_pointings, further_stations
@@ -63,8 +65,8 @@ class Proposal:
         return -len(self.tells_apart), self.extension.seconds if self.tells_apart else 0.0, -near
 
 
-@dataclass(frozen=True)
-class NextMeasurement:
+@dataclass(frozen=True, repr=False)
+class NextMeasurement(Shown):
     """Proposals, the best first.
 
     Attributes
@@ -78,6 +80,22 @@ class NextMeasurement:
     proposals: tuple[Proposal, ...]
     between: tuple[str, ...] = ()
     evidence_now: dict[str, float] = field(default_factory=dict)
+
+    def _lines(self) -> list[str]:
+        question = f" between {' and '.join(self.between)}" if self.between else ""
+        return [f"Next measurement{question}: {self.proposals[0].extension.words}, of {len(self.proposals)} proposals"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"proposals": self._proposals}
+
+    def _proposals(self) -> Columns:
+        return {
+            "do": [p.extension.words for p in self.proposals],
+            "minutes": [p.extension.seconds / 60 for p in self.proposals],
+            "sharper": [p.sharper for p in self.proposals],
+            "serves": [p.serves for p in self.proposals],
+            "tells_apart": [" ".join(p.tells_apart) for p in self.proposals],
+        }
 
 
 @dataclass(frozen=True)

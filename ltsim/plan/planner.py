@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from joblib import Parallel, delayed
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction, misalignment
+from ltsim.notebook import Columns, Shown, by_row
 from ltsim.plan.fast import Reducer
 from ltsim.plan.improvement import Expected, Predictor
 from ltsim.plan.information import LayoutInformation
@@ -23,6 +24,7 @@ from ltsim.plan.survey import Survey
 from ltsim.plan.workshop import objective_of, site_of, staying, survey_of
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulate.scenario import Scenario
+from ltsim.units import MILLIMETRE
 
 ROUNDS = 2
 """Times stations and reflectors are chosen in turn."""
@@ -77,8 +79,8 @@ class Evaluated:
     expected: Expected | None
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Shown):
     """The answer.
 
     Attributes
@@ -105,6 +107,40 @@ class Plan:
     chosen: Evaluated
     options: tuple[Option, ...]
     spread: tuple[float, ...]
+
+    def _lines(self) -> list[str]:
+        qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())
+        return [f"Plan: {self.chosen.survey.words}", f"{qualities}; {len(self.options)} ways of working compared"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"stations": self._stations, "options": self._options}
+
+    def _stations(self) -> Columns:
+        survey = self.chosen.survey
+        x, y, z = (survey.position / MILLIMETRE).T.tolist()
+        return {
+            "station": list(survey.station_names),
+            "x_mm": x,
+            "y_mm": y,
+            "z_mm": z,
+            "yaw_deg": np.degrees(survey.yaw).tolist(),
+            "reflectors_seen": survey.seen.sum(axis=1).tolist(),
+        }
+
+    def _options(self) -> Columns:
+        return by_row(
+            [
+                {
+                    "stations": len(option.survey.position),
+                    "faces": len(option.survey.faces),
+                    "repeats": option.survey.repeats,
+                    "hours": option.hours,
+                    "value": option.value,
+                    "efficient": option.efficient,
+                }
+                for option in self.options
+            ]
+        )
 
 
 def make_plan(

@@ -40,14 +40,7 @@ def _quality_words(plan: Plan, qualities: dict[str, float]) -> str:
 
 
 def _headline(plan: Plan) -> list[str]:
-    chosen = plan.chosen
-    survey = chosen.survey
-    faces = "both faces" if len(survey.faces) == 2 else f"face {survey.faces[0]}"
-    rounds = "once" if survey.repeats == 1 else f"{survey.repeats} times"
-    return [
-        f"{len(survey.position)} stations, {len(survey.points)} reflectors, {faces}, {rounds}: {survey.pointings} "
-        f"pointings in {survey.seconds / 3600:.1f} h; {_quality_words(plan, chosen.qualities)}."
-    ]
+    return [f"{plan.chosen.survey.words}; {_quality_words(plan, plan.chosen.qualities)}."]
 
 
 def _against_reference(plan: Plan) -> list[str]:

@@ -78,6 +78,16 @@ class Survey:
         return self.pointings * self.seconds_per_pointing + len(self.position) * self.seconds_per_move
 
     @property
+    def words(self) -> str:
+        """What is to be done and how long it takes, in a line."""
+        faces = "both faces" if len(self.faces) == 2 else f"face {self.faces[0]}"
+        rounds = "once" if self.repeats == 1 else f"{self.repeats} times"
+        return (
+            f"{len(self.position)} stations, {len(self.points)} reflectors, {faces}, {rounds}: {self.pointings} "
+            f"pointings in {self.seconds / 3600:.1f} h"
+        )
+
+    @property
     def rotation(self) -> Floats:
         """(S, 3, 3): instrument frame to network frame."""
         return np.stack([about_z(float(yaw)) for yaw in self.yaw])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.notebook import Columns, Shown
 from ltsim.recording.setup import Gauge, Instrument, Setup, Station, Target
-from ltsim.units import ARCSECOND, MILLIMETRE, PPM
+from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
@@ -26,8 +27,8 @@ KIND_COLUMN = "distance_kind"
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 
-@dataclass(frozen=True)
-class Recording:
+@dataclass(frozen=True, repr=False)
+class Recording(Shown):
     """Readings of a tracker network and what is known about the set-up.
 
     Attributes
@@ -69,6 +70,38 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.station)
+
+    @property
+    def headline(self) -> str:
+        """How much was measured, in one line."""
+        faces = np.unique(self.face)
+        in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
+        title = f"{self.setup.title}: " if self.setup.title else ""
+        return (
+            f"{title}{len(self)} pointings, {len(self.stations)} stations, {len(self.targets)} targets, "
+            f"{in_faces}, {len(self.gauge.distance)} known lengths"
+        )
+
+    def _lines(self) -> list[str]:
+        return [f"Recording: {self.headline}", *self.notes]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"pointings": self._pointings}
+
+    def _pointings(self) -> Columns:
+        distance, azimuth, elevation = (self.readings / [MILLIMETRE, DEGREE, DEGREE]).T
+        return {
+            "station": [self.stations[i] for i in self.station],
+            "target": [self.targets[i] for i in self.target],
+            "face": self.face.tolist(),
+            "repeat": self.repeat.tolist(),
+            "time_s": self.time.tolist(),
+            "distance_mm": distance.tolist(),
+            "azimuth_deg": azimuth.tolist(),
+            "elevation_deg": elevation.tolist(),
+            **{name: column.tolist() for name, column in self.covariates.items()},
+            **self.labels,
+        }
 
     @property
     def measured(self) -> Bools:

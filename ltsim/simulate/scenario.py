@@ -12,6 +12,7 @@ from typing import Any, Literal, NoReturn
 from pydantic import Field, ValidationError
 
 from ltsim.errors import RecordError, SetupError
+from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import read_toml, sentence, to_toml
 from ltsim.recording.setup import Section, Vector
@@ -30,9 +31,11 @@ from ltsim.simulate.sections import (
 )
 
 FORMAT = "ltsim-scenario/1"
+NONE = "none"
+"""As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
 
-class Scenario(Section):
+class Scenario(Section, Shown):
     """The whole file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
@@ -64,6 +67,16 @@ class Scenario(Section):
     def target_names(self) -> tuple[str, ...]:
         """Targets of the mesh, then those of the gauge."""
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
+
+    def _lines(self) -> list[str]:
+        title = f"{self.title}: " if self.title else ""
+        faces = "two faces" if self.work.faces == 2 else "one face"
+        effects = ", ".join(entry.name for entry in self.effects) or "no effects"
+        return [
+            f"Scenario: {title}{len(self.stations)} stations, {len(self.target_names)} targets, {faces}, {effects}"
+        ]
+
+    __repr__ = Shown.__repr__
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -121,6 +134,34 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
         raise SetupError(f"{file}: holds a value that no scenario can hold") from None
     _check(scenario, file)
     return _with_files_beside(scenario, file)
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
+    """A scenario with some values changed, by dotted key, and checked again; `file` and `where` are named in errors.
+
+    Raises
+    ------
+    SetupError
+        When a key or value is one that no scenario can have.
+    """
+    # Checked twice: as tables with the changes, and as what a file of it would say.
+    table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for key, value in changes.items():
+        _set(table, key, value, where or str(file))
+    return scenario_from(table, file)
+
+
+def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
+    """Set one dotted key of nested tables; the value `NONE` removes it."""
+    *parents, last = key.split(".")
+    for name in parents:
+        table = table.setdefault(name, {})
+        if not isinstance(table, dict):
+            raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
+    if value == NONE:
+        table.pop(last, None)
+    else:
+        table[last] = value
 
 
 def _with_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:

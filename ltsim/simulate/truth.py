@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, RecordError
 from ltsim.geometry.rotations import quaternion
+from ltsim.notebook import Columns, Shown
 from ltsim.recording.files import read_text, write_text
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Finite, Section, Vector
@@ -33,8 +34,8 @@ class AppliedEffect:
     values: Floats
 
 
-@dataclass(frozen=True)
-class Truth:
+@dataclass(frozen=True, repr=False)
+class Truth(Shown):
     """What a recording was made from; SI units, the workshop's frame.
 
     Attributes
@@ -74,6 +75,25 @@ class Truth:
     effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
     noise_factor: float = 1.0
     nominal: Floats | None = None
+
+    def _lines(self) -> list[str]:
+        title = f"{self.title}: " if self.title else ""
+        effects = ", ".join(applied.effect.name for applied in self.effects) or "no effects"
+        return [f"Truth: {title}seed {self.seed}, {len(self.instrument)} instrument parameters, {effects}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"instrument": self._instrument, "targets": self._targets}
+
+    def _instrument(self) -> Columns:
+        return {
+            "parameter": list(self.instrument),
+            "value": [value / FACTOR[self.units[name]] for name, value in self.instrument.items()],
+            "unit": list(self.units.values()),
+        }
+
+    def _targets(self) -> Columns:
+        x, y, z = (self.points / MILLIMETRE).T
+        return {"target": list(self.targets), "x_mm": x.tolist(), "y_mm": y.tolist(), "z_mm": z.tolist()}
 
     def to_json(self) -> dict[str, Any]:
         """The contents of a truth file."""

@@ -1,0 +1,148 @@
+"""Recordings and results in and out of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ltsim.errors import ModelError
+from ltsim.recording import Hints, Recording
+from ltsim.recording import read as read_recording
+from ltsim.recording import write as write_recording
+
+if TYPE_CHECKING:
+    from ltsim.calibrate.calibration import Calibration
+    from ltsim.diagnose.diagnosis import Diagnosis
+    from ltsim.plan.planner import Plan
+    from ltsim.simulate.truth import Truth
+
+RecordingSource = Recording | str | Path
+"""A recording, or a file or folder that holds one."""
+
+
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
+    """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder or a file.
+    format : str, optional
+        Name of the format, where the content does not tell.
+    hints : Hints, optional
+        What an ambiguous file means: `ltsim.recording.Hints`.
+
+    Raises
+    ------
+    RecordError
+        One sentence: what is wrong and where, or which hint is wanted.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.write(recording, "my-recording")
+    >>> lt.read("my-recording")
+    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
+    """
+    return read_recording(path, format=format, hints=hints or Hints())
+
+
+def write(
+    result: Recording | Truth | Calibration | Diagnosis | Plan,
+    path: str | Path,
+    *,
+    format: str = "native",  # noqa: A002
+) -> None:
+    """Write a recording or a result as the command of its name does: a folder, for a truth a file.
+
+    Parameters
+    ----------
+    result : Recording, Truth, Calibration, Diagnosis or Plan
+    path : str or Path
+        Of the folder or file; what is there is replaced.
+    format : str
+        Of a recording: `native`, or another format that can be written.
+
+    Raises
+    ------
+    ModelError
+        When the object is none of these.
+    RecordError
+        When the place cannot be written; nothing half-written stays behind.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, truth = lt.simulate("paper-workshop", seed=7)
+    >>> lt.write(recording, "workshop.txt", format="polar-text")
+    >>> lt.write(truth, "truth.json")
+    """
+    if isinstance(result, Recording):
+        write_recording(result, path, format)
+    else:
+        _write_result(result, Path(path))
+
+
+def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path) -> None:
+    """What is no recording; its room is loaded already, since the result came from it."""
+    from ltsim.calibrate import Calibration, write_calibration
+    from ltsim.diagnose import Diagnosis
+    from ltsim.diagnose.files import write_diagnosis
+    from ltsim.plan.files import write_plan
+    from ltsim.plan.planner import Plan
+    from ltsim.simulate.truth import Truth, write_truth
+
+    match result:
+        case Truth():
+            write_truth(result, path)
+        case Calibration():
+            write_calibration(result, path)
+        case Diagnosis():
+            write_diagnosis(result, path)
+            write_recording(result.baseline.recording, path / "recording")
+        case Plan():
+            write_plan(result, path)
+        case _:
+            raise ModelError(f"a {type(result).__name__} has no files; a recording, truth, calibration, ... has")
+
+
+def convert(
+    source: RecordingSource,
+    destination: str | Path,
+    *,
+    to: str = "native",
+    format: str | None = None,  # noqa: A002
+    hints: Hints | None = None,
+) -> Recording:
+    """Read a recording in one format and write it in another.
+
+    Parameters
+    ----------
+    source : Recording, str or Path
+    destination : str or Path
+    to : str
+        Format to write.
+    format, hints
+        As of `read`.
+
+    Returns
+    -------
+    Recording
+        Its `notes` say what was decided about an ambiguous file.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.convert(recording, "workshop.txt", to="polar-text")
+    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
+    """
+    recording = source if isinstance(source, Recording) else read(source, format=format, hints=hints)
+    write_recording(recording, destination, to)
+    return recording
+
+
+def recording_of(source: RecordingSource) -> Recording:
+    """The recording itself, read where a path was given."""
+    return source if isinstance(source, Recording) else read(source)

@@ -1,0 +1,257 @@
+"""From a recording to its network: adjustment, calibration, and what calibration is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ltsim.api.files import RecordingSource, read, recording_of
+from ltsim.calibrate import (
+    Calibration,
+    adjust_network,
+    calibrate_distance,
+    calibrate_network,
+    read_calibration,
+)
+from ltsim.calibrate import (
+    correct as corrected_by,
+)
+from ltsim.calibrate.history import History
+from ltsim.calibrate.result import gross_rows
+from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
+from ltsim.evaluate import Criteria, read_nominal
+from ltsim.evaluate import evaluate as criteria_of
+from ltsim.evaluate import verify as verified
+from ltsim.model.construction import Construction
+from ltsim.model.construction import construction as construction_called
+from ltsim.recording import Recording
+
+METHODS = ("network", "distance", "distance-l1")
+CalibrationSource = Calibration | str | Path
+"""A calibration, its file, or the folder that holds it."""
+
+
+def adjust(
+    recording: RecordingSource,
+    *,
+    robust: bool = False,
+    noise_from_data: bool = False,
+    datum: Sequence[str] | None = None,
+) -> Calibration:
+    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    robust : bool
+        Leave out readings that do not belong, each tested again at the end.
+    noise_from_data : bool
+        Estimate the noise of each observable and instrument from the residuals.
+    datum : sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
+
+    Returns
+    -------
+    Calibration
+        Without instrument parameters.
+
+    Raises
+    ------
+    NetworkError
+        When the network cannot be solved; the message names stations or targets.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.adjust(recording).to_pandas("targets").shape
+    (28, 7)
+    """
+    return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=datum)
+
+
+def calibrate(
+    recording: RecordingSource,
+    *,
+    method: str = "network",
+    construction: str | Construction = "misalignment",
+    robust: bool = False,
+    noise_from_data: bool = False,
+    datum: Sequence[str] | None = None,
+    advise: bool = True,
+) -> Calibration:
+    """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    method : str
+        `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective, least squares or least
+        absolute deviations).
+    construction : str or Construction
+        `misalignment` (16 parameters) or `dh` (the paper's Denavit-Hartenberg chain, 78).
+    robust, noise_from_data, datum
+        As of `adjust`; with method `network` only.
+    advise : bool
+        Say which further measurements would determine what is not determined.
+
+    Raises
+    ------
+    ModelError
+        When a method or construction does not exist, or an option does not go with the method.
+    NetworkError
+        When the network cannot be solved.
+    ConvergenceError
+        When the adjustment does not converge.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, truth = lt.simulate("paper-workshop", seed=7)
+    >>> found = lt.calibrate(recording)
+    >>> found.fit.dof, found.fit.status
+    (318, 'converged')
+    >>> found.to_pandas("parameters").columns.tolist()
+    ['parameter', 'value', 'sigma', 'unit', 'prior_sigma']
+    """
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    built = construction_called(construction) if isinstance(construction, str) else construction
+    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum}
+    if method == "network":
+        return calibrate_network(recording_of(recording), built, advise=advise, **options)
+    if any(options.values()):
+        raise ModelError(f"robust, noise_from_data and datum go with the method network, not {method}")
+    return calibrate_distance(recording_of(recording), built, method=method, advise=advise)
+
+
+def correct(recording: RecordingSource, calibration: CalibrationSource) -> Recording:
+    """The recording that an ideal tracker would have made, by a calibration of the instrument.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    calibration : Calibration, str or Path
+
+    Raises
+    ------
+    RecordError
+        When the calibration does not know the recording's instrument, or a file is malformed.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> corrected = lt.correct(recording, lt.calibrate(recording))
+    >>> len(corrected)
+    140
+    """
+    return corrected_by(recording_of(recording), calibration_of(calibration))
+
+
+def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:
+    """How far the stations disagree about distances and coordinates, before and after a calibration.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    calibration : Calibration, str or Path, optional
+        Without it there is no "after".
+
+    Raises
+    ------
+    NetworkError
+        When fewer than two stations share targets.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> criteria = lt.evaluate(recording, lt.calibrate(recording))
+    >>> criteria.distance.improvement_percent > 10
+    True
+    """
+    seen = recording_of(recording)
+    use = ~gross_rows(seen)
+    if calibration is None:
+        return criteria_of(seen, use=use)
+    found = calibration_of(calibration)
+    return criteria_of(seen, found.construction, found.values_for(seen), use=use)
+
+
+def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
+    """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    nominal : str or Path
+        Table ``target,x_mm,y_mm,z_mm`` of a measuring machine.
+    calibration : Calibration, str or Path
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> from pathlib import Path
+    >>> from ltsim.simulate.truth import nominal_csv
+    >>> found = lt.calibrate(lt.simulate("paper-workshop", seed=7).recording)
+    >>> laboratory, truth = lt.simulate("paper-laboratory", seed=7)
+    >>> _ = Path("cmm.csv").write_text(nominal_csv(truth))
+    >>> lt.verify(laboratory, "cmm.csv", found).to_pandas()["criterion"].tolist()
+    ['distance', 'coordinate']
+    """
+    seen, found = recording_of(recording), calibration_of(calibration)
+    return verified(seen, read_nominal(Path(nominal)), found.construction, found.values_for(seen))
+
+
+def history(
+    sources: Iterable[RecordingSource | Calibration], *, instrument: str | None = None, **options: Any
+) -> History:
+    """Follow one instrument over calibrations in the order of time: course, spread, and what has changed.
+
+    Parameters
+    ----------
+    sources : iterable of Calibration, Recording, str or Path
+        A recording is calibrated first, with `options` of `calibrate`.
+    instrument : str, optional
+        Which, where a calibration holds several.
+
+    Raises
+    ------
+    RecordError
+        When there are fewer than two, or they do not belong to one instrument.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> spring, autumn = (lt.simulate("paper-workshop", seed=s).recording for s in (1, 2))
+    >>> course = lt.history([spring, autumn])
+    >>> course.change(0, 1).joint.dof > 0
+    True
+    """
+    named = [_labelled(number, source, options) for number, source in enumerate(sources, start=1)]
+    return History.of(named, instrument)
+
+
+def _labelled(number: int, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:
+    """A calibration under the name of its file, or its number."""
+    if isinstance(source, Calibration):
+        return str(number), source
+    if isinstance(source, Recording):
+        label, recording = str(number), source
+    else:
+        path = Path(source)
+        label = path.stem
+        if path.suffix == ".json" or (path / "calibration.json").is_file():
+            return label, read_calibration(path)
+        recording = read(path)
+    try:
+        return label, calibrate(recording, advise=False, **options)
+    except LtsimError as problem:
+        raise RecordError(f"{label} cannot be calibrated: {problem}") from None
+
+
+def calibration_of(source: CalibrationSource) -> Calibration:
+    """The calibration itself, read where a path was given."""
+    return source if isinstance(source, Calibration) else read_calibration(Path(source))

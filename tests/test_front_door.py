@@ -1,0 +1,174 @@
+"""`import ltsim as lt`: light, complete, typed, and every result shows itself."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import ltsim as lt
+from ltsim import api
+from ltsim.errors import ModelError, SetupError
+from ltsim.notebook import MOST_SHOWN, Shown
+
+SMALL_PLAN = """
+format = "ltsim-plan/1"
+scenario = "paper-workshop"
+[floor]
+margin_mm = 600
+height_mm = [1500, 2100]
+[stations]
+count = 3
+[budget]
+faces = [1]
+repeats = [1]
+[search]
+starts = 1
+grid_mm = 1500
+yaws = 3
+heights = 1
+"""
+MODULES = [f"ltsim.api.{module.name}" for module in pkgutil.iter_modules(api.__path__)]
+EXAMPLES = {
+    test.name: test
+    for module in MODULES
+    for test in doctest.DocTestFinder(exclude_empty=True).find(importlib.import_module(module))
+    if test.examples
+}
+VERBS = [name for name in lt.__all__ if name not in ("effects", "errors")]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Any:
+    return lt.simulate("paper-workshop", seed=7).recording
+
+
+@pytest.fixture(scope="module")
+def results(recording) -> list[Shown]:
+    """One of every kind that takes no campaign."""
+    calibration = lt.calibrate(recording)
+    return [
+        recording,
+        lt.scenario("paper-workshop"),
+        lt.simulate("paper-workshop").truth,
+        calibration,
+        calibration.adjustment,
+        lt.adjust(recording),
+        lt.evaluate(recording, calibration),
+        lt.evaluate(recording),
+        lt.history([calibration, recording]),
+        lt.diagnose(recording),
+        lt.next_measurement(recording),
+        lt.recover("paper-workshop", trials=2),
+        lt.catalogue("beam-tilt", "backlash"),
+        lt.view("paper-workshop"),
+    ]
+
+
+def test_the_package_itself_loads_nothing_heavy():
+    loaded = "import sys, ltsim, ltsim.errors; dir(ltsim); ltsim.__version__; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert not {"numpy", "scipy", "pydantic", "typer"} & set(done.stdout.split())
+
+
+def test_every_name_is_there_and_no_other():
+    assert set(lt.__all__) < set(dir(lt))
+    for name in VERBS:
+        assert callable(getattr(lt, name)), name
+    with pytest.raises(AttributeError, match="no attribute 'simulation_of_everything'"):
+        lt.simulation_of_everything  # noqa: B018
+
+
+def test_a_verb_stays_callable_when_the_room_of_its_name_was_imported():
+    import ltsim.simulate.simulator as module
+
+    assert module.simulate is not lt.simulate
+    assert len(lt.simulate("paper-workshop", seed=7).recording) == 140
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_function_has_an_example(name: str):
+    function = getattr(importlib.import_module(f"ltsim.api.{lt._HOME[name]}"), name)
+    assert f"{function.__module__}.{name}" in EXAMPLES
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_examples_say_what_they_say(name: str, tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("small-plan.toml").write_text(SMALL_PLAN)
+    said: list[str] = []
+    failed = doctest.DocTestRunner().run(EXAMPLES[name], out=said.append, clear_globs=False).failed
+    assert not failed, "".join(said)
+
+
+def test_results_are_a_few_lines(results):
+    for result in results:
+        assert 20 < len(repr(result)) < 1000, repr(result)
+        assert repr(result).count("\n") < 8
+
+
+def test_tables_of_results_become_data_frames(results):
+    pandas = pytest.importorskip("pandas", reason="the extra 'pandas' is not installed")
+    for result in results:
+        for name in result._tables():
+            assert isinstance(result.to_pandas(name), pandas.DataFrame), (type(result), name)
+            assert len(result.to_pandas(name).columns), (type(result), name)
+
+
+def test_a_table_that_does_not_exist_is_answered_with_those_that_do(recording):
+    with pytest.raises(ModelError, match="no table of a Recording called 'points'; did you mean pointings"):
+        recording.to_pandas("points")
+
+
+def test_without_pandas_a_sentence_says_what_to_install(recording, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(SetupError, match=r"data frames need the extra 'pandas': pip install .*ltsim\[pandas\]"):
+        recording.to_pandas()
+
+
+def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
+    hostile = recording.setup.model_copy(update={"title": "<script>alert(1)</script>"})
+    page = replace(recording, setup=hostile)._repr_html_()
+    assert "<script>" not in page
+    assert page.count("<tr>") == MOST_SHOWN + 1
+    assert f"and {len(recording) - MOST_SHOWN} more rows" in page
+
+
+def test_an_empty_table_is_shown_as_nothing():
+    class Empty(Shown):
+        def _lines(self) -> list[str]:
+            return ["nothing"]
+
+        def _tables(self) -> Any:
+            return {"none": dict[str, list[int]]}
+
+    assert Empty()._repr_html_() == "<p>nothing</p>"
+
+
+def test_changes_of_a_scenario_are_checked(tmp_path: Path):
+    assert lt.scenario("paper-workshop", {"work.faces": 2}).work.faces == 2
+    with pytest.raises(SetupError, match=r"work\.faces"):
+        lt.scenario("paper-workshop", {"work.faces": 3})
+    with pytest.raises(SetupError, match="no table"):
+        lt.scenario("paper-workshop", {"work.faces.first": 1})
+
+
+def test_results_are_written_as_their_commands_do(recording, tmp_path: Path):
+    calibration = lt.calibrate(recording)
+    lt.write(calibration, tmp_path / "calibration")
+    assert len(lt.correct(recording, tmp_path / "calibration")) == len(recording)
+    assert len(lt.history([tmp_path / "calibration", recording])) == 2
+    with pytest.raises(ModelError, match="a dict has no files"):
+        lt.write({}, tmp_path / "nothing")  # type: ignore[arg-type]
+
+
+def test_a_campaign_that_is_no_file_needs_a_folder():
+    with pytest.raises(SetupError, match="needs a folder"):
+        lt.campaign({"format": "ltsim-campaign/1"})
