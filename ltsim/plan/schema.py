@@ -62,7 +62,7 @@ EFFECTS = ResultTable(
         *texts(effect="id", parameter="name", unit="of the sizes"),
         *numbers(best="at the best place", typical="at a place in the middle", worst="at the worst place"),
         *texts(worst_at="which that is"),
-        *numbers(plausible="sigma of what is to be expected", visible="share of its places at which it leaves a trace"),
+        *numbers(plausible="sigma of what is to be expected", visible="median share of its signature that is left"),
     ),
 )
 NEXT = ResultTable(
@@ -163,7 +163,7 @@ class DetectableSize(Entry):
     worst: Known = None
     worst_at: str | None = None
     plausible: Finite = 0.0
-    visible: Known = Field(None, description="Share of its places at which it would leave a trace.")
+    visible: Known = Field(None, description="Median share of its signature that the adjustment leaves.")
 
 
 class AlikeEntry(Entry):
