@@ -108,10 +108,10 @@ class Results(Shown):
 
     def _lines(self) -> list[str]:
         manifest = self.manifest
-        title = f"{manifest['title']}: " if manifest["title"] else ""
-        cells, methods = manifest["cells"], manifest["methods"]
+        title = f"{manifest.title}: " if manifest.title else ""
+        cells, methods = manifest.cells, manifest.methods
         return [
-            f"Campaign: {title}{manifest['trials']} trials of {len(cells)} cells by {', '.join(methods)}",
+            f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells by {', '.join(methods)}",
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self._folder}",
         ]
 
@@ -119,7 +119,7 @@ class Results(Shown):
         summary = self.summary
         return {
             "ends": lambda: by_row(summary()["ends"]),
-            "cells": lambda: by_row([{"cell": c["cell"], "label": c["label"]} for c in self.manifest["cells"]]),
+            "cells": lambda: by_row([{"cell": c.cell, "label": c.label} for c in self.manifest.cells]),
             "columns": lambda: by_row(summary()["columns"]),
             "z_scores": lambda: by_row(summary()["z_scores"]),
             "rows": self._rows,
