@@ -33,7 +33,8 @@ from desy import (
 
 from ltsim.adjust.adjustment import adjust
 from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
-from ltsim.calibrate.history import History, history_file
+from ltsim.calibrate.files import history_file
+from ltsim.calibrate.history import History
 from ltsim.diagnose import diagnose
 from ltsim.effects import BASELINE
 from ltsim.evaluate.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face

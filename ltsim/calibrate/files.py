@@ -1,4 +1,4 @@
-"""calibration.json, targets.csv and residuals.csv: written whole or not at all, and read back."""
+"""calibration.json with its tables, and history.json: written whole or not at all, and read back."""
 
 from __future__ import annotations
 
@@ -12,14 +12,21 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.amplitude import Harmonic, harmonics
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, StationPose
+from ltsim.calibrate.history import Change, History
 from ltsim.calibrate.result import SHOWN_UNITS, named
 from ltsim.calibrate.schema import (
     RESIDUALS,
     TARGETS,
     CalibrationFile,
+    CalibrationOf,
+    ChangeEntry,
+    ChiSquareEntry,
     CombinationEntry,
+    CourseEntry,
+    DifferenceEntry,
     FitEntry,
     HarmonicEntry,
+    HistoryFile,
     NoiseEntry,
     OutlierEntry,
     ParameterEntry,
@@ -235,3 +242,53 @@ def _construction(name: str, file: Path) -> Construction:
         return construction(name)
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
+
+
+def history_file(history: History) -> HistoryFile:
+    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
+    return HistoryFile(
+        construction=history.construction.name,
+        calibrations=tuple(
+            CalibrationOf(label=label, fit=FitEntry(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+            for label, c in zip(history.labels, history.calibrations, strict=True)
+        ),
+        parameters=tuple(_course(history, k) for k in range(history.construction.size)),
+        constant=ChiSquareEntry(**history.constancy().entry),
+        changes=tuple(_change(history, change) for change in history.changes()),
+        since_first=_change(history, history.change(0, len(history) - 1)),
+    )
+
+
+def _course(history: History, k: int) -> CourseEntry:
+    parameter, known = history.construction.parameters[k], history.population
+    return CourseEntry(
+        name=parameter.name,
+        unit=parameter.unit,
+        values=(history.values[:, k] / parameter.factor).tolist(),
+        sigmas=(history.sigma[:, k] / parameter.factor).tolist(),
+        prior_sigma=history.prior_sigma[k] / parameter.factor,
+        mean=known.mean[k] / parameter.factor,
+        spread=known.spread[k] / parameter.factor,
+        constant=ChiSquareEntry(**history.constancy(k).entry),
+    )
+
+
+def _change(history: History, change: Change) -> ChangeEntry:
+    parameters = history.construction.parameters
+    content = {
+        "from": change.first,
+        "to": change.second,
+        **change.joint.entry,
+        "changed": [parameters[k].name for k in change.changed()],
+        "parameters": [
+            DifferenceEntry(
+                name=parameter.name,
+                difference=change.difference[k] / parameter.factor,
+                sigma=change.sigma[k] / parameter.factor,
+                unit=parameter.unit,
+                p_value=change.p_values[k],
+            )
+            for k, parameter in enumerate(parameters)
+        ],
+    }
+    return ChangeEntry.model_validate(content)

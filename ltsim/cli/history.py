@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from ltsim.calibrate import Calibration, calibrate_network
-from ltsim.calibrate.history import Change, History, history_file
+from ltsim.calibrate.files import history_file
+from ltsim.calibrate.history import Change, History
 from ltsim.calibrate.schema import CalibrationFile
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
 from ltsim.cli.summary import calibration_of, show_notes

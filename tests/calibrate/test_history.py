@@ -9,7 +9,8 @@ from scipy import stats
 
 from ltsim.calibrate import Calibration, calibrate_network, write_calibration
 from ltsim.calibrate.calibration import Fit
-from ltsim.calibrate.history import History, history_file
+from ltsim.calibrate.files import history_file
+from ltsim.calibrate.history import History
 from ltsim.cli.main import run
 from ltsim.errors import RecordError
 from ltsim.evaluate.two_face import compare_two_face, two_face

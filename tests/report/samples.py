@@ -13,8 +13,8 @@ from pyarrow import parquet as pq
 
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.calibrate import Calibration, calibrate_network, write_calibration
-from ltsim.calibrate.files import residuals_csv
-from ltsim.calibrate.history import History, history_file
+from ltsim.calibrate.files import history_file, residuals_csv
+from ltsim.calibrate.history import History
 from ltsim.model.construction import misalignment
 from ltsim.plan.files import next_file
 from ltsim.plan.next_measurement import next_measurement
