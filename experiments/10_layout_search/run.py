@@ -19,7 +19,7 @@ from ltsim.arrays import Floats  # noqa: E402
 from ltsim.geometry.alignment import align  # noqa: E402
 from ltsim.model.construction import misalignment  # noqa: E402
 from ltsim.plan.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion  # noqa: E402
-from ltsim.plan.files import plan_json, with_layout  # noqa: E402
+from ltsim.plan.files import plan_file, with_layout  # noqa: E402
 from ltsim.plan.improvement import Predictor  # noqa: E402
 from ltsim.plan.information import LayoutInformation  # noqa: E402
 from ltsim.plan.planner import Plan, make_plan  # noqa: E402
@@ -192,8 +192,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
-        content = plan_json(plan)
-        reasons[str(cone)] = [content["summary"], *content["reasons"]]
+        content = plan_file(plan)
+        reasons[str(cone)] = [content.summary, *content.reasons]
         curve += curve_rows(plan, cone)
         for candidate in candidates_of(plan, cone):
             layouts.append(quality(candidate))

@@ -33,7 +33,8 @@ from desy import (
 
 from ltsim.adjust.adjustment import adjust
 from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
-from ltsim.calibrate.history import History, history_json
+from ltsim.calibrate.files import history_file
+from ltsim.calibrate.history import History
 from ltsim.diagnose import diagnose
 from ltsim.effects import BASELINE
 from ltsim.evaluate.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
@@ -135,7 +136,7 @@ def course() -> None:
     for label, construction in (("16", misalignment()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
         history = History.of(own)
-        content = history_json(history)
+        content = history_file(history).content()
         (OUT / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         courses = [Course(p.name, p.unit, history.labels, history.values[:, k] / p.factor,
                           history.sigma[:, k] / p.factor, history.population.mean[k] / p.factor,

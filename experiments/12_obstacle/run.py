@@ -13,7 +13,7 @@ from common import Row, options, tell, write_figure, write_manifest, write_table
 
 from ltsim.errors import NetworkError  # noqa: E402
 from ltsim.plan.criteria import d_criterion  # noqa: E402
-from ltsim.plan.files import plan_json, planned_scenario  # noqa: E402
+from ltsim.plan.files import plan_file, planned_scenario  # noqa: E402
 from ltsim.plan.information import LayoutInformation  # noqa: E402
 from ltsim.plan.planner import Plan, make_plan  # noqa: E402
 from ltsim.plan.spec import load_plan  # noqa: E402
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("plan_empty_machine", with_machine(moved)), ("plan_machine", planned_scenario(plans["machine"])),
     ):  # fmt: skip
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
-    reasons = {name: plan_json(plan)["reasons"] for name, plan in plans.items()}
+    reasons = {name: plan_file(plan).reasons for name, plan in plans.items()}
     write_manifest(__file__, given, file.search.seed, file.search.starts, machine=MACHINE.model_dump(), reasons=reasons)
 
 

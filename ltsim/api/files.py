@@ -99,8 +99,7 @@ def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path) ->
         case Calibration():
             write_calibration(result, path)
         case Diagnosis():
-            write_diagnosis(result, path)
-            write_recording(result.baseline.recording, path / "recording")
+            write_diagnosis(result, path, result.baseline.recording)
         case Plan():
             write_plan(result, path)
         case _:

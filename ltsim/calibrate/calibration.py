@@ -16,6 +16,7 @@ from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown, by_entry
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import SourceEntry
 from ltsim.units import MILLIMETRE
 
 SHARPER = 0.975
@@ -136,6 +137,8 @@ class Calibration(Shown):
         Measured targets that the readings in use do not determine; they have no coordinates.
     notes : tuple of str
         What a reader should know of how this came about.
+    recording : SourceEntry or None
+        Which recording it was found from; None where a file does not say.
     adjustment : Adjustment or None
         The adjusted network; None for a calibration that was read from a file.
     """
@@ -160,6 +163,7 @@ class Calibration(Shown):
     noise: tuple[NoiseRow, ...] = ()
     lost_targets: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    recording: SourceEntry | None = None
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
 
     @cached_property

@@ -24,6 +24,7 @@ from ltsim.calibrate.result import (
 )
 from ltsim.model.construction import Construction, misalignment
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import SourceEntry
 
 METHODS: dict[str, Literal["squares", "absolute"]] = {"distance": "squares", "distance-l1": "absolute"}
 
@@ -59,6 +60,7 @@ def calibrate_distance(
     """
     built = construction or misalignment()
     prior = prior_sigmas(recording, built)
+    source = SourceEntry.of(recording)
     recording, _ = tied_readings(recording)
     usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
     estimate = solve_distances(DistanceProblem(usable, built, prior), METHODS[method])
@@ -89,6 +91,7 @@ def calibrate_distance(
         criteria=criteria_of(recording, adjustment, built, values),
         outliers=outliers_of(adjustment),
         lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
+        recording=source,
         adjustment=adjustment,
     )
 

@@ -1,95 +1,90 @@
-"""calibration.json, targets.csv and residuals.csv: written whole or not at all, and read back."""
+"""calibration.json with its tables, and history.json: written whole or not at all, and read back."""
 
 from __future__ import annotations
 
-import csv
 import difflib
-import io
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeFloat, PositiveFloat, ValidationError
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
-from ltsim.calibrate.amplitude import harmonics
+from ltsim.calibrate.amplitude import Harmonic, harmonics
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, StationPose
+from ltsim.calibrate.history import Change, History
 from ltsim.calibrate.result import SHOWN_UNITS, named
+from ltsim.calibrate.schema import (
+    RESIDUALS,
+    TARGETS,
+    CalibrationFile,
+    CalibrationOf,
+    ChangeEntry,
+    ChiSquareEntry,
+    CombinationEntry,
+    CourseEntry,
+    DifferenceEntry,
+    FitEntry,
+    HarmonicEntry,
+    HistoryFile,
+    NoiseEntry,
+    OutlierEntry,
+    ParameterEntry,
+    StationEntry,
+    VerdictEntry,
+)
 from ltsim.errors import ModelError, RecordError
 from ltsim.model.construction import Construction, construction
-from ltsim.recording.files import read_text, shown, write_texts
+from ltsim.recording.files import shown
 from ltsim.recording.recording import OBSERVABLES
+from ltsim.recording.result_file import read_result, write_result
 from ltsim.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE
 
-FORMAT = "ltsim-calibration/1"
-JSON, TARGETS, RESIDUALS = "calibration.json", "targets.csv", "residuals.csv"
 
-
-def write_calibration(calibration: Calibration, folder: Path) -> None:
+def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile:
     """Write `calibration.json`, `targets.csv` and, where the network is at hand, `residuals.csv` into a folder.
+
+    Gives the content of the first.
 
     Raises
     ------
     RecordError
         When the folder cannot be written; nothing half-written stays behind.
     """
-    text = json.dumps(calibration_json(calibration), indent=1, allow_nan=False) + "\n"
-    table = targets_csv(calibration.targets, calibration.points, calibration.target_covariance)
-    texts = {JSON: text, TARGETS: table}
+    texts = {TARGETS.file: targets_csv(calibration.targets, calibration.points, calibration.target_covariance)}
     if calibration.adjustment is not None:
-        texts[RESIDUALS] = residuals_csv(calibration.adjustment)
-    write_texts(folder, texts)
+        texts[RESIDUALS.file] = residuals_csv(calibration.adjustment)
+    return write_result(folder, calibration_file(calibration), texts)
 
 
-def calibration_json(calibration: Calibration) -> dict[str, Any]:
+def calibration_file(calibration: Calibration) -> CalibrationFile:
     """The content of `calibration.json`; the covariance is in the units of the parameters."""
-    fit = calibration.fit
     factors = _factors(calibration)
-    entry: dict[str, Any] = {
-        "format": FORMAT,
-        "method": calibration.method,
-        "construction": calibration.construction.name,
-        "fit": {
-            "chi2": fit.chi2,
-            "dof": fit.dof,
-            "sigma0": fit.sigma0,
-            "p_value": fit.p_value,
-            "iterations": fit.iterations,
-            "status": fit.status,
-            "sentence": fit.sentence,
-        },
-        "frame": calibration.frame,
-        "parameters": _parameters(calibration),
-        "covariance": (calibration.covariance / np.outer(factors, factors)).tolist(),
-        "harmonics": _harmonics(calibration),
-        "undetermined": [
-            {"combination": dict(c.coefficients), "gain": c.gain, "cure": c.cure} for c in calibration.undetermined
-        ],
-        "stations": [_station(station) for station in calibration.stations],
-        "criteria": calibration.criteria.as_json() if calibration.criteria else {},
-        "outliers": [vars(outlier) for outlier in calibration.outliers],
-    }
-    return entry | _treatment(calibration)
-
-
-def _treatment(calibration: Calibration) -> dict[str, Any]:
-    """What was done to the readings and which test to trust; a factor that could not be estimated has no sigma."""
     judged = calibration.verdict
-    noise = [vars(n) | {"factor_sigma": n.factor_sigma if np.isfinite(n.factor_sigma) else None}
-             for n in calibration.noise]  # fmt: skip
-    said: dict[str, Any] = {}
-    if judged is not None:
-        said = {"case": judged.case.value, "sentence": judged.sentence, "scale_by_sigma0": judged.by_estimate}
-    return {
-        "robust": calibration.robust,
-        "noise": noise,
-        "noise_estimated": calibration.noise_estimated,
-        "verdict": said,
-        "lost_targets": list(calibration.lost_targets),
-    }
+    return CalibrationFile(
+        recording=calibration.recording,
+        method=calibration.method,
+        construction=calibration.construction.name,
+        fit=FitEntry(**vars(calibration.fit)),
+        frame=calibration.frame,
+        parameters=_parameters(calibration),
+        covariance=(calibration.covariance / np.outer(factors, factors)).tolist(),
+        harmonics=tuple(_harmonic(harmonic) for harmonic in harmonics(calibration)),
+        undetermined=tuple(
+            CombinationEntry(combination=dict(c.coefficients), gain=c.gain, cure=c.cure)
+            for c in calibration.undetermined
+        ),
+        stations=tuple(_station(station) for station in calibration.stations),
+        criteria=calibration.criteria.as_json() if calibration.criteria else {},
+        outliers=tuple(OutlierEntry(**vars(outlier)) for outlier in calibration.outliers),
+        robust=calibration.robust,
+        noise=tuple(NoiseEntry(**vars(noise)) for noise in calibration.noise),
+        noise_estimated=calibration.noise_estimated,
+        verdict=VerdictEntry()
+        if judged is None
+        else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),
+        lost_targets=calibration.lost_targets,
+    )
 
 
 def _factors(calibration: Calibration) -> Floats:
@@ -97,136 +92,76 @@ def _factors(calibration: Calibration) -> Floats:
     return np.tile(np.array(own, dtype=np.float64), len(calibration.instruments))
 
 
-def _parameters(calibration: Calibration) -> list[dict[str, Any]]:
+def _parameters(calibration: Calibration) -> tuple[ParameterEntry, ...]:
     several = len(calibration.instruments) > 1
-    rows = []
-    for i, instrument in enumerate(calibration.instruments):
-        for k, parameter in enumerate(calibration.construction.parameters):
-            row = {
-                "name": parameter.name,
-                "value": float(calibration.values[i, k] / parameter.factor),
-                "sigma": float(calibration.sigma[i, k] / parameter.factor),
-                "unit": parameter.unit,
-                "prior_sigma": float(calibration.prior_sigma[i, k] / parameter.factor),
-            }
-            rows.append(row | ({"instrument": instrument} if several else {}))
-    return rows
+    return tuple(
+        ParameterEntry(
+            name=parameter.name,
+            value=float(calibration.values[i, k] / parameter.factor),
+            sigma=float(calibration.sigma[i, k] / parameter.factor),
+            unit=parameter.unit,
+            prior_sigma=float(calibration.prior_sigma[i, k] / parameter.factor),
+            **({"instrument": instrument} if several else {}),
+        )
+        for i, instrument in enumerate(calibration.instruments)
+        for k, parameter in enumerate(calibration.construction.parameters)
+    )
 
 
-def _harmonics(calibration: Calibration) -> list[dict[str, Any]]:
-    rows = []
-    for harmonic in harmonics(calibration):
-        factor = harmonic.parameter.factor
-        phase, spread = harmonic.phase, harmonic.phase_sigma
-        row: dict[str, Any] = {
-            "name": harmonic.name,
-            "amplitude": harmonic.amplitude / factor,
-            "sigma": harmonic.sigma / factor,
-            "unit": harmonic.parameter.unit,
-            "phase_deg": None if phase is None else phase / DEGREE,
-            "sigma_phase_deg": None if spread is None else spread / DEGREE,
-        }
-        rows.append(row | ({"instrument": harmonic.instrument} if harmonic.instrument else {}))
-    return rows
+def _harmonic(harmonic: Harmonic) -> HarmonicEntry:
+    factor = harmonic.parameter.factor
+    return HarmonicEntry(
+        name=harmonic.name,
+        amplitude=harmonic.amplitude / factor,
+        sigma=harmonic.sigma / factor,
+        unit=harmonic.parameter.unit,
+        phase_deg=None if harmonic.phase is None else harmonic.phase / DEGREE,
+        sigma_phase_deg=None if harmonic.phase_sigma is None else harmonic.phase_sigma / DEGREE,
+        **({"instrument": harmonic.instrument} if harmonic.instrument else {}),
+    )
 
 
-def _station(station: StationPose) -> dict[str, Any]:
-    return {
-        "name": station.name,
-        "position_mm": (station.position / MILLIMETRE).tolist(),
-        "rotation_quaternion": station.quaternion.tolist(),
-        "sigma_position_mm": (station.sigma_position / MILLIMETRE).tolist(),
-        "sigma_rotation_arcsec": (station.sigma_rotation / ARCSECOND).tolist(),
-    }
+def _station(station: StationPose) -> StationEntry:
+    return StationEntry(
+        name=station.name,
+        position_mm=(station.position / MILLIMETRE).tolist(),
+        rotation_quaternion=station.quaternion.tolist(),
+        sigma_position_mm=(station.sigma_position / MILLIMETRE).tolist(),
+        sigma_rotation_arcsec=(station.sigma_rotation / ARCSECOND).tolist(),
+    )
 
 
 def targets_csv(names: Sequence[str], points: Floats, covariance: Floats) -> str:
     """The content of `targets.csv` for points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row."""
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
-    rows = [
-        [name, *_digits(point / MILLIMETRE), *_digits(spread)]
-        for name, point, spread in zip(names, points, sigma, strict=True)
-        if np.isfinite(spread).all()
-    ]
-    header = "target,x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm"
-    return _csv(header, rows)
+    known = np.flatnonzero(np.isfinite(sigma).all(axis=1)).tolist()
+    return TARGETS.text([names[i], *(points[i] / MILLIMETRE), *sigma[i]] for i in known)
+
+
+def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Names, coordinates (T, 3) [m] and their standard deviations (T, 3) [m] from a `targets.csv`.
+
+    Raises
+    ------
+    RecordError
+        When a column is missing or a field is no number.
+    """
+    names, values = TARGETS.read(file)
+    columns = np.stack([values[name] for name in TARGETS.header[1:]], axis=1) * MILLIMETRE
+    return tuple(names["target"]), columns[:, :3], columns[:, 3:]
 
 
 def residuals_csv(adjustment: Adjustment) -> str:
     """The content of `residuals.csv`: one row an observation that was used, rows counted from 1."""
     recording = adjustment.recording
-    rows = []
-    for i, k in np.argwhere(adjustment.problem.use):
+
+    def row(i: int, k: int) -> list[object]:
         unit, factor = SHOWN_UNITS[k]
-        rows.append(
-            [
-                str(i + 1),
-                recording.stations[recording.station[i]],
-                recording.targets[recording.target[i]],
-                str(recording.face[i]),
-                str(recording.repeat[i]),
-                OBSERVABLES[k],
-                f"{adjustment.residuals[i, k] / factor:.6g}",
-                unit,
-                f"{adjustment.redundancy[i, k]:.4f}",
-                f"{adjustment.w[i, k]:.4f}",
-            ]
-        )
-    return _csv("row,station,target,face,repeat,observable,residual,unit,redundancy,w", rows)
+        names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+        size = adjustment.residuals[i, k] / factor, unit, adjustment.redundancy[i, k], adjustment.w[i, k]
+        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
 
-
-def _digits(values: Floats) -> list[str]:
-    return [f"{value:.6f}" for value in values]
-
-
-def _csv(header: str, rows: list[list[str]]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(header.split(","))
-    writer.writerows(rows)
-    return stream.getvalue()
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-class _ParameterRow(_Table):
-    name: str
-    value: FiniteFloat
-    sigma: NonNegativeFloat | None = None
-    unit: str
-    prior_sigma: PositiveFloat | None = None
-    instrument: str = ""
-
-
-class _FitRow(_Table):
-    chi2: FiniteFloat = 0.0
-    dof: int = 0
-    sigma0: FiniteFloat | None = None
-    p_value: FiniteFloat | None = None
-    iterations: int = 0
-    status: str = ""
-    sentence: str = ""
-
-
-class _CombinationRow(_Table):
-    combination: dict[str, FiniteFloat]
-    gain: FiniteFloat
-    cure: str = ""
-
-
-class _File(_Table):
-    """What a program needs of the file; the rest is for the reader."""
-
-    format: str
-    method: str = "network"
-    construction: str
-    fit: _FitRow = _FitRow(status="not stated")
-    frame: str = ""
-    parameters: tuple[_ParameterRow, ...]
-    covariance: tuple[tuple[FiniteFloat, ...], ...] = Field(default=())
-    undetermined: tuple[_CombinationRow, ...] = ()
+    return RESIDUALS.text(row(i, k) for i, k in np.argwhere(adjustment.problem.use))
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -241,21 +176,11 @@ def read_calibration(path: Path) -> Calibration:
     RecordError
         One sentence: which key, what was found, what would be right.
     """
-    file = path / JSON if path.is_dir() else path
-    try:
-        content = _File.model_validate(json.loads(read_text(file)))
-    except (json.JSONDecodeError, RecursionError):
-        raise RecordError("is not JSON; expected a calibration.json", file=file) from None
-    except ValidationError as problem:
-        error = problem.errors()[0]
-        key = ".".join(str(part) for part in error["loc"]) or "the file"
-        raise RecordError(f"{shown(key)}: {shown(error['msg'], 120)}", file=file) from None
-    if content.format != FORMAT:
-        raise RecordError(f"format is '{shown(content.format)}', expected '{FORMAT}'", file=file)
-    return _calibration(content, file)
+    file = path / CalibrationFile.FILE if path.is_dir() else path
+    return _calibration(read_result(file, CalibrationFile), file)
 
 
-def _calibration(content: _File, file: Path) -> Calibration:
+def _calibration(content: CalibrationFile, file: Path) -> Calibration:
     built = _construction(content.construction, file)
     instruments = tuple(dict.fromkeys(row.instrument for row in content.parameters)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
@@ -271,8 +196,7 @@ def _calibration(content: _File, file: Path) -> Calibration:
         sigma[k] = prior[k] if row.sigma is None else row.sigma * factor[k]
     covariance = np.diag(sigma**2)
     if content.covariance:
-        given = _square(content.covariance, len(at), file)
-        covariance[np.ix_(at, at)] = given * np.outer(factor[at], factor[at])
+        covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor[at], factor[at])
     shape = (len(instruments), built.size)
     return Calibration(
         method=content.method,
@@ -282,14 +206,15 @@ def _calibration(content: _File, file: Path) -> Calibration:
         prior_sigma=prior.reshape(shape),
         covariance=covariance,
         fit=Fit(**content.fit.model_dump()),
-        undetermined=tuple(Combination(c.combination, c.gain, c.cure) for c in content.undetermined),
+        undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),
         frame=content.frame,
         stations=(),
+        recording=content.recording,
         notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
     )
 
 
-def _place(row: _ParameterRow, place: dict[tuple[str, str], int], built: Construction, number: int, file: Path) -> int:
+def _place(row: ParameterEntry, place: dict[tuple[str, str], int], built: Construction, number: int, file: Path) -> int:
     """Where a parameter of the file belongs; its name and unit are checked."""
     if (row.instrument, row.name) not in place:
         close = difflib.get_close_matches(row.name, built.names, n=1, cutoff=0.4)
@@ -319,7 +244,51 @@ def _construction(name: str, file: Path) -> Construction:
         raise RecordError(str(problem), file=file) from None
 
 
-def _square(rows: tuple[tuple[float, ...], ...], count: int, file: Path) -> Floats:
-    if len(rows) != count or any(len(row) != count for row in rows):
-        raise RecordError(f"the covariance is not a square of {count} x {count} numbers", file=file)
-    return np.array(rows, dtype=np.float64)
+def history_file(history: History) -> HistoryFile:
+    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
+    return HistoryFile(
+        construction=history.construction.name,
+        calibrations=tuple(
+            CalibrationOf(label=label, fit=FitEntry(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+            for label, c in zip(history.labels, history.calibrations, strict=True)
+        ),
+        parameters=tuple(_course(history, k) for k in range(history.construction.size)),
+        constant=ChiSquareEntry(**history.constancy().entry),
+        changes=tuple(_change(history, change) for change in history.changes()),
+        since_first=_change(history, history.change(0, len(history) - 1)),
+    )
+
+
+def _course(history: History, k: int) -> CourseEntry:
+    parameter, known = history.construction.parameters[k], history.population
+    return CourseEntry(
+        name=parameter.name,
+        unit=parameter.unit,
+        values=(history.values[:, k] / parameter.factor).tolist(),
+        sigmas=(history.sigma[:, k] / parameter.factor).tolist(),
+        prior_sigma=history.prior_sigma[k] / parameter.factor,
+        mean=known.mean[k] / parameter.factor,
+        spread=known.spread[k] / parameter.factor,
+        constant=ChiSquareEntry(**history.constancy(k).entry),
+    )
+
+
+def _change(history: History, change: Change) -> ChangeEntry:
+    parameters = history.construction.parameters
+    content = {
+        "from": change.first,
+        "to": change.second,
+        **change.joint.entry,
+        "changed": [parameters[k].name for k in change.changed()],
+        "parameters": [
+            DifferenceEntry(
+                name=parameter.name,
+                difference=change.difference[k] / parameter.factor,
+                sigma=change.sigma[k] / parameter.factor,
+                unit=parameter.unit,
+                p_value=change.p_values[k],
+            )
+            for k, parameter in enumerate(parameters)
+        ],
+    }
+    return ChangeEntry.model_validate(content)

@@ -22,7 +22,6 @@ from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown
 
-FORMAT = "ltsim-history/1"
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
 ROUNDS, SETTLED = 2000, 1e-4
@@ -41,6 +40,11 @@ class ChiSquare:
     def p_value(self) -> float:
         """Chance of a larger chi2 for an instrument that has not changed; 1 without degrees of freedom."""
         return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof else 1.0
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """As `history.json` has it."""
+        return {**vars(self), "p_value": self.p_value}
 
 
 @dataclass(frozen=True)
@@ -343,58 +347,3 @@ def _test(gap: Floats, spread: Floats) -> ChiSquare:
     kept = values > RESOLVED * max(float(values[-1]), 0.0)
     z = (vectors[:, kept].T @ gap) / np.sqrt(values[kept])
     return ChiSquare(float(z @ z), int(kept.sum()))
-
-
-def history_json(history: History) -> dict[str, Any]:
-    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
-    changes, constancy = history.changes(), history.constancy()
-    return {
-        "format": FORMAT,
-        "construction": history.construction.name,
-        "calibrations": [
-            {"label": label, "fit": {"chi2": c.fit.chi2, "dof": c.fit.dof, "sigma0": c.fit.sigma0}}
-            for label, c in zip(history.labels, history.calibrations, strict=True)
-        ],
-        "parameters": [_parameter(history, k) for k in range(history.construction.size)],
-        "constant": _as_json(constancy),
-        "changes": [_change(history, change) for change in changes],
-        "since_first": _change(history, history.change(0, len(history) - 1)),
-    }
-
-
-def _parameter(history: History, k: int) -> dict[str, Any]:
-    parameter, known = history.construction.parameters[k], history.population
-    return {
-        "name": parameter.name,
-        "unit": parameter.unit,
-        "values": (history.values[:, k] / parameter.factor).tolist(),
-        "sigmas": (history.sigma[:, k] / parameter.factor).tolist(),
-        "prior_sigma": float(history.prior_sigma[k] / parameter.factor),
-        "mean": float(known.mean[k] / parameter.factor),
-        "spread": float(known.spread[k] / parameter.factor),
-        "constant": _as_json(history.constancy(k)),
-    }
-
-
-def _change(history: History, change: Change) -> dict[str, Any]:
-    parameters = history.construction.parameters
-    return {
-        "from": change.first,
-        "to": change.second,
-        **_as_json(change.joint),
-        "changed": [parameters[k].name for k in change.changed()],
-        "parameters": [
-            {
-                "name": parameter.name,
-                "difference": float(change.difference[k] / parameter.factor),
-                "sigma": float(change.sigma[k] / parameter.factor),
-                "unit": parameter.unit,
-                "p_value": float(change.p_values[k]),
-            }
-            for k, parameter in enumerate(parameters)
-        ],
-    }
-
-
-def _as_json(test: ChiSquare) -> dict[str, Any]:
-    return {"chi2": test.chi2, "dof": test.dof, "p_value": test.p_value}

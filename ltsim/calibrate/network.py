@@ -21,6 +21,7 @@ from ltsim.calibrate.result import (
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, misalignment
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import SourceEntry
 
 
 def calibrate_network(
@@ -59,7 +60,7 @@ def calibrate_network(
     """
     built = construction or misalignment()
     found = _adjusted(recording, built, robust, noise_from_data, datum)
-    return _calibration(found, "network", advise=advise, robust=robust)
+    return _calibration(recording, found, "network", advise=advise, robust=robust)
 
 
 def adjust_network(
@@ -71,7 +72,7 @@ def adjust_network(
 ) -> Calibration:
     """The same network without instrument parameters, in the same form; arguments and errors of `calibrate_network`."""
     found = _adjusted(recording, ideal(), robust, noise_from_data, datum)
-    return _calibration(found, "adjustment", advise=False, robust=robust)
+    return _calibration(recording, found, "adjustment", advise=False, robust=robust)
 
 
 def _adjusted(
@@ -85,7 +86,7 @@ def _adjusted(
     return found
 
 
-def _calibration(adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
+def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
     at = adjustment.problem.layout.instrument.ravel()
     covariance = adjustment.kept_covariance[at[:, None], at]
@@ -111,5 +112,6 @@ def _calibration(adjustment: Adjustment, method: str, *, advise: bool, robust: b
         robust=robust,
         noise=noise_of(adjustment),
         lost_targets=adjustment.lost_targets,
+        recording=SourceEntry.of(source),
         adjustment=adjustment,
     )

@@ -21,8 +21,9 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaign.cell import fitted_construction, fitted_effects
 from ltsim.campaign.rows import Task, rows_of, run_task, task_of
+from ltsim.campaign.schema import CellEntry, ManifestFile
 from ltsim.campaign.spec import Campaign, fingerprint, label, load_campaign, scenario_file
-from ltsim.campaign.store import FORMAT, SOURCE, Store
+from ltsim.campaign.store import SOURCE, Store
 from ltsim.errors import SetupError
 from ltsim.simulate.fieldwork import fieldwork
 from ltsim.simulate.scenario import Scenario
@@ -141,25 +142,25 @@ def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resu
     if not resume:
         raise SetupError(f"{store.folder}: holds a campaign; continue it with --resume or name another --out")
     manifest = store.manifest()
-    if manifest.get("fingerprint") != mark:
-        before = manifest.get("settings", {})
+    if manifest.fingerprint != mark:
+        before = manifest.settings
         now = campaign.model_dump(mode="json", by_alias=True)
         changed = [key for key in now if before.get(key) != now[key]] or ["the scenario"]
         raise SetupError(
             f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
             f"continue with {store.folder / SOURCE}, or begin anew with another --out"
         )
-    then, today = manifest.get("versions", {}), _versions()
+    then, today = manifest.versions, _versions()
     for name in DECIDING:
         if then.get(name) != today[name]:
             raise SetupError(
                 f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or begin anew with another --out"
             )
-    notes, (begun, now_at) = [], (manifest.get("commit"), commit())
+    notes, (begun, now_at) = [], (manifest.commit, commit())
     if begun != now_at:
         notes.append(f"begun at commit {begun}, continued at {now_at}; where the solver changed, rows may differ")
-    built, here = manifest.get("processor", "unknown"), processor()
+    built, here = manifest.processor, processor()
     if built != here:
         notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]
@@ -197,25 +198,24 @@ def commit() -> str | None:
     return done.stdout.strip() or None if done.returncode == 0 else None
 
 
-def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "title": campaign.title,
-        "fingerprint": mark,
-        "seed": campaign.seed,
-        "trials": campaign.trials,
-        "shard": campaign.shard,
-        "methods": [method.title for method in campaign.methods],
-        "cells": [
-            {"cell": i, "label": label(changes), "settings": changes}
+def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) -> ManifestFile:
+    return ManifestFile(
+        title=campaign.title,
+        fingerprint=mark,
+        seed=campaign.seed,
+        trials=campaign.trials,
+        shard=campaign.shard,
+        methods=tuple(method.title for method in campaign.methods),
+        cells=tuple(
+            CellEntry(cell=i, label=label(changes), settings=changes)
             for i, changes in enumerate(campaign.combinations())
-        ],
-        "versions": _versions(),
-        "processor": processor(),
-        "commit": commit(),
-        "settings": campaign.model_dump(mode="json", by_alias=True),
-        "scenarios": [scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios],
-    }
+        ),
+        versions=_versions(),
+        processor=processor(),
+        commit=commit(),
+        settings=campaign.model_dump(mode="json", by_alias=True),
+        scenarios=tuple(scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios),
+    )
 
 
 def _waiting(

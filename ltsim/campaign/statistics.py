@@ -12,13 +12,13 @@ import duckdb
 
 from ltsim.campaign.engine import FAILED
 from ltsim.campaign.rows import CHECKED
+from ltsim.campaign.schema import LEVELS, SUMMARY
 from ltsim.campaign.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.notebook import Columns, Shown, by_row
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
-LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 IMPROVEMENTS = ("distance", "coordinate")
 
 
@@ -102,16 +102,16 @@ class Results(Shown):
         except duckdb.Error as problem:
             raise _damaged(folder, problem) from None
         self._base.execute("CREATE TABLE cells (cell INTEGER, label VARCHAR)")
-        listed = [(entry["cell"], entry["label"]) for entry in self.manifest["cells"]]
+        listed = [(entry.cell, entry.label) for entry in self.manifest.cells]
         self._base.executemany("INSERT INTO cells VALUES (?, ?)", listed)
         self._folder = folder
 
     def _lines(self) -> list[str]:
         manifest = self.manifest
-        title = f"{manifest['title']}: " if manifest["title"] else ""
-        cells, methods = manifest["cells"], manifest["methods"]
+        title = f"{manifest.title}: " if manifest.title else ""
+        cells, methods = manifest.cells, manifest.methods
         return [
-            f"Campaign: {title}{manifest['trials']} trials of {len(cells)} cells by {', '.join(methods)}",
+            f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells by {', '.join(methods)}",
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self._folder}",
         ]
 
@@ -119,7 +119,7 @@ class Results(Shown):
         summary = self.summary
         return {
             "ends": lambda: by_row(summary()["ends"]),
-            "cells": lambda: by_row([{"cell": c["cell"], "label": c["label"]} for c in self.manifest["cells"]]),
+            "cells": lambda: by_row([{"cell": c.cell, "label": c.label} for c in self.manifest.cells]),
             "columns": lambda: by_row(summary()["columns"]),
             "z_scores": lambda: by_row(summary()["z_scores"]),
             "rows": self._rows,
@@ -214,14 +214,20 @@ class Results(Shown):
         wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
         return {
             "format": "ltsim-campaign-summary/1",
-            "title": self.manifest["title"],
-            "trials": self.manifest["trials"],
-            "cells": self.manifest["cells"],
+            "title": self.manifest.title,
+            "trials": self.manifest.trials,
+            "cells": [cell.model_dump() for cell in self.manifest.cells],
             "ends": [asdict(entry) for entry in self.checked()],
             "levels": LEVELS,
             "columns": [asdict(entry) for column in wanted for entry in self.spread(column)],
             "z_scores": [asdict(entry) for entry in self.z_scores()],
         }
+
+
+def summary_csv(summary: Mapping[str, Any]) -> str:
+    """The content of `summary.csv`: one line a cell, method and column."""
+    fixed = SUMMARY.header[: -len(LEVELS)]
+    return SUMMARY.text([*(entry[name] for name in fixed), *entry["quantiles"]] for entry in summary["columns"])
 
 
 def _improvements(names: list[str]) -> str:

@@ -18,15 +18,15 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltsim.errors import SetupError
+from ltsim.campaign.schema import ManifestFile
+from ltsim.errors import RecordError, SetupError
+from ltsim.recording.result_file import read_result
 
-FORMAT = "ltsim-campaign-rows/1"
-MANIFEST, SOURCE, ROWS, LOCK = "manifest.json", "campaign.toml", "rows", ".lock"
+MANIFEST, SOURCE, ROWS, LOCK = ManifestFile.FILE, "campaign.toml", "rows", ".lock"
 
 
 def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
@@ -85,7 +85,7 @@ class Store:
         """True when the folder holds a campaign."""
         return self.manifest_path.exists()
 
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self) -> ManifestFile:
         """The manifest.
 
         Raises
@@ -93,26 +93,20 @@ class Store:
         SetupError
             When the folder holds no campaign, or its manifest is damaged.
         """
+        if not self.begun:
+            raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})")
         try:
-            content = json.loads(self.manifest_path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})") from None
-        except (OSError, ValueError):
-            raise SetupError(
-                f"{self.manifest_path}: cannot be read as a manifest; begin again in another folder, "
-                "the rows in this one stay"
-            ) from None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise SetupError(f'{self.manifest_path}: expected format = "{FORMAT}"')
-        return content
+            return read_result(self.manifest_path, ManifestFile)
+        except RecordError as problem:
+            raise SetupError(f"{problem}; begin again in another folder, the rows in this one stay") from None
 
-    def begin(self, manifest: Mapping[str, Any], sources: Mapping[str, bytes]) -> None:
+    def begin(self, manifest: ManifestFile, sources: Mapping[str, bytes]) -> None:
         """Write the files that the campaign was given, then its manifest."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
             for name, content in sources.items():
                 _write(self.folder / name, content)
-            _write(self.manifest_path, (json.dumps(manifest, indent=1) + "\n").encode())
+            _write(self.manifest_path, manifest.text().encode())
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Put a shard in its place at once.

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network, write_calibration
-from ltsim.calibrate.files import calibration_json
+from ltsim.calibrate.files import calibration_file
 from ltsim.cli.options import (
     ColumnMap,
     Datum,
@@ -105,9 +105,8 @@ def finish(terminal: Terminal, calibration: Calibration, out: Path | None, point
         from ltsim.report.points import write_points  # most runs need no export
 
         write_points(calibration, points)
-    if out is not None:
-        write_calibration(calibration, out)
-    terminal.answer(calibration_json(calibration))
+    content = calibration_file(calibration) if out is None else write_calibration(calibration, out)
+    terminal.answer(content.content())
     show_calibration(terminal, calibration)
     if out is not None:
         terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")

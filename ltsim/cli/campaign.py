@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
@@ -73,7 +71,7 @@ def campaign(
     # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
     from ltsim.campaign.campaign import Workers, run_campaign
     from ltsim.campaign.spec import load_campaign
-    from ltsim.campaign.statistics import Results
+    from ltsim.campaign.statistics import Results, summary_csv
 
     terminal = Terminal(quiet, as_json)
     folder = out or file.with_suffix("")
@@ -136,15 +134,3 @@ def show(terminal: Terminal, outcome: Outcome, summary: dict[str, Any]) -> None:
         heads = ["cell", "method", "statistic", "mean", "95 % confidence", "5 %", "50 %", "95 %"]
         terminal.say(table(heads, rows, left=3))
     terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")
-
-
-def summary_csv(summary: dict[str, Any]) -> str:
-    """One line a cell, method and column."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    quantiles = [f"quantile_{100 * level:g}_percent" for level in summary["levels"]]
-    fixed = ["cell", "method", "column", "trials", "mean", "deviation", "low", "high", "least", "largest"]
-    writer.writerow([*fixed, *quantiles])
-    for entry in summary["columns"]:
-        writer.writerow([*(entry[name] for name in fixed), *entry["quantiles"]])
-    return text.getvalue()

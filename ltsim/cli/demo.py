@@ -12,8 +12,7 @@ import typer
 
 from ltsim.calibrate import calibrate_network, write_calibration
 from ltsim.campaign.campaign import Workers, run_campaign
-from ltsim.campaign.statistics import Results
-from ltsim.cli.campaign import summary_csv
+from ltsim.campaign.statistics import Results, summary_csv
 from ltsim.cli.options import Json, Quiet, Seed
 from ltsim.cli.terminal import Terminal
 from ltsim.diagnose import diagnose
@@ -112,10 +111,9 @@ def diagnosed(out: Path, seed: int) -> str:
     scenario = load_scenario("paper-workshop-two-face").model_copy(update={"effects": (entry,)})
     recording, truth = simulate(scenario, seed)
     folder = out / "concealed"
-    write(recording, folder / "recording")
-    write_truth(truth, folder / "truth.json")
     found = diagnose(recording, seed=seed)
-    write_diagnosis(found, folder)
+    write_diagnosis(found, folder, recording)
+    write_truth(truth, folder / "truth.json")
     place = ", ".join(entry.stations + entry.targets) or "everywhere"
     return f"hidden was {entry.name} ({place}); the diagnosis, which was not told, says: {found.summary}"
 

@@ -11,9 +11,8 @@ from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 from ltsim.diagnose import Diagnosis
 from ltsim.diagnose import diagnose as diagnosis_of
-from ltsim.diagnose.files import write_diagnosis
+from ltsim.diagnose.files import diagnosis_file, write_diagnosis
 from ltsim.diagnose.words import percent, place
-from ltsim.recording import write
 
 FailOnMismatch = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
@@ -47,10 +46,8 @@ def diagnose(
     terminal.say(recording_line(recording))
     with terminal.busy("diagnosing"):
         found = diagnosis_of(recording, seed=seed, level=level)
-    if out is not None:
-        write_diagnosis(found, out)
-        write(recording, out / "recording")
-    terminal.answer(found.to_json())
+    content = diagnosis_file(found, recording) if out is None else write_diagnosis(found, out, recording)
+    terminal.answer(content.content())
     show(terminal, found)
     if out is not None:
         terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +23,9 @@ from ltsim.cli.summary import calibration_of, criteria_table, recording_line, sh
 from ltsim.cli.terminal import Terminal
 from ltsim.evaluate import Criteria
 from ltsim.evaluate import evaluate as criteria_of
+from ltsim.evaluate.schema import CriteriaFile
 from ltsim.recording import Recording
-from ltsim.recording.files import write_texts
+from ltsim.recording.result_file import SourceEntry, write_result
 
 
 def evaluate(
@@ -52,7 +52,7 @@ def evaluate(
     if gross.any():
         rows = ", ".join(str(i + 1) for i in np.flatnonzero(gross)[:12])
         terminal.note(f"note: {gross.sum()} pointings miss their target by far and are left out (rows {rows})")
-    show(terminal, criteria_with(terminal, recording, calibration, ~gross), out)
+    show(terminal, criteria_with(terminal, recording, calibration, ~gross), recording, out)
 
 
 def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
@@ -63,12 +63,12 @@ def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | 
     return criteria_of(recording, found.construction, found.values_for(recording), use=use)
 
 
-def show(terminal: Terminal, criteria: Criteria, out: Path | None) -> None:
+def show(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
     """Write and print criteria."""
-    content = criteria.as_json()
+    content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
     if out is not None:
-        write_texts(out, {"criteria.json": json.dumps(content, indent=1) + "\n"})
-    terminal.answer(content)
+        write_result(out, content, {})
+    terminal.answer(content.content())
     terminal.say(criteria_table(criteria))
     if out is not None:
         terminal.say(f"\nwritten to {out}")

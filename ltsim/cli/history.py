@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ltsim.calibrate import Calibration, calibrate_network
-from ltsim.calibrate.files import JSON as CALIBRATION_JSON
-from ltsim.calibrate.history import Change, History, history_json
+from ltsim.calibrate.files import history_file
+from ltsim.calibrate.history import Change, History
+from ltsim.calibrate.schema import CalibrationFile
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import Recording
-from ltsim.recording.files import write_texts
+from ltsim.recording.result_file import write_result
 from ltsim.report.figures.history import Course, history_figure
 from ltsim.report.style import svg
 
@@ -65,11 +65,10 @@ def history(
             named += _calibrations(terminal, source, each_set_up, format_name, hint, columns, treated)
             done(1)
     found = History.of(named, instrument)
-    content = history_json(found)
+    content = history_file(found)
     if out is not None:
-        texts = {"history.json": json.dumps(content, indent=1, allow_nan=False) + "\n"}
-        write_texts(out, texts | {"history.svg": svg(history_figure(_courses(found)))})
-    terminal.answer(content)
+        content = write_result(out, content, {"history.svg": svg(history_figure(_courses(found)))})
+    terminal.answer(content.content())
     show(terminal, found)
     if out is not None:
         terminal.say(f"\nwritten to {out}")
@@ -86,8 +85,9 @@ def _calibrations(
     treated: dict[str, Any],
 ) -> list[tuple[str, Calibration]]:
     """One calibration of a file, or one a set-up of a recording."""
-    if source.name == CALIBRATION_JSON or (source / CALIBRATION_JSON).is_file() or source.suffix == ".json":
-        label = source.parent.name if source.name == CALIBRATION_JSON else source.stem
+    file = CalibrationFile.FILE
+    if source.name == file or (source / file).is_file() or source.suffix == ".json":
+        label = source.parent.name if source.name == file else source.stem
         return [(label or source.stem, calibration_of(terminal, source))]
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)

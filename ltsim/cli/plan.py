@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,12 +14,13 @@ from ltsim.diagnose import Diagnosis
 from ltsim.diagnose import diagnose as diagnosis_of
 from ltsim.effects import NoiseEffect, find_effect
 from ltsim.errors import SetupError
-from ltsim.plan.files import next_json, table_text, write_plan
+from ltsim.plan.files import next_csv, next_file, write_plan
 from ltsim.plan.next_measurement import DECISIVE, NextMeasurement, next_measurement
 from ltsim.plan.planner import Plan, make_plan
+from ltsim.plan.schema import NEXT, PlanResult
 from ltsim.plan.spec import load_plan, plan_names, plan_text
 from ltsim.recording import Recording
-from ltsim.recording.files import write_texts
+from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.report.output import write_bytes
 
 PlanSource = Annotated[
@@ -90,7 +90,7 @@ def _search(terminal: Terminal, source: str, out: Path | None, seed: int | None,
         made = make_plan(file, scenario, jobs=jobs, progress=_percent(advance))
     folder = out if out is not None or terminal.as_json else Path(f"plan-{Path(source).stem}")
     content = write_plan(made, folder)
-    terminal.answer(content)
+    terminal.answer(content.content())
     show_plan(terminal, content)
     if folder is not None:
         write_pictures(made, folder)
@@ -110,22 +110,22 @@ def _percent(advance: Any) -> Any:
     return tell
 
 
-def show_plan(terminal: Terminal, content: dict[str, Any]) -> None:
+def show_plan(terminal: Terminal, content: PlanResult) -> None:
     """The answer, coordinates, reasons, curve."""
-    terminal.say(content["summary"])
+    terminal.say(content.summary)
     rows = [
-        [s["name"], *(f"{v:.0f}" for v in s["position_mm"]), f"{s['yaw_deg']:.0f}", str(s["reflectors_seen"])]
-        for s in content["stations"]
+        [s.name, *(f"{v:.0f}" for v in s.position_mm), f"{s.yaw_deg:.0f}", str(s.reflectors_seen)]
+        for s in content.stations
     ]
     terminal.say("\nWhere the tripod goes (mm from the corner of the workshop; yaw from the x axis):")
     terminal.say(table(["station", "x", "y", "z", "yaw [deg]", "sees"], rows))
     terminal.say("\nWhy:")
-    for sentence in content["reasons"]:
+    for sentence in content.reasons:
         terminal.say(f"- {sentence}")
     rows = [
-        [str(o["stations"]), str(o["faces"]), str(o["repeats"]), f"{o['hours']:.1f}", f"{o['value']:.4g}"]
-        for o in content["tradeoff"]
-        if o["efficient"]
+        [str(o.stations), str(o.faces), str(o.repeats), f"{o.hours:.1f}", f"{o.value:.4g}"]
+        for o in content.tradeoff
+        if o.efficient
     ]
     terminal.say("\nCost against quality (each the best for its time; smaller is better):")
     terminal.say(table(["stations", "faces", "rounds", "hours", "quality"], rows, left=0))
@@ -189,12 +189,10 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
             between=between,
             progress=lambda what, share: tell.setdefault(what, _percent(advance))(what, share),
         )
-    content = next_json(made, summary)
+    content = next_file(made, summary, SourceEntry.of(recording))
     if out is not None:
-        rows = [[p[key] for key in NEXT_COLUMNS] for p in content["proposals"]]
-        rows = [[" ".join(v) if isinstance(v, list) else v for v in row] for row in rows]
-        write_texts(out, {"next.json": _json(content), "next.csv": table_text(NEXT_COLUMNS, rows)})
-    terminal.answer(content)
+        content = write_result(out, content, {NEXT.file: next_csv(content)})
+    terminal.answer(content.content())
     show_next(terminal, made)
     if out is not None:
         terminal.say(f"\nwritten to {out}")
@@ -211,13 +209,6 @@ def open_question(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 def _shifts(name: str) -> bool:
     return not issubclass(find_effect(name), NoiseEffect)
-
-
-NEXT_COLUMNS = ("kind", "minutes", "sharper", "serves", "serves_factor", "tells_apart", "decides", "do")
-
-
-def _json(content: dict[str, Any]) -> str:
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def show_next(terminal: Terminal, made: NextMeasurement) -> None:

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import os
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
 from ltsim.campaign.recovery import FALSE_ALARM, Recovery
 from ltsim.campaign.recovery import recover as trials_of
+from ltsim.campaign.schema import CheckEntry, RecoveryFile, trials_table
 from ltsim.cli.calibrate import Method, MethodOption
 from ltsim.cli.options import Json, Out, Quiet, Seed
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError
 from ltsim.model.construction import construction as construction_called
-from ltsim.recording.files import write_texts
+from ltsim.recording.result_file import write_result
 from ltsim.simulate.physics import construction_of
 from ltsim.simulate.scenario import load_scenario
 
@@ -65,10 +65,10 @@ def recover(
             found.append(trial)
             step(1)
     result = Recovery(calibrator.names, tuple(found))
-    content = recovery_json(result, seed)
+    content = recovery_file(result, seed)
     if out is not None:
-        write_texts(out, {"recovery.json": json.dumps(content, indent=1) + "\n", "trials.csv": trials_csv(result)})
-    terminal.answer(content)
+        content = write_result(out, content, {"trials.csv": trials_csv(result)})
+    terminal.answer(content.content())
     terminal.say(recovery_table(result))
     failures = result.failures()
     for failure in failures:
@@ -81,28 +81,25 @@ def recover(
     )
 
 
-def recovery_json(result: Recovery, seed: int) -> dict[str, Any]:
+def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
     """The outcome for a program."""
     checks = result.checks()
-    return {
-        "format": "ltsim-recovery/1",
-        "passed": all(check.passed for check in checks),
-        "trials": len(result.trials),
-        "converged": len(result.converged),
-        "seed": seed,
-        "checks": [vars(check) | {"passed": check.passed} for check in checks],
-    }
+    return RecoveryFile(
+        passed=all(check.passed for check in checks),
+        trials=len(result.trials),
+        converged=len(result.converged),
+        seed=seed,
+        checks=tuple(CheckEntry(**vars(check), passed=check.passed) for check in checks),
+    )
 
 
 def trials_csv(result: Recovery) -> str:
     """z-scores of every parameter, chi-square and the network's mean squares, one row a trial."""
-    header = ["trial", *result.names, "chi2", "dof", "targets", "stations"]
-    lines = [",".join(header)]
-    for number, trial in enumerate(result.trials):
-        if trial is not None:
-            values = [*trial.z, trial.chi2, trial.dof, trial.targets, trial.stations]
-            lines.append(",".join([str(number), *(f"{value:.6g}" for value in values)]))
-    return "\n".join(lines) + "\n"
+    return trials_table(result.names).text(
+        [number, *trial.z, trial.chi2, trial.dof, trial.targets, trial.stations]
+        for number, trial in enumerate(result.trials)
+        if trial is not None
+    )
 
 
 def recovery_table(result: Recovery) -> str:

@@ -42,4 +42,4 @@ def verify(
     terminal.say(recording_line(recording))
     found = calibration_of(terminal, calibration)
     criteria = verified(recording, read_nominal(nominal), found.construction, found.values_for(recording))
-    show(terminal, criteria, out)
+    show(terminal, criteria, recording, out)

@@ -1,51 +1,55 @@
-"""diagnosis.json, targets.csv and residuals of a diagnosis, written whole or not at all."""
+"""diagnosis.json, targets.csv, residuals and the recording of a diagnosis, written whole or not at all."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.calibrate.files import residuals_csv
+from ltsim.calibrate.schema import RESIDUALS
 from ltsim.diagnose.diagnosis import Diagnosis
-from ltsim.recording.files import write_texts
+from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile
+from ltsim.recording.native import recording_texts
+from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.units import MILLIMETRE
 
-JSON, TARGETS, AFTER, BEFORE = "diagnosis.json", "targets.csv", "residuals.csv", "residuals_before.csv"
+RECORDING = "recording"
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write a diagnosis into a folder.
+def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> DiagnosisFile:
+    """Write a diagnosis into a folder, with the recording it is of where that is given; the content of its JSON.
 
     `targets.csv` holds the coordinates adjusted with the findings modelled, `residuals.csv` what is left then,
-    `residuals_before.csv` what the ordinary adjustment left.
+    `residuals_before.csv` what the ordinary adjustment left, `recording/` the recording.
 
     Raises
     ------
     RecordError
         When the folder cannot be written.
     """
-    write_texts(
-        folder,
-        {
-            JSON: json.dumps(diagnosis.to_json(), indent=1, allow_nan=False) + "\n",
-            TARGETS: adjusted_targets_csv(diagnosis.adjusted, diagnosis.baseline),
-            AFTER: residuals_csv(diagnosis.adjusted),
-            BEFORE: residuals_csv(diagnosis.baseline),
-        },
-    )
+    texts = {
+        TARGETS.file: adjusted_targets_csv(diagnosis.adjusted, diagnosis.baseline),
+        RESIDUALS.file: residuals_csv(diagnosis.adjusted),
+        BEFORE.file: residuals_csv(diagnosis.baseline),
+    }
+    if recording is not None:
+        copied = recording_texts(recording, folder / RECORDING)
+        texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}
+    return write_result(folder, diagnosis_file(diagnosis, recording), texts)
+
+
+def diagnosis_file(diagnosis: Diagnosis, recording: Recording | None = None) -> DiagnosisFile:
+    """The content of `diagnosis.json`."""
+    source = {} if recording is None else {"recording": SourceEntry.of(recording)}
+    return DiagnosisFile.model_validate(diagnosis.to_json() | source)
 
 
 def adjusted_targets_csv(adjusted: Adjustment, baseline: Adjustment) -> str:
     """The content of `targets.csv`, with the change of each coordinate against the ordinary adjustment."""
-    sigma = np.sqrt(np.einsum("tii->ti", adjusted.target_covariance)) / MILLIMETRE
-    points = adjusted.state.points / MILLIMETRE
-    change = points - baseline.state.points / MILLIMETRE
-    header = "target,x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm,change_x_mm,change_y_mm,change_z_mm"
-    lines = [header]
-    for i, name in enumerate(adjusted.recording.targets):
-        values = (*points[i], *sigma[i], *change[i])
-        lines.append(",".join([name, *(f"{value:.6f}" for value in values)]))
-    return "\n".join(lines) + "\n"
+    sigma = np.sqrt(np.einsum("tii->ti", adjusted.target_covariance))
+    change = adjusted.state.points - baseline.state.points
+    rows = np.concatenate([adjusted.state.points, sigma, change], axis=1) / MILLIMETRE
+    return TARGETS.text([name, *row] for name, row in zip(adjusted.recording.targets, rows, strict=True))

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +13,30 @@ from ltsim.plan.improvement import Expected
 from ltsim.plan.next_measurement import NextMeasurement
 from ltsim.plan.planner import Evaluated, Option, Plan
 from ltsim.plan.reasons import fewest, reasons
+from ltsim.plan.schema import (
+    EFFECTS,
+    NEXT,
+    PARAMETERS,
+    REFLECTORS,
+    STATIONS,
+    TRADEOFF,
+    VISIBILITY,
+    NextFile,
+    PlanResult,
+)
 from ltsim.plan.survey import Survey
-from ltsim.recording.files import write_texts
+from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.simulate.scenario import Scenario, scenario_to_toml
 from ltsim.simulate.sections import Station, Target
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 
-FORMAT = "ltsim-plan-result/1"
 
-
-def plan_json(plan: Plan, found: Detectability | None = None) -> dict[str, Any]:
-    """Everything about a plan, for a program."""
+def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
+    """The content of `plan.json`."""
     chosen = plan.chosen
     sentences = reasons(plan)
     few = fewest(plan)
     content: dict[str, Any] = {
-        "format": FORMAT,
         "title": plan.file.title or plan.scenario.title,
         "summary": sentences[0],
         "reasons": sentences[1:],
@@ -48,7 +52,7 @@ def plan_json(plan: Plan, found: Detectability | None = None) -> dict[str, Any]:
     }
     if found is not None:
         content |= detectability_json(found)
-    return content
+    return PlanResult.model_validate(content)
 
 
 def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
@@ -209,18 +213,18 @@ def _millimetres(place: Floats) -> tuple[float, float, float]:
     return x, y, z
 
 
-def write_plan(plan: Plan, folder: Path | None) -> dict[str, Any]:
+def write_plan(plan: Plan, folder: Path | None) -> PlanResult:
     """Write plan.json, the tables and scenario.toml, where a folder is given; the content of plan.json."""
-    content = plan_json(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
+    content = plan_file(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
     if folder is not None:
-        write_texts(folder, plan_texts(plan, content))
+        return write_result(folder, content, plan_texts(plan, content))
     return content
 
 
-def next_json(made: NextMeasurement, summary: str = "") -> dict[str, Any]:
-    """Proposals of further measurements, for a program."""
-    return {
-        "format": "ltsim-next/1",
+def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | None = None) -> NextFile:
+    """The content of `next.json`: proposals of further measurements after a recording."""
+    content = {
+        "recording": source,
         "diagnosis": summary,
         "between": list(made.between),
         "evidence_now": made.evidence_now,
@@ -243,41 +247,37 @@ def next_json(made: NextMeasurement, summary: str = "") -> dict[str, Any]:
             for p in made.proposals
         ],
     }
+    return NextFile.model_validate(content)
 
 
-def plan_texts(plan: Plan, content: Mapping[str, Any]) -> dict[str, str]:
-    """The files by name."""
-    flat_stations = [[s["name"], *s["position_mm"], s["yaw_deg"], *s["sigma_position_um"]] for s in content["stations"]]
-    flat_reflectors = [[r["name"], *r["position_mm"], r["sigma_um"]] for r in content["reflectors"]]
-    curve = ("stations", "faces", "repeats", "pointings", "hours", "value", "efficient")
-    effects = ("effect", "parameter", "unit", "best", "typical", "worst", "worst_at", "plausible", "visible")
-    own = {p["name"]: p["sigma"] for p in (content["reference"] or {"parameters": []})["parameters"]}
-    parameters = [
-        [p["name"], p["unit"], p["sigma"], own.get(p["name"]), p["prior_sigma"], p["gain"]]
-        for p in content["parameters"]
-    ]
+def next_csv(content: NextFile) -> str:
+    """The content of `next.csv`."""
+    return NEXT.text(
+        [p.kind, p.minutes, p.sharper, p.serves, p.serves_factor, " ".join(p.tells_apart), p.decides, p.do]
+        for p in content.proposals
+    )
+
+
+def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str]:
+    """The files beside `plan.json`, by name."""
+    own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    spread = [s.sigma_position_um or (None,) * 3 for s in content.stations]
     texts = {
-        "plan.json": json.dumps(content, indent=1, allow_nan=False) + "\n",
-        "stations.csv": table_text(
-            ["station", "x_mm", "y_mm", "z_mm", "yaw_deg", "sigma_x_um", "sigma_y_um", "sigma_z_um"], flat_stations
-        ),
-        "reflectors.csv": table_text(["target", "x_mm", "y_mm", "z_mm", "sigma_um"], flat_reflectors),
-        "tradeoff.csv": table_text(curve, [[row[key] for key in curve] for row in content["tradeoff"]]),
-        "parameters.csv": table_text(
-            ["parameter", "unit", "sigma", "sigma_of_own_layout", "prior_sigma", "gain"], parameters
-        ),
-        "visibility.csv": _visibility(plan.chosen),
-        "scenario.toml": scenario_to_toml(planned_scenario(plan)),
+        STATIONS: [[s.name, *s.position_mm, s.yaw_deg, *v] for s, v in zip(content.stations, spread, strict=True)],
+        REFLECTORS: [[r.name, *r.position_mm, r.sigma_um] for r in content.reflectors],
+        TRADEOFF: [[getattr(option, name) for name in TRADEOFF.header] for option in content.tradeoff],
+        PARAMETERS: [[p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters],
+        VISIBILITY: _visibility(plan.chosen),
     }
-    if "detectable" in content:
-        rows = [[row[key] for key in effects] for row in content["detectable"]]
-        texts["effects.csv"] = table_text(effects, rows)
-    return texts
+    if "detectable" in content.model_fields_set:
+        texts[EFFECTS] = [[getattr(row, name) for name in EFFECTS.header] for row in content.detectable]
+    tables = {table.file: table.text(rows) for table, rows in texts.items()}
+    return tables | {"scenario.toml": scenario_to_toml(planned_scenario(plan))}
 
 
-def _visibility(layout: Evaluated) -> str:
+def _visibility(layout: Evaluated) -> list[list[Any]]:
     words, table, survey = layout.table.words(), layout.table, layout.survey
-    rows = [
+    return [
         [
             station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
             round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
@@ -285,20 +285,3 @@ def _visibility(layout: Evaluated) -> str:
         for s, station in enumerate(survey.station_names)
         for t, target in enumerate(survey.target_names)
     ]  # fmt: skip
-    header = ["station", "target", "sees", "why_not", "distance_mm", "elevation_deg", "incidence_deg"]
-    return table_text(header, rows)
-
-
-def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """CSV text; numbers with six digits, nothing for what does not exist."""
-
-    def cell(value: Any) -> Any:
-        if value is None:
-            return ""
-        return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
-
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([[cell(value) for value in row] for row in rows])
-    return buffer.getvalue()

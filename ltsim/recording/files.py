@@ -175,7 +175,7 @@ def check_text(text: str, *, file: object, row: int | None = None, column: str |
 
 
 def write_texts(folder: Path, texts: dict[str, str]) -> None:
-    """Write files into `folder`: all to temporary siblings first, then each moved to its place.
+    """Write files into `folder` (a name may lead through a folder): all to temporary siblings first, then each moved.
 
     Raises
     ------
@@ -186,8 +186,10 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            handle, temporary = tempfile.mkstemp(prefix=f".{name}.", dir=folder)
-            waiting.append((temporary, folder / name))
+            place = folder / name
+            place.parent.mkdir(exist_ok=True)
+            handle, temporary = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
+            waiting.append((temporary, place))
             with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
                 stream.write(text)
             os.chmod(temporary, 0o644)

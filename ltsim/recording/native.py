@@ -239,12 +239,23 @@ def write_recording(recording: Recording, path: Path) -> None:
     """
     if path.exists() and not path.is_dir():
         raise RecordError("this is a file, expected a folder to write the recording to", file=path)
+    write_texts(path, recording_texts(recording, path))
+
+
+def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
+    """The files of a recording's folder, by name; `path` is named in errors.
+
+    Raises
+    ------
+    RecordError
+        When it holds names or values that could not be read back.
+    """
     rows, toml = table_of(recording), setup_to_toml(recording.setup)
     setup_from(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP)
     parse(rows, recording.setup, path)
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
-    write_texts(path, {OBSERVATIONS: stream.getvalue(), SETUP: toml})
+    return {OBSERVATIONS: stream.getvalue(), SETUP: toml}
 
 
 def table_of(recording: Recording) -> list[list[str]]:

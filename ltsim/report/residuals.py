@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,9 @@ from numpy.typing import NDArray
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.calibrate.schema import RESIDUALS
 from ltsim.errors import RecordError
+from ltsim.recording.files import shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.report.style import OBSERVABLE_UNIT
 from ltsim.scene.sightings import Sightings
@@ -21,7 +22,6 @@ from ltsim.units import DEGREE, FACTOR
 Names = NDArray[np.str_]
 
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
-COLUMNS = ("row", "station", "target", "observable", "residual", "unit", "redundancy", "w")
 
 
 @dataclass(frozen=True)
@@ -92,23 +92,24 @@ class Residuals:
         RecordError
             When a column is missing or a field is no number.
         """
-        with file.open(newline="", encoding="utf-8") as stream:
-            reader = csv.DictReader(stream)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise RecordError(f"there is no column {missing[0]}; the header needs {', '.join(COLUMNS)}", file=file)
-            rows = list(reader)
-        parsed = [_row(record, number, file) for number, record in enumerate(rows, start=1)]
-        row, observable, residual, w, redundancy = np.array(parsed, dtype=np.float64).reshape(-1, 5).T
+        names, values = RESIDUALS.read(file)
+        for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
+            wrong = next((i for i, name in enumerate(names[column]) if name not in known), None)
+            if wrong is not None:
+                message = f"'{shown(names[column][wrong])}' is none of {', '.join(known)}"
+                raise RecordError(message, file=file, row=wrong + 1, column=column)
+        scale = [
+            FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names["observable"], names["unit"], strict=True)
+        ]
         return cls(
-            row=row.astype(np.int64),
-            station=np.array([r["station"] for r in rows], dtype=np.str_),
-            target=np.array([r["target"] for r in rows], dtype=np.str_),
-            observable=observable.astype(np.int64),
-            residual=residual,
-            w=w,
-            redundancy=redundancy,
-            covariates={"row": row},
+            row=values["row"].astype(np.int64),
+            station=np.array(names["station"], dtype=np.str_),
+            target=np.array(names["target"], dtype=np.str_),
+            observable=np.array([OBSERVABLES.index(name) for name in names["observable"]], dtype=np.int64),
+            residual=values["residual"] * np.array(scale),
+            w=values["w"],
+            redundancy=values["redundancy"],
+            covariates={"row": values["row"]},
         )
 
     def with_covariates(self, other: Residuals) -> Residuals:
@@ -122,25 +123,6 @@ class Residuals:
         return Residuals(
             self.row, self.station, self.target, self.observable, self.residual, self.w, self.redundancy, found
         )
-
-
-def _row(record: Mapping[str, str | None], number: int, file: Path) -> tuple[float, ...]:
-    """Row, observable, residual [shown unit], w, redundancy of one line."""
-    name = record["observable"] or ""
-    if name not in OBSERVABLES:
-        raise RecordError(f"'{name}' is none of {', '.join(OBSERVABLES)}", file=file, row=number, column="observable")
-    unit = record["unit"] or ""
-    if unit not in FACTOR:
-        raise RecordError(f"the unit '{unit}' is unknown", file=file, row=number, column="unit")
-    values = []
-    for column in ("row", "residual", "w", "redundancy"):
-        try:
-            values.append(float(record[column] or "nan"))
-        except ValueError as error:
-            raise RecordError(f"'{record[column]}' is no number", file=file, row=number, column=column) from error
-    row, residual, w, redundancy = values
-    shown = residual * FACTOR[unit] / FACTOR[OBSERVABLE_UNIT[name]]
-    return row, float(OBSERVABLES.index(name)), shown, w, redundancy
 
 
 def _geometry(sightings: Sightings, rows: Ints) -> dict[str, Floats]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -23,7 +23,7 @@ from ltsim.recording.setup import Finite, Section, Vector
 from ltsim.simulate.physics import effect_from, shape_of
 from ltsim.units import FACTOR, MILLIMETRE
 
-FORMAT = "ltsim-truth/1"
+Format = Literal["ltsim-truth/1"]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Truth(Shown):
     def to_json(self) -> dict[str, Any]:
         """The contents of a truth file."""
         content: dict[str, Any] = {
-            "format": FORMAT,
+            "format": get_args(Format)[0],
             "title": self.title,
             "seed": self.seed,
             "construction": self.construction,
@@ -138,9 +138,9 @@ class Truth(Shown):
             One sentence: what was found, what would be right.
         """
         try:
-            table = _File.model_validate_json(json.dumps(content), strict=True)
+            table = TruthFile.model_validate_json(json.dumps(content), strict=True)
         except ValidationError as problem:
-            raise RecordError(sentence(problem.errors()[0], _File), file=file) from None
+            raise RecordError(sentence(problem.errors()[0], TruthFile), file=file) from None
         unknown = {p.unit for p in table.parameters} - set(FACTOR)
         if unknown:
             raise RecordError(f"'{unknown.pop()}' is no unit, expected one of {', '.join(FACTOR)}", file=file)
@@ -188,8 +188,10 @@ class _Pose(_Point):
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
 
 
-class _File(Section):
-    format: Literal["ltsim-truth/1"]
+class TruthFile(Section):
+    """The whole file."""
+
+    format: Format
     title: str = ""
     seed: int = 0
     construction: str

@@ -78,7 +78,7 @@ def test_read_back_is_the_same(calibration, tmp_path: Path) -> None:
             r"'beam-tlt' is none of construction misalignment; did you mean beam-tilt\?",
         ),
         (lambda c: c["parameters"][0].update(name="???"), "none of construction misalignment: those are range-offset"),
-        (lambda c: c["parameters"].append(c["parameters"][0]), "stands there twice"),
+        (lambda c: c["parameters"].__setitem__(1, c["parameters"][0]), "stands there twice"),
         (lambda c: c["parameters"][0].update(unit="furlong"), "unknown unit 'furlong'"),
         (lambda c: c["parameters"][0].update(value="much"), "parameters.0.value"),
         (lambda c: c["covariance"].pop(), "not a square of 16 x 16"),

@@ -9,7 +9,8 @@ from scipy import stats
 
 from ltsim.calibrate import Calibration, calibrate_network, write_calibration
 from ltsim.calibrate.calibration import Fit
-from ltsim.calibrate.history import History, history_json
+from ltsim.calibrate.files import history_file
+from ltsim.calibrate.history import History
 from ltsim.cli.main import run
 from ltsim.errors import RecordError
 from ltsim.evaluate.two_face import compare_two_face, two_face
@@ -105,7 +106,7 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
 def test_json_holds_every_test_in_the_units_of_a_person():
     rng = stream(5, "json")
     history = History.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
-    content = json.loads(json.dumps(history_json(history), allow_nan=False))
+    content = json.loads(history_file(history).text())
     assert content["format"] == "ltsim-history/1"
     assert [c["label"] for c in content["calibrations"]] == ["c0", "c1", "c2"]
     k = 4

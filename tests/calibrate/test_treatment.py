@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.calibrate import adjust_network, calibrate_distance, calibrate_network, correct, write_calibration
-from ltsim.calibrate.files import calibration_json
+from ltsim.calibrate.files import calibration_file
 from ltsim.calibrate.result import gross_rows
 from ltsim.errors import ModelError, NetworkError
 from ltsim.recording import Hints, read
@@ -45,7 +45,7 @@ def test_robust_leaves_out_what_does_not_belong_and_says_so(spoiled, tmp_path: P
 
 def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     found = calibrate_network(spoiled, advise=False, robust=True, noise_from_data=True)
-    rows = {n["observable"]: n for n in calibration_json(found)["noise"]}
+    rows = {n["observable"]: n for n in calibration_file(found).content()["noise"]}
     assert list(rows) == ["distance", "azimuth", "elevation"]
     for name, truth in (("distance", 2.0), ("azimuth", 1.0), ("elevation", 1.0)):
         assert abs(rows[name]["factor"] - truth) < 3.5 * rows[name]["factor_sigma"]
@@ -54,7 +54,7 @@ def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     assert rows["distance"]["unit"] == "mm"
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.03)
     plain = calibrate_network(spoiled, advise=False)
-    assert calibration_json(plain)["noise"] == []
+    assert calibration_file(plain).noise == ()
 
 
 def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
@@ -65,7 +65,7 @@ def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
     found = adjust_network(recording.with_readings(readings), noise_from_data=True)
     assert not found.noise_estimated
     assert any(np.isinf(n.factor_sigma) for n in found.noise)
-    content = calibration_json(found)
+    content = calibration_file(found).content()
     assert content["noise_estimated"] is False
     assert None in [n["factor_sigma"] for n in content["noise"]]
     assert content["verdict"]["sentence"]
@@ -73,12 +73,12 @@ def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
 
 def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     recording = make(np.zeros(16), faces=(1, 2))
-    clean = calibration_json(calibrate_network(recording, advise=False))["verdict"]
+    clean = calibration_file(calibrate_network(recording, advise=False)).content()["verdict"]
     assert clean["case"] == "clean"
     readings = recording.readings.copy()
     readings[16, 0] += 30e-6
     one = calibrate_network(recording.with_readings(readings), advise=False)
-    said = calibration_json(one)["verdict"]
+    said = calibration_file(one).content()["verdict"]
     assert said["case"] == "single errors the sum hides"
     assert said["sentence"].startswith("Trust the test of single readings: one reading is out of place although")
     assert one.fit.p_value > 0.01
@@ -87,7 +87,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     wide = noise.model_copy(update={k: 3 * v for k, v in noise.model_dump().items()})
     instrument = recording.setup.instrument.model_copy(update={"noise": wide})
     setup = recording.setup.model_copy(update={"instrument": instrument})
-    said = calibration_json(calibrate_network(quiet.replace(setup=setup), advise=False))["verdict"]
+    said = calibration_file(calibrate_network(quiet.replace(setup=setup), advise=False)).content()["verdict"]
     assert said["case"] == "smaller noise"
     assert said["scale_by_sigma0"] is True
 

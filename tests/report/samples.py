@@ -12,11 +12,11 @@ import pyarrow as pa
 from pyarrow import parquet as pq
 
 from ltsim.adjust.adjustment import Adjustment, adjust
-from ltsim.calibrate import calibrate_network, write_calibration
-from ltsim.calibrate.files import residuals_csv
-from ltsim.calibrate.history import History, history_json
+from ltsim.calibrate import Calibration, calibrate_network, write_calibration
+from ltsim.calibrate.files import history_file, residuals_csv
+from ltsim.calibrate.history import History
 from ltsim.model.construction import misalignment
-from ltsim.plan.files import next_json
+from ltsim.plan.files import next_file
 from ltsim.plan.next_measurement import next_measurement
 from ltsim.randomness import stream
 from ltsim.recording import write
@@ -49,9 +49,14 @@ def after() -> Adjustment:
     return adjust(recording(), misalignment())
 
 
+@cache
+def _calibrated() -> Calibration:
+    return calibrate_network(recording())
+
+
 def calibration_folder(folder: Path) -> Path:
     """A folder as `ltsim calibrate` leaves it, the recording in `recording/` beside it."""
-    write_calibration(calibrate_network(recording()), folder / "calibration")
+    write_calibration(_calibrated(), folder / "calibration")
     write(recording(), folder / "recording")
     return folder / "calibration"
 
@@ -158,15 +163,20 @@ def plan_folder(folder: Path) -> Path:
     return folder
 
 
-def history_folder(folder: Path) -> Path:
-    """A folder as `ltsim history` leaves it: three calibrations, the instrument changed before the last."""
+@cache
+def _history() -> History:
     named = []
     for number, label in enumerate(("tracker_jan", "tracker_may", "tracker_sep")):
         values = drawn(misalignment(), 7 if number < 2 else 8)
         made, _ = network(faces=2, seed=1 + number, values=values)
         named.append((label, calibrate_network(made, advise=False)))
+    return History.of(named)
+
+
+def history_folder(folder: Path) -> Path:
+    """A folder as `ltsim history` leaves it: three calibrations, the instrument changed before the last."""
     folder.mkdir(parents=True)
-    (folder / "history.json").write_text(json.dumps(history_json(History.of(named)), indent=1))
+    (folder / "history.json").write_text(history_file(_history()).text())
     return folder
 
 
@@ -174,5 +184,5 @@ def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
     """A folder as `ltsim plan --after` leaves it."""
     made = next_measurement(recording(), between=between)
     folder.mkdir(parents=True)
-    (folder / "next.json").write_text(json.dumps(next_json(made, "The recording agrees with the model.")))
+    (folder / "next.json").write_text(next_file(made, "The recording agrees with the model.").text())
     return folder

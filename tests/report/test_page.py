@@ -137,7 +137,7 @@ def test_page_is_the_same_twice(folder: Path, contents: dict[str, Document]) -> 
         ("diagnosis.json", "{", "not JSON"),
         ("diagnosis.json", '{"format": "ltsim-diagnosis/9"}', "ltsim-diagnosis/1"),
         ("diagnosis.json", '{"format": "ltsim-diagnosis/1"}', "verdict"),
-        ("calibration.json", '{"format": "ltsim-calibration/1"}', "fit"),
+        ("calibration.json", '{"format": "ltsim-calibration/1"}', "construction"),
         ("calibration.json", "[1]", "no JSON object"),
         ("observations.csv", "station,target\n", "observations.csv"),
     ],

@@ -9,11 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
+from ltsim.calibrate.files import read_targets
+from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.evaluate.schema import SpreadEntry
 from ltsim.recording import Recording, Setup
+from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Fact, Note, Section, Table, mood, picture
-from ltsim.report.files import CalibrationFile, Spread, read_json, read_targets
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.network import residual_blocks, station_table, target_table, workshop_blocks
 from ltsim.report.sections.recording import adjusted
@@ -21,7 +24,8 @@ from ltsim.report.words import agreement, count, p_text
 from ltsim.report.workshop import Sights, Workshop, assemble
 from ltsim.units import MILLIMETRE
 
-FORMAT = "ltsim-calibration/1"
+SETTLED = ("", "converged", "not stated")
+"""How a fit may have ended that nobody need worry about."""
 
 
 def calibration_section(folder: Path, recording: Recording | None = None, *, detail: Detail = "turn") -> Section:
@@ -34,14 +38,15 @@ def calibration_section(folder: Path, recording: Recording | None = None, *, det
     RecordError
         When a file is malformed.
     """
-    content = read_json(folder / "calibration.json", CalibrationFile, FORMAT)
+    content = read_result(folder, CalibrationFile)
+    check_source(content, recording, folder)
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     words = (
         "the noise was estimated from the same readings, which leaves nothing to test"
         if content.noise_estimated
         else words
     )
-    converged = content.fit.status in ("", "converged")
+    converged = content.fit.status in SETTLED
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
@@ -94,7 +99,7 @@ def _answer(content: CalibrationFile, agreement_words: str) -> str:
     return begin + "."
 
 
-def _size(spread: Spread) -> str:
+def _size(spread: SpreadEntry) -> str:
     """A mean deviation [um]."""
     return "–" if spread.mean_um is None else style.number(spread.mean_um)
 
@@ -108,7 +113,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
         Fact("degrees of freedom", str(fit.dof)),
         Fact("construction", content.construction or "–"),
         Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),
-        Fact("status", fit.status or "–", "good" if fit.status in ("", "converged") else "bad"),
+        Fact("status", fit.status or "–", "good" if fit.status in SETTLED else "bad"),
     ]
 
 
@@ -144,7 +149,7 @@ def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:
     """Rows for the figure."""
     return [
         figures.ParameterRow(
-            f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma, p.unit, p.prior_sigma
+            f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma or 0.0, p.unit, p.prior_sigma
         )
         for p in content.parameters
     ]
@@ -216,18 +221,18 @@ def _criteria(content: CalibrationFile) -> list[Block]:
 def _network(folder: Path, content: CalibrationFile, recording: Recording | None, *, detail: Detail) -> list[Block]:
     """Residuals, floor plan, 3D view, stations and targets, as far as the files are there."""
     blocks: list[Block] = []
-    before, geometry = residuals_before(folder, recording)
-    file = folder / "residuals.csv"
-    after = Residuals.read(file) if file.is_file() else None
+    before, geometry = residuals_before(None, recording)
+    file = companion(folder, RESIDUALS.file, content)
+    after = Residuals.read(file) if file else None
     if after is not None and geometry is not None:
         after = after.with_covariates(geometry)
-    targets = folder / "targets.csv"
-    if targets.is_file() and content.stations:
+    targets = companion(folder, TARGETS.file, content)
+    if targets and content.stations:
         names, points, sigma = read_targets(targets)
         workshop = workshop_of(content, recording, names, points, sigma, after)
         blocks += workshop_blocks(workshop, detail=detail)
         position = np.array([s.position_mm for s in content.stations]) * MILLIMETRE
-        spread = [s.sigma_position_mm or (np.nan,) * 3 for s in content.stations]
+        spread = [[np.nan if v is None else v for v in s.sigma_position_mm or (None,) * 3] for s in content.stations]
         frame = f"Coordinates are in {content.frame or 'the frame of the first station'}."
         tables = [
             station_table(tuple(s.name for s in content.stations), position, np.array(spread) * MILLIMETRE, note=frame),
@@ -240,19 +245,18 @@ def _network(folder: Path, content: CalibrationFile, recording: Recording | None
     return blocks + tables
 
 
-def residuals_before(folder: Path, recording: Recording | None) -> tuple[Residuals | None, Residuals | None]:
-    """Residuals without parameters (from `residuals_before.csv`, else computed), and rows with covariates."""
+def residuals_before(stored: Path | None, recording: Recording | None) -> tuple[Residuals | None, Residuals | None]:
+    """Residuals without parameters (from a `stored` table, else computed), and rows with covariates."""
     plain = None
     if recording is not None:
         try:
             plain = Residuals.from_adjustment(adjusted(recording)[0])
         except (NetworkError, ConvergenceError):
             plain = None
-    file = folder / "residuals_before.csv"
-    if file.is_file():
-        stored = Residuals.read(file)
-        return (stored.with_covariates(plain) if plain else stored), plain
-    return plain, plain
+    if stored is None:
+        return plain, plain
+    before = Residuals.read(stored)
+    return (before.with_covariates(plain) if plain else before), plain
 
 
 def workshop_of(

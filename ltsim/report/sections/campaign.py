@@ -6,11 +6,11 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.campaign.schema import ManifestFile
 from ltsim.campaign.statistics import Checked, Results, Scores, Spread
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Fact, Listing, Section, Table, mood, picture
@@ -64,33 +64,33 @@ def campaign_section(folder: Path) -> Section:
     blocks += _distributions(results, spreads)
     blocks += _scores(results, scores)
     blocks += [_ends(results, ends), _statistics(results, spreads), *_score_table(results, scores)]
-    blocks.append(Listing("Settings of the campaign", json.dumps(manifest.get("settings", {}), indent=1)))
-    blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.get("scenarios", []), indent=1)))
+    blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
+    blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.scenarios, indent=1)))
     failed = sum(end.failed for end in ends)
-    versions = [(name, str(version)) for name, version in manifest.get("versions", {}).items()]
-    if manifest.get("commit"):
-        versions.append(("commit", str(manifest["commit"])[:12]))
+    versions = list(manifest.versions.items())
+    if manifest.commit:
+        versions.append(("commit", manifest.commit[:12]))
     return Section(
-        title=str(manifest.get("title") or folder.name),
+        title=manifest.title or folder.name,
         kind="Campaign",
         answer=_answer(manifest, spreads),
         mood=mood(not failed),
         facts=_facts(manifest, ends, scores),
         blocks=blocks,
-        seed=str(manifest.get("seed", "")),
+        seed=str(manifest.seed),
         versions=versions,
     )
 
 
-def _answer(manifest: Mapping[str, Any], spreads: Mapping[str, list[Spread]]) -> str:
+def _answer(manifest: ManifestFile, spreads: Mapping[str, list[Spread]]) -> str:
     """The first sentence."""
-    trials, cells = int(manifest["trials"]), len(manifest["cells"])
+    trials, cells = manifest.trials, len(manifest.cells)
     size = f"Over {trials} trials" + (f" in each of {cells} settings" if cells > 1 else "")
     improved = spreads.get(IMPROVEMENT, [])
     if not improved:
-        return f"{size} with {', '.join(map(str, manifest['methods']))}."
+        return f"{size} with {', '.join(manifest.methods)}."
     said = []
-    for method in manifest["methods"]:
+    for method in manifest.methods:
         means = [s for s in improved if s.method == method]
         if len(means) == 1:
             half = 0.5 * (means[0].high - means[0].low)
@@ -101,14 +101,14 @@ def _answer(manifest: Mapping[str, Any], spreads: Mapping[str, list[Spread]]) ->
     return f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
 
 
-def _facts(manifest: Mapping[str, Any], ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
+def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
     """Figures at a glance."""
     failed = sum(end.failed for end in ends)
     checked = [end.largest_difference_sigma for end in ends if end.largest_difference_sigma is not None]
     facts = [
         Fact("trials", str(sum(end.trials for end in ends))),
-        Fact("settings", str(len(manifest["cells"]))),
-        Fact("methods", str(len(manifest["methods"]))),
+        Fact("settings", str(len(manifest.cells))),
+        Fact("methods", str(len(manifest.methods))),
         Fact("failed", str(failed), mood(not failed)),
     ]
     if checked:
@@ -121,7 +121,7 @@ def _facts(manifest: Mapping[str, Any], ends: Sequence[Checked], scores: Sequenc
 
 def _cell_names(results: Results) -> dict[int, str]:
     """What each cell is, without the settings that all cells share."""
-    parts = {int(c["cell"]): str(c["label"]).split(", ") for c in results.manifest["cells"]}
+    parts = {c.cell: c.label.split(", ") for c in results.manifest.cells}
     shared = set.intersection(*map(set, parts.values())) if len(parts) > 1 else set()
     own = {cell: ", ".join(p for p in words if p not in shared) for cell, words in parts.items()}
     return {cell: label or "as the scenario" for cell, label in own.items()}
@@ -129,7 +129,7 @@ def _cell_names(results: Results) -> dict[int, str]:
 
 def _published(results: Results) -> Mapping[str, float]:
     """The paper's figures for its own scenario."""
-    scenario = str(results.manifest.get("settings", {}).get("scenario", ""))
+    scenario = str(results.manifest.settings.get("scenario", ""))
     return PAPER.get(scenario, {})
 
 
@@ -154,7 +154,7 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]]) -> list
 def _distributions(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
     """Histograms of the criteria, cell by cell, for the file's first method."""
     published, names = _published(results), _cell_names(results)
-    method = str(results.manifest["methods"][0])
+    method = results.manifest.methods[0]
     wanted = [c for c in spreads if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     blocks: list[Block] = []

@@ -6,16 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.calibrate.files import read_targets
+from ltsim.calibrate.schema import RESIDUALS
+from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile, DiagnosisFit, FindingEntry, WhereEntry
 from ltsim.recording import Recording
+from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Fact, Note, Section, Table, mood, picture
-from ltsim.report.files import DiagnosisFile, FindingEntry, FitEntry, WhereEntry, read_json, read_targets
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.calibration import residuals_before
 from ltsim.report.sections.network import residual_blocks, target_table
 from ltsim.report.words import count, listing, p_text, typeset
 
-FORMAT = "ltsim-diagnosis/1"
 LEAST_UM = 0.1
 """What an effect hides below this [um] is no matter."""
 
@@ -30,15 +32,16 @@ def diagnosis_section(folder: Path, recording: Recording | None = None) -> Secti
     RecordError
         When a file is malformed.
     """
-    content = read_json(folder / "diagnosis.json", DiagnosisFile, FORMAT)
-    before, after = _residuals(folder, recording)
+    content = read_result(folder, DiagnosisFile)
+    check_source(content, recording, folder)
+    before, after = _residuals(folder, content, recording)
     blocks: list[Block] = []
     for number, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number, before, after)
     blocks += _fit(content)
     if after is not None:
         blocks += residual_blocks(after, before, what="the findings")
-    blocks += _limits(content) + _targets(folder)
+    blocks += _limits(content) + _targets(folder, content)
     title = (recording.setup.title if recording else "") or folder.name
     return Section(title, "Diagnosis", typeset(content.summary), mood(_good(content)), _facts(content), blocks)
 
@@ -67,18 +70,20 @@ def _good(content: DiagnosisFile) -> bool:
     return content.verdict == "consistent"
 
 
-def _ratio(fit: FitEntry) -> str:
-    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 else "–"
+def _ratio(fit: DiagnosisFit) -> str:
+    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else "–"
 
 
-def _residuals(folder: Path, recording: Recording | None) -> tuple[Residuals | None, Residuals | None]:
+def _residuals(
+    folder: Path, content: DiagnosisFile, recording: Recording | None
+) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings; covariates come from the recording's geometry."""
-    file = folder / "residuals.csv"
-    if not file.is_file():
+    file = companion(folder, RESIDUALS.file, content)
+    if file is None:
         return None, None
-    before, geometry = residuals_before(folder, recording)
+    stored = companion(folder, BEFORE.file, content)
+    before, geometry = residuals_before(stored, recording)
     after = Residuals.read(file)
-    stored = (folder / "residuals_before.csv").is_file()
     return (before if stored else None), (after.with_covariates(geometry) if geometry else after)
 
 
@@ -90,7 +95,9 @@ def _finding(finding: FindingEntry, number: int, before: Residuals | None, after
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {typeset(finding.formula)}." if finding.formula and new else ""
     blocks: list[Block] = [Note(f"Finding {number}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
-    rows = [[p.name, f"{style.with_sigma(p.value, p.sigma)} {style.unit_text(p.unit)}"] for p in finding.parameters]
+    rows = [
+        [p.name, f"{style.with_sigma(p.value, p.sigma or 0.0)} {style.unit_text(p.unit)}"] for p in finding.parameters
+    ]
     rows.append(["where", _place(finding.where)])
     evidence = finding.evidence
     if evidence.chi2_drop is not None:
@@ -160,7 +167,8 @@ def _fit(content: DiagnosisFile) -> list[Block]:
     rows = []
     for word, fit in (("without the findings", content.fit.before), ("with the findings", content.fit.after)):
         held = "–" if fit.held_out_rms is None else f"{fit.held_out_rms:.3f}"
-        rows.append([word, f"{fit.chi2:.1f}", str(fit.dof), _ratio(fit), held])
+        chi2 = "–" if fit.chi2 is None else f"{fit.chi2:.1f}"
+        rows.append([word, chi2, str(fit.dof), _ratio(fit), held])
     note = "Held-out error: normalised error of readings that the fit did not see; 1 is what the stated noise explains."
     header = ["", "χ²", "degrees of freedom", "ratio", "held-out error"]
     return [Table("Fit before and after", header, rows, note=note)]
@@ -175,17 +183,18 @@ def _limits(content: DiagnosisFile) -> list[Block]:
         blocks.append(Table("What this network cannot see", header, rows, text_columns=3))
     if content.detectable:
         rows = [
-            [d.effect, d.parameter, f"{style.number(d.size, 2)} {style.unit_text(d.unit)}"] for d in content.detectable
+            [d.effect, d.parameter, "–" if d.size is None else f"{style.number(d.size, 2)} {style.unit_text(d.unit)}"]
+            for d in content.detectable
         ]
         note = "Found in 80 % of recordings of this network if it is at least this large."
         blocks.append(Table("Smallest size that is found", ["effect", "parameter", "size"], rows, 2, note))
     return blocks
 
 
-def _targets(folder: Path) -> list[Block]:
+def _targets(folder: Path, content: DiagnosisFile) -> list[Block]:
     """Coordinates with the findings modelled."""
-    file = folder / "targets.csv"
-    if not file.is_file():
+    file = companion(folder, TARGETS.file, content)
+    if file is None:
         return []
     names, points, sigma = read_targets(file)
     return [target_table(names, points, sigma, note="Adjusted with the findings modelled.")]

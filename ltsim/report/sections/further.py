@@ -5,40 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import Field
-
+from ltsim.plan.schema import NextFile, ProposalEntry
+from ltsim.recording.result_file import read_result
 from ltsim.report import style
-from ltsim.report.document import Block, Fact, Mood, Note, Section, mood
-from ltsim.report.document import Table as TableBlock
-from ltsim.report.files import Table, read_json
+from ltsim.report.document import Block, Fact, Mood, Note, Section, Table, mood
 from ltsim.report.words import duration, listing
 
-FORMAT = "ltsim-next/1"
 SHOWN = 10
-
-
-class ProposalEntry(Table):
-    """One further measurement."""
-
-    do: str
-    kind: str = ""
-    minutes: float
-    sharper: float
-    serves: str = ""
-    serves_factor: float = 1.0
-    evidence: dict[str, float] = Field(default_factory=dict)
-    tells_apart: tuple[str, ...] = ()
-    decides: bool = False
-
-
-class NextFile(Table):
-    """`next.json`."""
-
-    format: str
-    diagnosis: str = ""
-    between: tuple[str, ...] = ()
-    evidence_now: dict[str, float] = Field(default_factory=dict)
-    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
 
 
 def next_section(folder: Path) -> Section:
@@ -49,7 +22,7 @@ def next_section(folder: Path) -> Section:
     RecordError
         When the file is malformed.
     """
-    content = read_json(folder / "next.json", NextFile, FORMAT)
+    content = read_result(folder, NextFile)
     best = content.proposals[0]
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", _percent(best.sharper))]
     if content.between:
@@ -91,7 +64,7 @@ def _answer(content: NextFile) -> str:
     )
 
 
-def _table(title: str, proposals: Sequence[ProposalEntry]) -> TableBlock:
+def _table(title: str, proposals: Sequence[ProposalEntry]) -> Table:
     """Some proposals."""
     rows = [
         [
@@ -101,10 +74,10 @@ def _table(title: str, proposals: Sequence[ProposalEntry]) -> TableBlock:
     ]  # fmt: skip
     header = ["do", "time [min]", "sharper by", "most for"]
     note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
-    return TableBlock(title, header, rows, 1, note)
+    return Table(title, header, rows, 1, note)
 
 
-def _evidence(content: NextFile) -> TableBlock:
+def _evidence(content: NextFile) -> Table:
     """Chi-square between the explanations, now and after each proposal."""
     rivals = content.between[1:]
     now = ["as it is now", *(style.fixed(content.evidence_now.get(name, 0.0), 1) for name in rivals), "–"]
@@ -115,4 +88,4 @@ def _evidence(content: NextFile) -> TableBlock:
     ]
     header = ["measurement", *(f"χ² against {name}" for name in rivals), "decides"]
     note = f"The larger, the more surely {content.between[0]} is told from it."
-    return TableBlock("What would decide", header, rows, 1, note)
+    return Table("What would decide", header, rows, 1, note)

@@ -5,71 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
 
+from ltsim.calibrate.schema import ChangeEntry, CourseEntry, HistoryFile
+from ltsim.recording.result_file import read_result
 from ltsim.report import style
-from ltsim.report.document import Block, Fact, Section, mood, picture
-from ltsim.report.document import Table as TableBlock
+from ltsim.report.document import Block, Fact, Section, Table, mood, picture
 from ltsim.report.figures.history import Course, history_figure, told_apart
-from ltsim.report.files import Table, read_json
 from ltsim.report.words import count, listing, p_text
 
-FORMAT = "ltsim-history/1"
 LEVEL = 0.01
-
-
-class Tested(Table):
-    """A chi-square test."""
-
-    chi2: float
-    dof: int
-    p_value: float
-
-
-class Change(Tested):
-    """From one calibration to another."""
-
-    from_: str = Field(alias="from")
-    to: str
-    changed: tuple[str, ...] = ()
-
-
-class ParameterCourse(Table):
-    """One parameter over the calibrations, in the unit a person reads."""
-
-    name: str
-    unit: str = ""
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
-    mean: float
-    spread: float
-    constant: Tested
-
-
-class FitOf(Table):
-    """The fit of one calibration."""
-
-    chi2: float
-    dof: int
-    sigma0: float | None = None
-
-
-class CalibrationOf(Table):
-    """One calibration."""
-
-    label: str
-    fit: FitOf
-
-
-class HistoryFile(Table):
-    """`history.json`."""
-
-    format: str
-    construction: str = ""
-    calibrations: tuple[CalibrationOf, ...]
-    parameters: tuple[ParameterCourse, ...] = ()
-    changes: tuple[Change, ...] = ()
-    since_first: Change
 
 
 def history_section(folder: Path) -> Section:
@@ -80,7 +24,7 @@ def history_section(folder: Path) -> Section:
     RecordError
         When the file is malformed.
     """
-    content = _shortened(read_json(folder / "history.json", HistoryFile, FORMAT))
+    content = _shortened(read_result(folder, HistoryFile))
     since = content.since_first
     changed = since.p_value < LEVEL
     facts = [
@@ -99,7 +43,7 @@ def _shortened(content: HistoryFile) -> HistoryFile:
     labels = [c.label for c in content.calibrations]
     short = dict(zip(labels, told_apart(labels), strict=True))
 
-    def renamed(change: Change) -> Change:
+    def renamed(change: ChangeEntry) -> ChangeEntry:
         ends = {"from_": short.get(change.from_, change.from_), "to": short.get(change.to, change.to)}
         return change.model_copy(update=ends)
 
@@ -130,7 +74,7 @@ def _p(p: float) -> str:
     return text if text.startswith("<") else f"= {text}"
 
 
-def _course(content: HistoryFile, known: list[ParameterCourse]) -> list[Block]:
+def _course(content: HistoryFile, known: list[CourseEntry]) -> list[Block]:
     """The figure."""
     if not known:
         return []
@@ -140,7 +84,7 @@ def _course(content: HistoryFile, known: list[ParameterCourse]) -> list[Block]:
     return [picture("Course of the parameters", history_figure(courses), text)]
 
 
-def _parameters(known: list[ParameterCourse]) -> TableBlock:
+def _parameters(known: list[CourseEntry]) -> Table:
     """Last value, mean, spread, test of constancy."""
     rows = [
         [
@@ -152,10 +96,10 @@ def _parameters(known: list[ParameterCourse]) -> TableBlock:
     marked = frozenset(i for i, p in enumerate(known) if p.constant.p_value < LEVEL)
     header = ["parameter", "unit", "last ± σ", "mean", "spread", "p constant"]
     note = "'p constant' is the chance of such differences if the parameter never moved; marked where under 1 %."
-    return TableBlock("Parameters", header, rows, 2, note, marked)
+    return Table("Parameters", header, rows, 2, note, marked)
 
 
-def _changes(content: HistoryFile) -> TableBlock:
+def _changes(content: HistoryFile) -> Table:
     """From each calibration to the next, and from the first to the last."""
     every = [*content.changes, content.since_first] if len(content.changes) > 1 else [content.since_first]
     rows = [
@@ -167,14 +111,14 @@ def _changes(content: HistoryFile) -> TableBlock:
     ]  # fmt: skip
     header = ["from", "to", "above all", "χ² / parameters", "p"]
     marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
-    return TableBlock("Has it changed?", header, rows, 3, "Marked where no change is under 1 %.", marked)
+    return Table("Has it changed?", header, rows, 3, "Marked where no change is under 1 %.", marked)
 
 
-def _fits(content: HistoryFile) -> TableBlock:
+def _fits(content: HistoryFile) -> Table:
     """How well each calibration fitted: a bad one makes changes look certain."""
     rows = [
         [c.label, f"{c.fit.chi2:.1f}", str(c.fit.dof), "–" if c.fit.sigma0 is None else f"{c.fit.sigma0:.3f}"]
         for c in content.calibrations
     ]
     note = "Where sigma0 is far above 1 the sigmas of that calibration are too small, and changes look too certain."
-    return TableBlock("Fits of the calibrations", ["calibration", "χ²", "degrees of freedom", "sigma0"], rows, 1, note)
+    return Table("Fits of the calibrations", ["calibration", "χ²", "degrees of freedom", "sigma0"], rows, 1, note)

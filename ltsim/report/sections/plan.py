@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.plan.schema import LayoutEntry, OptionEntry, PlanResult
+from ltsim.recording.result_file import companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Fact, Listing, Points, Section, Table, mood, picture
-from ltsim.report.files import read_json
-from ltsim.report.plan_file import LayoutEntry, OptionEntry, PlanResult
 from ltsim.report.planned import from_scenario
 from ltsim.report.sections.network import scene
 from ltsim.report.words import count, duration
@@ -18,7 +18,6 @@ from ltsim.simulate.scenario import load_scenario
 from ltsim.simulate.workshop import planned, visibility_of
 from ltsim.units import MILLIMETRE
 
-FORMAT = "ltsim-plan-result/1"
 QUALITY = {
     "instrument": ("instrument: σ / prior σ", 1.0),
     "targets": ("targets: rms σ [µm]", 1e6),
@@ -34,7 +33,7 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     RecordError, SetupError
         When a file is malformed.
     """
-    content = read_json(folder / "plan.json", PlanResult, FORMAT)
+    content = read_result(folder, PlanResult)
     blocks: list[Block] = [_stations(content)]
     blocks += _pictures(folder, content, detail)
     if content.reasons:
@@ -42,8 +41,8 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     blocks += _curve(content) + _parameters(content) + _expected(content) + _undetermined(content)
     blocks += _effects(content)
     if content.reflectors:
-        rows = [[r.name, *(style.fixed(v, 1) for v in r.position_mm), style.number(r.sigma_um, 2),
-                 str(r.stations_seeing)] for r in content.reflectors]  # fmt: skip
+        rows = [[r.name, *(style.fixed(v, 1) for v in r.position_mm), _size(r.sigma_um), str(r.stations_seeing)]
+                for r in content.reflectors]  # fmt: skip
         header = ["reflector", "x [mm]", "y [mm]", "z [mm]", "σ [µm]", "seen by stations"]
         blocks.append(Table("Reflectors", header, rows))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
@@ -75,7 +74,7 @@ def _stations(content: PlanResult) -> Table:
     """Where the tripods go."""
     rows = [
         [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
-         " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
+         " ".join(map(_size, s.sigma_position_um)), str(s.reflectors_seen)]
         for s in content.stations
     ]  # fmt: skip
     header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero looks to [°]", "σ x y z [µm]", "reflectors seen"]
@@ -83,10 +82,14 @@ def _stations(content: PlanResult) -> Table:
     return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
 
 
+def _size(sigma: float | None) -> str:
+    return "–" if sigma is None else style.number(sigma, 2)
+
+
 def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
     """Floor plan, 3D view and who sees whom, from the plan's own scenario."""
-    file = folder / "scenario.toml"
-    if not file.is_file():
+    file = companion(folder, "scenario.toml", content)
+    if file is None:
         return []
     scenario = load_scenario(file)
     workshop = from_scenario(scenario)

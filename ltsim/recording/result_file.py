@@ -1,0 +1,192 @@
+"""Result files: JSON with one pydantic model a file, which its writer fills and every reader checks against.
+
+The JSON file holds a digest of each file that was written beside it, and of the recording behind it: tables of one
+run never stand under the title of another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
+
+from ltsim.errors import RecordError
+from ltsim.recording.files import read_bytes, read_text, shown, write_texts
+from ltsim.recording.recording import Recording
+
+STEP = 1e-6
+"""[m, rad] to which readings are rounded in a digest: writing and reading a recording keeps it."""
+OFFSET = 1.0 / np.pi
+"""Of the rounding, in steps: decimal readings lie off its limits."""
+
+
+def _known(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Finite = FiniteFloat
+Known = Annotated[FiniteFloat | None, BeforeValidator(_known)]
+"""A number, or null where there is none: JSON has neither NaN nor infinities."""
+Vector = tuple[Finite, Finite, Finite]
+
+
+class Entry(BaseModel):
+    """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
+
+
+class SourceEntry(Entry):
+    """The recording behind a result.
+
+    `digest` is that of `digest_of`; the title is for the reader.
+    """
+
+    title: str = ""
+    pointings: int
+    digest: str
+
+    @classmethod
+    def of(cls, recording: Recording) -> SourceEntry:
+        """What a result says of its recording."""
+        return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording))
+
+
+class ResultFile(Entry):
+    """A whole file; a model of it says its `FILE` and its `format`."""
+
+    FILE: ClassVar[str]
+    format: str
+    recording: SourceEntry | None = Field(default=None, description="The recording behind the result.")
+    files: dict[str, str] = Field(default_factory=dict, description="Digest (SHA-256) of each file written beside.")
+
+    def content(self) -> dict[str, Any]:
+        """What the file says: its format and the fields that were filled in, as JSON has them."""
+        said = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        last = {name: value for name in ("recording", "files") if (value := said.pop(name, None))}
+        return {"format": self.format} | said | last
+
+    def text(self) -> str:
+        """The text of the file."""
+        return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
+
+    def owns(self, folder: Path, name: str) -> bool:
+        """Whether a file in the result's folder is the one that was written with it; raises RecordError."""
+        return self.files.get(name) == _digest(read_bytes(folder / name))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def digest_of(recording: Recording) -> str:
+    """A number of who sighted what in which face, and of the readings to a micrometre and a microradian."""
+    readings = recording.readings
+    steps = np.floor(np.nan_to_num(readings) / STEP + OFFSET).astype("<i8")
+    whole = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
+    names = [
+        f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"
+        for s, t, face in zip(recording.station, recording.target, recording.face, strict=True)
+    ]
+    return _digest("\n".join(names).encode() + whole.tobytes())
+
+
+File = TypeVar("File", bound=ResultFile)
+
+
+def write_result(folder: Path, result: File, beside: Mapping[str, str]) -> File:
+    """Write a result and the files beside it; give the result with their digests, as it was written.
+
+    Raises
+    ------
+    RecordError
+        When the folder cannot be written to; nothing half-written stays behind.
+    """
+    digests = {name: _digest(text.encode()) for name, text in beside.items()}
+    written = result.model_copy(update={"files": digests})
+    write_texts(folder, {**beside, result.FILE: written.text()})
+    return written
+
+
+def read_result(path: Path, model: type[File]) -> File:
+    """A result file (or that of a folder), checked against its model.
+
+    Raises
+    ------
+    RecordError
+        One sentence: which key, what is wrong with it.
+    """
+    file = path / model.FILE if path.is_dir() else path
+    content = read_json(file, model.FILE)
+    found = content.get("format")
+    expected = model.model_fields["format"].default
+    if found != expected:
+        raise RecordError(f"format is '{shown(str(found))}', expected '{expected}'", file=file)
+    try:
+        return model.model_validate(content)
+    except ValidationError as problem:
+        error = problem.errors()[0]
+        key = "".join(f"{part}." for part in error["loc"])[:-1]
+        wrong = shown(error["msg"].removeprefix("Value error, "), 120)
+        raise RecordError(f"{shown(key, 100)}: {wrong}" if key else wrong, file=file) from None
+
+
+def read_json(file: Path, kind: str) -> dict[str, Any]:
+    """The object in a JSON file; `kind` is what the file should be.
+
+    Raises
+    ------
+    RecordError
+        When it holds something else, or a number that is not finite.
+    """
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not math.isfinite(value):
+            raise RecordError(f"holds the number {shown(text)}, expected finite ones", file=file)
+        return value
+
+    try:
+        content = json.loads(read_text(file), parse_float=number, parse_constant=number)
+    except (json.JSONDecodeError, RecursionError):
+        raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
+    if not isinstance(content, dict):
+        raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
+    return content
+
+
+def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
+    """The file `name` beside a result; None where there is none.
+
+    Raises
+    ------
+    RecordError
+        When it was not written together with the result.
+    """
+    file = folder / name
+    if not file.is_file():
+        return None
+    if result.files and not result.owns(folder, name):
+        raise RecordError(
+            f"does not belong to the {result.FILE} beside it, or was changed since; run the command again", file=file
+        )
+    return file
+
+
+def check_source(result: ResultFile, recording: Recording | None, folder: Path) -> None:
+    """Raise RecordError where a recording is not the one behind a result."""
+    said = result.recording
+    if recording is None or said is None or said.digest == digest_of(recording):
+        return
+    title = f"'{shown(said.title)}', " if said.title else ""
+    raise RecordError(
+        f"is the result of another recording ({title}{said.pointings} pointings) than the one given "
+        f"({len(recording)} pointings)",
+        file=folder / result.FILE,
+    )
