@@ -1,4 +1,4 @@
-"""A small network for tests: the reference workshop of physics.md section 1, built without the simulator."""
+"""A small network for tests: the reference workshop (a reconstruction of the paper's), built without the simulator."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from ltsim.solve.blocks import Factor, SingularSystemError
 from ltsim.solve.robust import median_deviation
 
 LARGEST_ERROR = 1e-3
-"""[m] what no tracker error of a plausible size reaches at workshop range (physics.md section 2.2)."""
+"""[m] what no tracker error of a plausible size reaches at workshop range."""
 WORKSHOP = 10.0
 """[m] range up to which that holds; beyond, errors of the angles grow with the range."""
 FACTOR = 30.0

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import inspect
-import sys
+import textwrap
 from typing import Annotated, Any
 
 import typer
 
 from ltsim.cli.options import Json, Quiet
 from ltsim.cli.terminal import Terminal, table
-from ltsim.effects import CATALOGUE, Effect, find_effect
+from ltsim.effects import CATALOGUE, Effect, card_of, find_effect
+from ltsim.effects.catalogue import SHIPPED
 from ltsim.effects.effect import ShapeParameter
 from ltsim.units import FACTOR
 
 Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="One effect; without it all are listed.")]
 
+WIDTH, INDENT = 110, 13
+CONVENTIONS = (
+    "Delta is truth - reading. az counts counter-clockwise, el from the horizontal plane, d is the range; f is +1 on\n"
+    "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. Two numbers, as in\n"
+    "0.46 / 0.95, are correlations of the residuals in the reference workshop in one face and in two."
+)
+
 
 def effects(name: Name = None, quiet: Quiet = False, as_json: Json = False) -> None:
     """List the physical effects that can be simulated, calibrated and diagnosed, or print the card of one.
+
+    What installed packages add is listed last, with the package it comes from.
 
     Example: ltsim effects station-settling
     """
@@ -29,26 +39,39 @@ def effects(name: Name = None, quiet: Quiet = False, as_json: Json = False) -> N
         terminal.say(card(effect))
         return
     terminal.answer([entry(effect) for effect in CATALOGUE])
-    rows = [[effect.name, str(effect.number), first_line(effect)] for effect in CATALOGUE]
-    terminal.say(table(["effect", "no.", "what it is"], rows, left=3))
-    terminal.say(f"\n{len(rows)} effects; numbers as in the physics catalogue. The card of one: ltsim effects NAME")
+    group = ""
+    rows = [[effect.name, _about(effect)] for effect in CATALOGUE]
+    width = max(len(name) for name, _ in rows)
+    for (name, about), listed in zip(rows, CATALOGUE.entries.values(), strict=True):
+        if listed.group != group:
+            group = listed.group
+            terminal.say(f"\n{group}" if name != rows[0][0] else group)
+        terminal.say(f"  {name:<{width}}  {about}" + (f" [{listed.origin}]" if listed.origin != SHIPPED else ""))
+    terminal.say(f"\n{len(rows)} effects. The card of one: ltsim effects NAME")
 
 
-def first_line(effect: type[Effect]) -> str:
-    """What the effect is, in a sentence."""
-    return (inspect.getdoc(effect) or "").splitlines()[0]
+def _about(effect: type[Effect]) -> str:
+    """An effect and its cause, in a line."""
+    card = card_of(effect)
+    return f"{card.title}: {card.cause}"
 
 
 def entry(effect: type[Effect]) -> dict[str, Any]:
     """The card of an effect for a program."""
+    listed, about = CATALOGUE.entries[effect.name], card_of(effect)
     return {
         "name": effect.name,
-        "number": effect.number,
+        "group": listed.group,
+        "origin": listed.origin,
+        "title": about.title,
+        "cause": about.cause,
+        "law": about.law,
+        **{name.lower().replace(" ", "_"): text for name, text in about.parts()},
         "stage": effect.stage.name.lower(),
         "scope": effect.scope,
         "observables": list(effect.observables),
         "covariates": list(effect.covariates),
-        "meaning": first_line(effect),
+        "meaning": inspect.cleandoc(effect.__doc__ or "").partition("\n")[0],
         "parameters": [
             {"name": p.name, "unit": p.unit, "meaning": p.meaning, "plausible_size": p.prior_sigma / p.factor}
             for p in effect.parameters
@@ -66,17 +89,19 @@ def _shown(value: float, shape: ShapeParameter) -> float:
 
 def card(effect: type[Effect]) -> str:
     """The card of an effect for a person."""
-    about = inspect.getdoc(sys.modules[effect.__module__]) or ""
-    lines = [f"{effect.name} ({effect.number})", "", about, ""]
-    lines.append(f"acts on       {', '.join(effect.observables)}")
-    lines.append(f"scope         {effect.scope}")
-    lines.append(f"stage         {effect.stage.name.lower()}")
-    if effect.covariates:
-        lines.append(f"depends on    {', '.join(effect.covariates)}")
+    about, listed = card_of(effect), CATALOGUE.entries[effect.name]
+    lines = [f"{effect.name}: {about.title} ({listed.group})", "", f"{about.cause[0].upper()}{about.cause[1:]}."]
+    lines += ["", about.law, ""]
+    told = [*about.parts(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
+    told += [("Stage", effect.stage.name.lower())]
+    told += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
+    told += [("Comes from", listed.origin)] if listed.origin != SHIPPED else []
+    for name, text in told:
+        lines += textwrap.wrap(f"{name:<{INDENT}}{text}", WIDTH, subsequent_indent=" " * INDENT, break_on_hyphens=False)
     if effect.parameters:
         rows = [[p.name, f"{p.prior_sigma / p.factor:.3g}", p.unit, p.meaning] for p in effect.parameters]
         lines += ["", table(["parameter", "plausible size", "unit", "meaning"], rows, left=4)]
     if effect.shape:
         rows = [[s.name, f"{_shown(s.low, s):.4g} to {_shown(s.high, s):.4g}", s.unit, s.meaning] for s in effect.shape]
         lines += ["", table(["constant", "searched", "unit", "meaning"], rows, left=4)]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", CONVENTIONS])

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.diagnose.diagnosis import Estimate, Finding, Fit, Where
-from ltsim.effects import find_effect
-from ltsim.effects.effect import card_line
+from ltsim.effects import card_of, find_effect
 
 MOST_NAMED = 4
 LIKELY = 0.5
@@ -86,11 +85,11 @@ def finding_sentence(
         law = f"; what fits: {formula}" if formula else ""
         at = f" {place(where)}" if where.stations or where.targets or where.observables else ""
         return f"Physics outside the catalogue{at}{on}{law}."
-    title, cause = card_line(find_effect(effect))
+    card = card_of(find_effect(effect))
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
-    told = "; ".join(part for part in (cause, estimates(parameters)) if part)
+    told = "; ".join(part for part in (card.cause, estimates(parameters)) if part)
     at = place(where).removeprefix("at ").removeprefix("in the ")
-    title = title if probability >= LIKELY else f"Perhaps {title[0].lower()}{title[1:]}"
+    title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
     return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
 
 

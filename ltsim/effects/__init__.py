@@ -1,4 +1,4 @@
-"""The catalogue: one file, one physical effect. To add one, write its file and add it to `CATALOGUE` here."""
+"""The catalogue: one file, one physical effect. To add one, write its file and add it to `GROUPS` here."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from ltsim.effects.backlash import Backlash
 from ltsim.effects.beam_offset import BeamOffset
 from ltsim.effects.beam_tilt import BeamTilt
 from ltsim.effects.bearing_wobble import BearingWobble
+from ltsim.effects.card import Card, card_of
+from ltsim.effects.catalogue import Catalogue, Entry
 from ltsim.effects.dead_path import DeadPath
 from ltsim.effects.detector_offset import DetectorOffset
 from ltsim.effects.effect import Effect, NoiseEffect, Parameter, ShapeParameter, SlotEffect, Stage
@@ -53,7 +55,6 @@ from ltsim.effects.turbulence import Turbulence
 from ltsim.effects.vertical_index import VerticalIndex
 from ltsim.effects.window import Window
 from ltsim.effects.wrong_unit import WrongUnit
-from ltsim.errors import unknown_name
 
 BASELINE: tuple[SlotEffect, ...] = (
     RangeOffset(),
@@ -68,92 +69,93 @@ BASELINE: tuple[SlotEffect, ...] = (
     ElevationEccentricity(),
     ElevationSecondOrder(),
 )
-"""The ordinary calibration: 16 parameters (physics.md 2.2)."""
+"""The ordinary calibration: the 16 parameters of the geometric-misalignment model with range zero and scale."""
 
-CATALOGUE: tuple[type[Effect], ...] = (
-    # instrument geometry
-    BeamOffset,
-    TransitOffset,
-    BeamTilt,
-    TransitTilt,
-    VerticalIndex,
-    AzimuthEccentricity,
-    ElevationEccentricity,
-    AzimuthSecondOrder,
-    ElevationSecondOrder,
-    AzimuthHarmonic,
-    ElevationHarmonic,
-    EncoderInterpolation,
-    BearingWobble,
-    HeadSag,
-    Backlash,
-    DetectorOffset,
-    # range
-    RangeOffset,
-    RangeStep,
-    RangeScale,
-    StationWeather,
-    DeadPath,
-    RangeCyclic,
-    RefractivityDrift,
-    RangeDrift,
-    # air
-    AirGradient,
-    AirLayer,
-    HeatPlume,
-    Turbulence,
-    # reflector
-    SmrCentring,
-    SmrIncidence,
-    SmrDihedral,
-    Window,
-    SmrOffset,
-    NestLift,
-    TargetMoved,
-    # time and heat
-    IndexDrift,
-    AzimuthDrift,
-    StationSettling,
-    MeshExpansion,
-    GaugeScale,
-    GaugeShape,
-    # system and gross
-    StationLevelling,
-    TimingLag,
-    StationBump,
-    TargetSwap,
-    Outlier,
-    WrongUnit,
-    FaceConfusion,
-    # noise
-    NoiseLevel,
-    StationNoise,
-)
-"""Every effect, in the order of interface.md."""
+GROUPS: dict[str, tuple[type[Effect], ...]] = {
+    "instrument geometry": (
+        BeamOffset,
+        TransitOffset,
+        BeamTilt,
+        TransitTilt,
+        VerticalIndex,
+        AzimuthEccentricity,
+        ElevationEccentricity,
+        AzimuthSecondOrder,
+        ElevationSecondOrder,
+        AzimuthHarmonic,
+        ElevationHarmonic,
+        EncoderInterpolation,
+        BearingWobble,
+        HeadSag,
+        Backlash,
+        DetectorOffset,
+    ),
+    "range": (
+        RangeOffset,
+        RangeStep,
+        RangeScale,
+        StationWeather,
+        DeadPath,
+        RangeCyclic,
+        RefractivityDrift,
+        RangeDrift,
+    ),
+    "air": (
+        AirGradient,
+        AirLayer,
+        HeatPlume,
+        Turbulence,
+    ),
+    "reflector": (
+        SmrCentring,
+        SmrIncidence,
+        SmrDihedral,
+        Window,
+        SmrOffset,
+        NestLift,
+        TargetMoved,
+    ),
+    "time and heat": (
+        IndexDrift,
+        AzimuthDrift,
+        StationSettling,
+        MeshExpansion,
+        GaugeScale,
+        GaugeShape,
+    ),
+    "system and gross": (
+        StationLevelling,
+        TimingLag,
+        StationBump,
+        TargetSwap,
+        Outlier,
+        WrongUnit,
+        FaceConfusion,
+    ),
+    "noise": (
+        NoiseLevel,
+        StationNoise,
+    ),
+}
+"""What ships, by group."""
 
+CATALOGUE = Catalogue(GROUPS)
+"""Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""
 
-def find_effect(name: str) -> type[Effect]:
-    """The effect called `name`.
-
-    Raises
-    ------
-    ModelError
-        When there is none; the message names the closest ones.
-    """
-    by_name = {effect.name: effect for effect in CATALOGUE}
-    if name not in by_name:
-        raise unknown_name("effect", name, by_name)
-    return by_name[name]
-
+find_effect = CATALOGUE.find
 
 __all__ = [
     "BASELINE",
     "CATALOGUE",
+    "GROUPS",
+    "Card",
     "Effect",
+    "Entry",
     "NoiseEffect",
     "Parameter",
     "ShapeParameter",
     "SlotEffect",
     "Stage",
+    "card_of",
     "find_effect",
 ]

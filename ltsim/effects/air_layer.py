@@ -1,11 +1,15 @@
-"""Layered room (22): a warm layer lies under the roof.
+"""Layered room: a warm layer lies under the roof.
 
-T(z) = D / (1 + exp(-(z - height) / width)), and the integrals of entry 21 along the path: only the curvature of the
-profile is seen. Targets in the layer are read too near and too high.
-Like: elevation-second-order, sine part (0.59); drift, where the ceiling row is measured first.
+T(z) = D / (1 + exp(-(z - height) / width)), and along the path from the station, s = 0 to d,
+(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
+Only the curvature of the profile is seen: targets in the layer are read too near and too high.
+
+Size: 2 to 6 K across the layer; it shows from 12 K on in one face, from 4.5 K on in two.
+Like: elevation-second-order sine (0.59); a drift, where the ceiling row is measured first.
 Separate by: a temperature profile; another time of day; stations at different heights.
 Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z axis.
-Source: physics.md entry 22, integrals and detectability [D*]; Ciddor 1996.
+Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+doi:10.1364/AO.35.001566 (index).
 Status: first order validated against the integrated ray.
 """
 
@@ -33,7 +37,6 @@ class AirLayer(Effect):
     width: float = 0.3
 
     name = "air-layer"
-    number = 22
     stage = Stage.AIR
     covariates = ("height",)
     parameters = (Parameter("layer-step", "K", "how much warmer the layer is than the air below", 4.0),)

@@ -1,11 +1,14 @@
-"""Drift of the azimuth zero (32): the base or the tripod's head turns, the circle warms.
+"""Drift of the azimuth zero: the base or the tripod's head turns, the circle warms.
 
 Correction of the azimuth = r t (in every visit, or in one) or A exp(-t / tau). The station's yaw takes the mean, so
 only the change within a visit is seen: a linear drift over the recording and one in every visit are the same.
-Like: transit tilt (0.67, one face) where points are taken level by level.
+
+Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
+Like: transit-tilt (0.67 / 0) where points are taken level by level.
 Separate by: a random order of the targets, the first three again before leaving.
 Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
-Source: physics.md entry 32 [S7, S22], correlations [D*].
+Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,
+88-98 (tests of a Leica AT401).
 Status: validated against the azimuth slot at a given time, and the equality of both linear laws up to yaw.
 """
 
@@ -25,7 +28,6 @@ class AzimuthDrift(Drift):
     """Azimuth zero that follows the clock."""
 
     name = "azimuth-drift"
-    number = 32
     stage = Stage.ENCODERS
     observables = ("azimuth",)
     slot = "azimuth"

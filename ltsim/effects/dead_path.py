@@ -1,11 +1,13 @@
-"""Dead path (19): a part of the reference path inside the head warms with the air, and nobody corrects it.
+"""Dead path: a part of the reference path inside the head warms with the air, and nobody corrects it.
 
 Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
-k = -beta D_0, 0.15 um/K for a path D_0 of 0.15 m; for an absolute distance meter the fibre's 1 to 5 um/K.
+k = -beta D_0, with beta = 0.955 ppm/K the change of the air's index; for an absolute meter the fibre's own.
+
+Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
 Like: range-drift, where the temperature follows the clock.
 Separate by: a new homing; both distance modes along the same line.
 Valid: needs the column air_temperature_c; without it, or with a constant one, there is nothing to try.
-Source: physics.md entry 19 [K].
+Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
 Status: validated on a temperature column; the size is general knowledge.
 """
 
@@ -31,7 +33,6 @@ class DeadPath(Effect):
     """Range zero per kelvin of the air."""
 
     name = "dead-path"
-    number = 19
     stage = Stage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)

@@ -1,10 +1,12 @@
-"""Null offset of the tracking detector (14): the return spot is held at a wrong place, so the beam misses the vertex.
+"""Null offset of the tracking detector: the return spot is held at a wrong place, so the beam misses the vertex.
 
 D_t = f eps_y / 2, D_v = f eps_z / 2, fixed to the scope: exactly a beam offset of half the size.
-Like: beam offset, exactly.
+
+Size: under 1 um in a good tracker, 5 to 20 um in a bad one.
+Like: beam-offset, exactly.
 Separate by: another reflector (coating, size, dirt) or a log of the returned power: the beam offset stays.
 Valid: one kind of reflector, a constant offset.
-Source: physics.md entry 14 [K], equality [D*].
+Source: general knowledge; half, because a retroreflector returns the beam mirrored at its vertex.
 Status: validated against the beam offset.
 """
 
@@ -26,7 +28,6 @@ class DetectorOffset(SlotEffect):
     """Lateral and vertical null offset of the position detector."""
 
     name = "detector-offset"
-    number = 14
     stage = Stage.OPTICS
     observables = ("azimuth", "elevation")
     covariates = ("distance",)

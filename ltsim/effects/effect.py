@@ -12,13 +12,14 @@ calibrator, planner and diagnoser all use the same object:
   the instance, and the diagnoser profiles over them.
 * `stations`, `targets`: where the effect acts, empty for everywhere; `candidates` lists the places to try.
 
-Sign: a parameter is a correction, truth - reading, as in physics.md; the change of a reading is therefore its
-negative.
+Conventions of all cards: Delta = truth - reading, the correction to add to a reading; a change of a reading is
+therefore minus its correction, and a parameter that is no correction says so. Azimuth az counts counter-clockwise seen
+from above, elevation el from the horizontal plane; d is the range, f is +1 on face 1 and -1 on face 2. D_r, D_t, D_v
+are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azimuth and d Delta_elevation.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -55,7 +56,6 @@ __all__ = [
     "Stage",
     "Term",
     "by_displacement",
-    "card_line",
     "on_readings",
     "one",
     "parameter_names",
@@ -86,7 +86,6 @@ class Effect(Tunable):
     targets: tuple[str, ...] = ()
 
     name: ClassVar[str]
-    number: ClassVar[int]
     stage: ClassVar[Stage]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
@@ -131,13 +130,6 @@ class Mistake(Effect):
     def written(self, sightings: Sightings, readings: Floats) -> Floats:
         """What was written down (n, 3) of finished readings (n, 3)."""
         return readings
-
-
-def card_line(kind: type[Effect]) -> tuple[str, str]:
-    """Title of an effect and what happens, both from the first line of its card."""
-    line = (sys.modules[kind.__module__].__doc__ or kind.name).strip().splitlines()[0].rstrip(".")
-    title, _, cause = line.partition(": ")
-    return title.split(" (")[0], cause
 
 
 Basis = Callable[[Floats], Floats]

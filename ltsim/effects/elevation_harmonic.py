@@ -1,11 +1,13 @@
-"""Higher graduation harmonic of the elevation circle (9).
+"""Higher graduation harmonic of the elevation circle: lines of the scale are off, as its read heads see them.
 
 Delta_elevation = A cos(m x) + B sin(m x), x the raw elevation, m from 3 up. In front-face terms the cosine flips with
 the face for even m, the sine for odd m.
+
+Size: 0.2 urad in a good circle, 2 urad in a bad one.
 Like: noise and errors of single targets; over the 110 deg that a network uses, its own neighbours in order.
 Separate by: two faces; more elevations.
 Valid: m up to 8.
-Source: physics.md entry 9 [S16, K].
+Source: Lu, Graetz, Amin-Shahidi and Smeds 2010, On-axis self-calibration of angle encoders, CIRP Annals 59, 529-534.
 Status: validated against the exact chain in first order, face parity and sign.
 """
 
@@ -27,7 +29,6 @@ class ElevationHarmonic(SlotEffect):
     order: int = 3
 
     name = "elevation-harmonic"
-    number = 9
     stage = Stage.ENCODERS
     observables = ("elevation",)
     covariates = ("elevation",)

@@ -1,11 +1,14 @@
-"""Confused faces (40): readings of one face are stored as those of the other.
+"""Confused faces: readings of one face are stored as those of the other.
 
 Rows stored as `face` hold what the other face read: azimuth + 180 deg and 180 deg - elevation of what is expected.
-Like: nothing; a point lands behind the tracker.
-Separate by: nothing is needed.
+
+Size: metres: a point lands behind the tracker.
+Like: nothing.
+Separate by: nothing is needed: the raw elevation itself says on which face it was read.
 Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment, so
 `candidates` is empty and `possible` lists the mistakes.
-Source: physics.md entry 40, section 1 for the raw values.
+Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
+Vermessungstechnik.
 Status: validated: twice the same mistake gives the reading back.
 """
 
@@ -28,7 +31,6 @@ class FaceConfusion(Mistake):
     face: int = 2
 
     name = "face-confusion"
-    number = 40
     stage = Stage.ELECTRONICS
     observables = ("azimuth", "elevation")
     covariates = ("face",)

@@ -1,10 +1,12 @@
-"""Scale of the gauge (35): its temperature or its coefficient of expansion is wrong.
+"""Scale of the gauge: its temperature or its coefficient of expansion is wrong.
 
-True length = stated length (1 + s); a stated length changes by -s L. An aluminium gauge one kelvin off has 23 ppm.
+True length = stated length (1 + s); a stated length changes by -s L. No reading changes.
+
+Size: a coefficient from a table is wrong by some percent, 8 ppm for aluminium over 7 K; a gauge one kelvin off 23 ppm.
 Like: range-scale, one index of air for all, a uniform warming of the mesh: exactly.
 Separate by: a thermometer on the gauge; a bar of another material; a maker's guarantee on the range scale.
-Valid: all known lengths share one gauge. No reading changes.
-Source: physics.md entry 35 [S9], equality [D*].
+Valid: all known lengths share one gauge.
+Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the length: L (1 + a dT) is meant.
 Status: validated on the known lengths.
 """
 
@@ -25,7 +27,6 @@ class GaugeScale(Effect):
     """Factor on every known length, less one."""
 
     name = "gauge-scale"
-    number = 35
     stage = Stage.TARGET
     observables = ()
     covariates = ("temperature",)

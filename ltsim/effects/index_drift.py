@@ -1,11 +1,15 @@
-"""Drift of the vertical index (32): the head warms up and the zero of the elevation circle moves.
+"""Drift of the vertical index: the head warms up and the zero of the elevation circle moves.
 
 Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with the
 face in front-face terms, as the index does.
-Like: the index itself (0.63 / 0.86) and the two-lobe cosine (0.84) where points are taken level by level; settling.
+
+Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
+Like: the index itself (0.63 / 0.86) and elevation-second-order cosine (0.84) where points are taken level by level;
+station-settling.
 Separate by: a random order of the targets, the first three again before leaving, two faces.
 Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
-Source: physics.md entry 32 [S7, S22], correlations [D*].
+Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); patents GB 2497910 B and US 8511891 (the
+two-face error followed over time measures stability).
 Status: validated against the vertical index at a given time, face parity and sign.
 """
 
@@ -25,7 +29,6 @@ class IndexDrift(Drift):
     """Vertical index that follows the clock."""
 
     name = "index-drift"
-    number = 32
     stage = Stage.ENCODERS
     observables = ("elevation",)
     slot = "elevation"

@@ -1,11 +1,14 @@
-"""Badly seated reflector (30): dirt or a burr lifts it in its nest during one visit of one station.
+"""Badly seated reflector: dirt or a burr lifts it in its nest during one visit of one station.
 
 D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push sideways).
-The parameters are the motion of the reflector (no correction of a reading).
+The parameters are the motion of the reflector (no correction of a reading); all three readings of that visit share it.
+
+Size: 4 um in a clean nest, 5 to 50 um with dirt.
 Like: outlier in one reading (0.85).
 Separate by: reseating and repeating; a lift hits all three readings in a fixed direction.
 Valid: 5 to 200 um; one seating a visit, so both faces and all repeats share it.
-Source: physics.md entry 30 [S4, S21], detectability [D*].
+Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of nests,
+second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
 Status: first order validated against the exact motion.
 """
 
@@ -35,7 +38,6 @@ class NestLift(Effect):
     kind: Literal["normal", "free"] = "normal"
 
     name = "nest-lift"
-    number = 30
     stage = Stage.TARGET
     covariates = ("place",)
     scope = "pointing"

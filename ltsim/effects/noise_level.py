@@ -1,10 +1,12 @@
 """Noise level: all readings of a kind scatter more, or less, than the set-up states.
 
 variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
+
+Size: v between -0.5 and 3.
 Like: turbulence (grows with the range), many small effects at once.
 Separate by: repeats: pointings of one target from one station show the noise without any model.
 Valid: factors on the variance from 0.1 up.
-Source: physics.md section 7 (weights come before tests) and entry 24.
+Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
 Status: validated: zero gives the stated variance.
 """
 
@@ -29,7 +31,6 @@ class NoiseLevel(NoiseEffect):
 
     name = "noise-level"
     least = -0.95
-    number = 0
     stage = Stage.NOISE
     parameters = (
         Parameter("noise-distance", "", "variance added to the ranges over the stated", 1.0),

@@ -1,11 +1,13 @@
-"""Outlier (40): one reading of one pointing is wrong.
+"""Outlier: one reading of one pointing is wrong.
 
-Correction of that reading alone.
+Correction of that reading alone, whatever its cause.
+
+Size: any; from 16 um on a range shows.
 Like: nest-lift (0.85), which hits all three readings of a pointing in one direction.
 Separate by: the pointing repeated.
 Valid: any size below a millimetre; larger ones are screened before an adjustment. In large recordings `candidates` is
 empty: the w-test of the residuals finds single readings without trying each.
-Source: physics.md entry 40 [S21], detectability [D*].
+Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
 Status: validated on a single row.
 """
 
@@ -34,7 +36,6 @@ class Outlier(Effect):
     observable: Observable = "distance"
 
     name = "outlier"
-    number = 40
     stage = Stage.ELECTRONICS
     scope = "reading"
     plural = True

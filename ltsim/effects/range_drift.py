@@ -1,10 +1,13 @@
-"""Drift of the range zero (32): the electronics and the head warm up.
+"""Drift of the range zero: the electronics and the head warm up.
 
 Delta_d = r t (linear over the recording, or anew in every visit) or A exp(-t / tau) (warm-up).
+
+Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
 Like: mesh-expansion (0.955), dead-path.
 Separate by: a new homing in between; thermometers; a target measured every quarter of an hour.
 Valid: the same law at every station, time constants of 10 min to 4 h.
-Source: physics.md entry 32 [S7, S22], correlations [D*].
+Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body that
+reaches its temperature.
 Status: validated against the range zero at a given time.
 """
 
@@ -24,7 +27,6 @@ class RangeDrift(Drift):
     """Range zero that follows the clock."""
 
     name = "range-drift"
-    number = 32
     stage = Stage.RANGE
     observables = ("distance",)
     slot = "range"

@@ -1,10 +1,12 @@
-"""Step of the range zero (15): the beam is lost and found again, and the zero is another one afterwards.
+"""Step of the range zero: the beam is lost and found again, and the zero is another one afterwards.
 
 Delta_d = rho from a time on, until the station is left.
-Like: station-weather (0.965, where the step is at the station's start), a station bump along the beams.
+
+Size: 5 um in a current tracker, 20 to 50 um in a bad one.
+Like: station-weather (0.965, where the step is at the station's start), a station-bump along the beams.
 Separate by: near and far targets at that station; a target measured before and after.
 Valid: one step a station; the next station starts with a new zero of its own.
-Source: physics.md entry 15 [S6, S26], correlations [D*].
+Source: general knowledge: an interferometer is homed anew after each lost beam, an absolute meter keeps its own zero.
 Status: validated on rows before and after the step.
 """
 
@@ -27,7 +29,6 @@ class RangeStep(Effect):
     time: float = 0.0
 
     name = "range-step"
-    number = 15
     stage = Stage.RANGE
     observables = ("distance",)
     covariates = ("time",)

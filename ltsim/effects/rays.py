@@ -3,7 +3,7 @@
 An air field gives, at points (m, 3) of the network frame, the temperature above that of the weather sensor (m,) [K] and
 its gradient (m, 3) [K/m].
 
-Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (physics.md entry 21, truth - reading):
+Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (truth - reading):
 (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
 """
 

@@ -1,10 +1,12 @@
-"""Drift of the air's index (17 in time): the hall warms up, the weather entered in the morning is kept.
+"""Drift of the air's index: the hall warms up, the weather entered in the morning is kept.
 
-Delta_d = d s t, t since the first pointing: 0.955 ppm a kelvin.
+Delta_d = d s t, t since the first pointing; a kelvin is 0.955 ppm. Later stations see the mesh smaller.
+
+Size: 0.5 to 2 K a morning, 0.1 to 1 ppm/h.
 Like: mesh-expansion, the uniform mode (0.996, exact where it grows between visits), station-weather in single stations.
 Separate by: a thermometer on the structure; the first station again at the end.
 Valid: linear over the recording.
-Source: physics.md entries 17 and 32.
+Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
 Status: validated against the range scale at one hour.
 """
 
@@ -24,7 +26,6 @@ class RefractivityDrift(Effect):
     """Scale of the ranges that grows with the clock."""
 
     name = "refractivity-drift"
-    number = 17
     stage = Stage.AIR
     observables = ("distance",)
     covariates = ("time", "distance")

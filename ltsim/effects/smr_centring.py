@@ -1,13 +1,17 @@
-"""Centring of a reflector (25): the vertex of its mirrors is not the centre of its sphere.
+"""Centring of a reflector: the vertex of its mirrors is not the centre of its sphere.
 
 The tracker measures the vertex, off the centre by e = axial a + side s + up p, axial along the open face:
-Delta_d = e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp. A fixed reflector (not re-aimed)
-keeps e in its nest; a re-aimed one turns its axis to the tracker, so the axial part is a range zero and the rest a
-lateral constant that does not flip with the face (its mark held up; a free roll makes it noise).
+Delta_d = e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp, alpha the incidence off the axis and
+chi its direction around it. A fixed reflector (not re-aimed) keeps e in its nest; a re-aimed one turns its axis to the
+tracker, so the axial part is a range zero and the rest a lateral constant that does not flip with the face (its mark
+held up; a free roll makes it noise).
+
+Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
 Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).
 Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
 Valid: up to 25 um; independent of where the beam hits.
-Source: physics.md entry 25 [S11, S27], ray trace [D*].
+Source: patent US 2015/0285615 A1 (run-out and the mark that keeps it still); Yan et al. 2010 (geometric errors of a
+spherically mounted reflector); the law follows from a ray trace of three mirrors.
 Status: validated: fixed is a displacement, re-aimed axial a range offset.
 """
 
@@ -46,7 +50,6 @@ class SmrCentring(Effect):
     """Offset of the vertex, of one reflector carried to all nests or of one target's own."""
 
     name = "smr-centring"
-    number = 25
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "target"

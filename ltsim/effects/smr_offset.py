@@ -1,11 +1,13 @@
-"""Another reflector or adaptor (29): at one station a ball of another radius was used, and the old constant kept.
+"""Another reflector or adaptor: at one station a ball of another radius was used, and the old constant kept.
 
-D = (R_true - R_used) n along the nest's normal: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in. The parameter
-is the motion of the sphere's centre away from the nest (no correction of a reading).
-Like: nest-lift of many targets at once, a bump of the station along a wall's normal.
-Separate by: nothing is needed, the size is one of the catalogue.
+D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the nest
+(no correction of a reading).
+
+Size: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in: one of a few catalogue lengths.
+Like: nest-lift of many targets at once, a station-bump along a wall's normal.
+Separate by: nothing is needed, the size tells.
 Valid: nests with a known normal. At all stations alike it moves the targets, and only the gauge would show it.
-Source: physics.md entry 29 [K].
+Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
 Status: first order validated against the exact motion.
 """
 
@@ -28,7 +30,6 @@ class SmrOffset(Effect):
     """Another radius of the reflector at a station."""
 
     name = "smr-offset"
-    number = 29
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "station"

@@ -1,11 +1,13 @@
-"""Station bumped (39): somebody touched the tripod, and the station stands elsewhere from then on.
+"""Station bumped: somebody touched the tripod, and the station stands elsewhere from then on.
 
 pose(t) = pose + H(t - t_b) (translation, rotation). The parameters are the station's motion in the network frame, the
 rotation a vector through its origin (no correction of a reading).
-Like: station-settling (smooth), range-step (ranges only), swapped targets.
+
+Size: 5 um and 5 urad up to millimetres; it shows from 5.6 um together with 4 urad on.
+Like: station-settling (smooth), range-step (ranges only), target-swap.
 Separate by: a drift check on the first three targets.
 Valid: one bump a visit, three pointings or more on either side; micrometres to millimetres.
-Source: physics.md entry 39 [S23], detectability [D*].
+Source: the user manual of SpatialAnalyzer (drift check); the search over change points is derived here.
 Status: first order validated against the exact motion.
 """
 
@@ -31,7 +33,6 @@ class StationBump(Effect):
     time: float = 0.0
 
     name = "station-bump"
-    number = 39
     stage = Stage.STATION
     covariates = ("time",)
     scope = "station"

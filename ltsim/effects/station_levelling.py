@@ -1,11 +1,13 @@
-"""Levelling error (37): the level is wrong, and the station's axis leans although it was levelled.
+"""Levelling error: the level is wrong, and the station's axis leans although it was levelled.
 
 w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y axes
 (no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the head).
+
+Size: 2 urad for a good level, 10 to 20 urad for a bad one.
 Like: nothing, where the poses are free: then it is the pose, and leaves no residual.
 Separate by: freeing the tilts and comparing; plumb lines converge by 0.157 urad a metre.
 Valid: only levelled stations feel it.
-Source: physics.md entry 37 [S23, S24].
+Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
 Status: first order validated against the exact motion.
 """
 
@@ -28,7 +30,6 @@ class StationLevelling(Effect):
     """Lean of the instrument against the vertical that its level claims."""
 
     name = "station-levelling"
-    number = 37
     stage = Stage.STATION
     observables = ("azimuth", "elevation")
     covariates = ("place",)

@@ -1,10 +1,12 @@
-"""Noise of one station: an unsteady stand, a fan, the sun on the tripod; its readings scatter more than stated.
+"""Noise of one station: an unsteady stand, a fan or the sun on the tripod make its readings scatter more than stated.
 
 variance = sigma^2 (1 + v) at that station.
+
+Size: v of 0.5 to 10.
 Like: noise-level (all stations), a target or station that moves often.
 Separate by: repeats at that station.
 Valid: white from pointing to pointing.
-Source: physics.md entries 23 and 24.
+Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
 Status: validated: zero gives the stated variance, other stations keep theirs.
 """
 

@@ -1,11 +1,14 @@
-"""Moved target (31): a nest is knocked, or its support creeps.
+"""Moved target: a nest is knocked, or its support creeps.
 
 step: P(t) = P + H(t - t_m) D. creep: P(t) = P + v (t - t_0), t_0 the first pointing. The parameters are the motion
-of the target in the network frame (no correction of a reading).
+of the target in the network frame (no correction of a reading), the same as seen from all stations.
+
+Size: 10 to 100 um.
 Like: nest-lift, where the target was seen from one station afterwards.
 Separate by: the target measured first and last from each station.
 Valid: one step a target, between two stations' visits.
-Source: physics.md entry 31, detectability [D*].
+Source: general knowledge of networks; Baarda 1968, A testing procedure for use in geodetic networks (its smallest
+detectable size).
 Status: first order validated against the exact motion.
 """
 
@@ -35,7 +38,6 @@ class TargetMoved(Effect):
     kind: Literal["step", "creep"] = "step"
 
     name = "target-moved"
-    number = 31
     stage = Stage.TARGET
     covariates = ("time",)
     scope = "target"

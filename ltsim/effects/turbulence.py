@@ -1,10 +1,13 @@
-"""Turbulence (24): the air boils, and readings scatter more the farther they reach.
+"""Turbulence: the air boils, and readings scatter more the farther they reach.
 
 var(D_t) and var(D_v) grow by C d^3, var(d) by C_r d: a change of the noise, not of its mean.
-Like: a wrong statement of the noise, small drifts.
-Separate by: repeats over minutes; a shielded path (40 to 23 um at 2.5 m).
+
+Size: C of 100 um^2/m^3 on a shop floor; shielding a path of 2.5 m cut the lateral spread from 40 to 23 um there.
+Like: noise-level, small drifts.
+Separate by: repeats over minutes; a shielded path.
 Valid: white from pointing to pointing; averaging within one helps less than 1 / sqrt(N).
-Source: physics.md entry 24 [S4, second hand]; C of that shop is 100 um^2/m^3.
+Source: Chernov 1960, Wave Propagation in a Random Medium (a ray's displacement grows with d^3); Hughes et al. 2011,
+Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (sizes, second hand).
 Status: form validated; sizes second hand.
 """
 
@@ -25,7 +28,6 @@ class Turbulence(NoiseEffect):
     """Variance that grows with the range."""
 
     name = "turbulence"
-    number = 24
     stage = Stage.AIR
     covariates = ("distance",)
     parameters = (

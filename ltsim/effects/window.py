@@ -1,13 +1,14 @@
-"""Window in the path (28): a pane of glass between a station and some of its targets.
+"""Window in the path: a pane of glass stands between a station and some of its targets.
 
 With i the angle at the pane: range + w (sqrt(n^2 - sin^2 i) - cos i), lateral w sin i (1 - cos i / sqrt(n^2 - sin^2 i))
-away from the normal. The parameter is the thickness w (no correction of a reading): 3 mm give 1.500 mm at normal
-incidence, 1.645 mm at 30 deg, and 0.58 mm across.
-Like: range-step over the whole visit (if all targets are behind it), another adaptor.
+away from the normal. The parameter is the thickness w (no correction of a reading).
+
+Size: 3 mm give 1.500 mm of range at normal incidence and 1.645 mm at 30 deg, and 0.58 mm across.
+Like: range-step over the whole visit (if all targets are behind it), smr-offset.
 Separate by: the window taken away.
 Valid: plane parallel glass of index 1.5, anywhere on the path.
-Source: physics.md entry 28 [D*].
-Status: validated against the numbers of the entry.
+Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
+Status: validated against the numbers above.
 """
 
 from __future__ import annotations
@@ -45,7 +46,6 @@ class Window(Effect):
     normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     name = "window"
-    number = 28
     stage = Stage.AIR
     covariates = ("azimuth", "incidence")
     scope = "pointing"

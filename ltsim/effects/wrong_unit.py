@@ -1,12 +1,15 @@
-"""Wrong unit (40): the readings of a station are in inches for millimetres, gon for degrees, or zeniths for elevations.
+"""Wrong unit: the readings of a station are in other units, count another way, or hold zeniths for elevations.
 
-The reading becomes the reading times a factor, or its complement to a right angle.
+The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the slips are
+those of `recording.slips`.
+
+Size: metres.
 Like: nothing; the pose fit misses by metres.
 Separate by: nothing is needed.
 Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment, so
 `candidates` is empty and `possible` lists the mistakes. Weather in a wrong unit is station-weather.
-Source: physics.md entry 40.
-Status: validated on the readings.
+Source: definitions of the units; BIPM, The International System of Units (SI Brochure).
+Status: validated on the readings: what the mend gives back is what was read.
 """
 
 from __future__ import annotations
@@ -38,7 +41,6 @@ class WrongUnit(Mistake):
     mistake: Slip = "gon"
 
     name = "wrong-unit"
-    number = 40
     stage = Stage.ELECTRONICS
     scope = "station"
     parameters = (Parameter("mistaken", "", "1 where the unit is wrong", 1.0),)

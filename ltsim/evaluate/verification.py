@@ -1,6 +1,6 @@
 """The paper's laboratory verification: a calibrated tracker against nominal points from a CMM.
 
-Equations 13 and 14 as they are meant (physics.md section 8, 5): eq. 13 compares distances between targets i
+Equations 13 and 14 as they are meant: eq. 13 compares distances between targets i
 and j as the tracker measured them from one station with the same distance of the CMM; eq. 14 compares
 coordinates in the CMM's frame after a rigid fit of each station. Before: an ideal tracker; after: with the
 parameters of a calibration.

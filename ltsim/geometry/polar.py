@@ -1,7 +1,7 @@
 """Range, azimuth and elevation of points, on either face, and their derivatives.
 
 Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values: azimuth + 180 deg and
-180 deg - elevation (physics.md section 1).
+180 deg - elevation.
 """
 
 from __future__ import annotations

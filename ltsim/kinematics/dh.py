@@ -6,8 +6,17 @@
 
 As printed, E follows the whole A: frame 1 has y along the standing axis and z along the transit axis, so the
 azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do
-not fit these frames (physics.md 2.4). E_Trans stands last and acts on a point: its rotation does nothing; it
-is kept, so that the count of 78 can be seen.
+not fit these frames. E_Trans stands last and acts on a point: its rotation does nothing; it is kept, so that
+the count of 78 can be seen.
+
+Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn
+the point about itself (9). Of these, 53 differ even where stations and targets are known; the others are
+second names: J1.dZ_c = J2.dY_c = T.dX_0 (lateral beam offset), J2.dX_c = T.dY_0 (vertical beam offset),
+J2.dZ_c = T.dZ_0 (range zero), J2.eX_c = T.dX_1 (beam tilt), J1.eZ_c = J2.eY_c = T.dY_1 (vertical index), J1.eX_c
+and J2.eX_sin (transit tilt), J1.eY_c and J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit
+offset), J1.dY_c with J2.dZ_sin and J2.dX_cos (height of the transit axis). The pose of each station takes 6 more
+(height, yaw, one pair of first harmonics each of place and tilt), which leaves 47; the range scale T.dZ_1 is the
+scale of the network where no length is known, which leaves 46. `tests/model/test_dh_count.py` counts them.
 
 The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that both constructions use
 one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.

@@ -152,7 +152,7 @@ def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
 
 
 SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
-"""Names of the coefficients of a rotary joint's error function, as in physics.md 2.4."""
+"""Names of the coefficients of a rotary joint's error function."""
 
 DH_PHYSICAL = {
     "J1.dX_c": "offset",
@@ -172,7 +172,7 @@ DH_PHYSICAL = {
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
-"""The D-H coefficients that span the physical set of physics.md 2.2, with the guarantee that bounds each."""
+"""D-H coefficients that span the misalignments of a source in the head, with the guarantee that bounds each."""
 
 _SPAN = 5.0
 
@@ -201,7 +201,7 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
         Degree of the range axis' polynomials in d.
     extra : float
         Prior sigma of the coefficients beyond the physical set, as a share of 5 um or 1 arcsec: they are a
-        penalised remainder (physics.md 2.4), not free parameters.
+        penalised remainder, not free parameters: most of them repeat others (`kinematics.dh`).
 
     Notes
     -----

@@ -141,7 +141,7 @@ class Sightings:
         """For each slot of the misalignment chain: change (n, 3) of the raw reading per unit of correction.
 
         A correction lifts the point that a reading describes; for a point that stays, the reading falls,
-        hence the minus sign (physics.md: a residual shows -Delta).
+        hence the minus sign: a residual shows minus the correction.
         """
         slots = {motion.slot for motion in MISALIGNMENT}
         _, by_slot = point_and_derivatives(MISALIGNMENT, self.raw, {}, slots)

@@ -32,7 +32,7 @@ def effects_in(module: str) -> list[type[Effect]]:
     return [
         cls
         for _, cls in classes
-        if issubclass(cls, Effect) and cls.__module__ == loaded.__name__ and hasattr(cls, "name")
+        if issubclass(cls, Effect) and cls.__module__ == loaded.__name__ and isinstance(cls.name, str)
     ]
 
 
@@ -40,7 +40,7 @@ def effects_in(module: str) -> list[type[Effect]]:
 def test_every_effect_file_is_in_the_catalogue(module: str) -> None:
     catalogue = {entry if isinstance(entry, type) else type(entry) for entry in effects.CATALOGUE}
     missing = [cls.__name__ for cls in effects_in(module) if cls not in catalogue]
-    assert not missing, f"ltsim/effects/{module}.py: add {', '.join(missing)} to CATALOGUE"
+    assert not missing, f"ltsim/effects/{module}.py: add {', '.join(missing)} to GROUPS"
 
 
 def test_catalogue_names_each_effect_once() -> None:

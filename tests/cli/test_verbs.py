@@ -13,7 +13,7 @@ import pytest
 import ltsim.cli
 from ltsim.cli.main import VERBS, run
 from ltsim.cli.terminal import digits, table
-from ltsim.effects import CATALOGUE
+from ltsim.effects import CATALOGUE, card_of
 from ltsim.errors import ModelError
 from ltsim.recording import read
 from ltsim.simulate.truth import read_truth
@@ -182,7 +182,7 @@ def test_effects_lists_the_whole_catalogue(capsys) -> None:
 def test_the_card_of_every_effect(effect, capsys) -> None:
     assert run(["effects", effect.name]) == 0
     text = capsys.readouterr().out
-    assert f"{effect.name} ({effect.number})" in text
+    assert text.startswith(f"{effect.name}: {card_of(effect).title} (")
     assert "Source" in text
     assert all(p.name in text for p in effect.parameters)
 

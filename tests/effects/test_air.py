@@ -48,7 +48,7 @@ def test_index_of_dry_air_is_that_of_the_paper(temperature: float, pressure: flo
 
 
 def test_sensitivities_are_those_of_the_catalogue() -> None:
-    """physics.md entry 17: per K, per hPa, per percent of humidity, at 20 C and at 27 C."""
+    """Per K, per hPa, per percent of humidity, at 20 C and at 27 C."""
     for temperature, kelvin, hectopascal, percent in ((20.0, -0.955, 0.268, -0.0085), (27.0, -0.922, 0.262, -0.0126)):
         assert -1e6 * temperature_sensitivity(temperature) == pytest.approx(kelvin, abs=6e-4)
         step = index(temperature, 101_375.0, 50.0) - index(temperature, 101_275.0, 50.0)
@@ -63,7 +63,7 @@ def test_vapour_pressure_over_water() -> None:
 
 
 def test_gradient_bends_and_shortens_as_the_formula_says() -> None:
-    """physics.md entry 21 for an upright station: -1/2 beta G d cos el, +beta G d (mean height - sensor)."""
+    """Upright station: -1/2 beta G d cos el, +beta G d (mean height - sensor)."""
     s = scene(lean=0.0)
     beta = temperature_sensitivity(20.0)
     sensor = s.points[:, 2].mean()
@@ -104,7 +104,7 @@ def test_horizontal_gradient_bends_sideways() -> None:
 
 
 def test_network_absorbs_the_gradient_whole_and_neither_part_alone() -> None:
-    """physics.md entry 21, key result: nothing is left of bending and range together; much of either alone."""
+    """Nothing is left of bending and range together; much of either alone."""
     whole = AirGradient().design(SCENE)[:, :, 0]
     size = np.linalg.norm(lengths(SCENE, whole))
     assert np.linalg.norm(left_over(SCENE, whole, scale=True)) < 1e-9 * size
@@ -118,7 +118,7 @@ def test_network_absorbs_the_gradient_whole_and_neither_part_alone() -> None:
 
 
 def test_sensor_on_the_head_leaves_a_scale_at_each_station() -> None:
-    """physics.md entry 21 (iv): beta G z_sensor."""
+    """beta G z_sensor."""
     room, head = (AirGradient(sensor=place).design(SCENE)[:, :, 0] for place in ("room", "head"))
     height = SCENE.position[SCENE.station, 2] - SCENE.points[:, 2].mean()
     np.testing.assert_allclose((room - head)[:, 0], -bending() * height * SCENE.range_, atol=1e-15)
@@ -156,7 +156,7 @@ def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLaye
 
 
 def test_plume_in_the_path_shortens_the_range() -> None:
-    """physics.md entry 23: 5 K over half a metre, 2.3 um (at 27 C, 2.4 um at 20 C)."""
+    """5 K over half a metre, 2.3 um (at 27 C, 2.4 um at 20 C)."""
     plume = HeatPlume((), ("T10",), radius=0.5 / np.sqrt(2 * np.pi))
     change = plume.design(SCENE)[:, 0, 0][SCENE.target == 9] * 5.0
     # The target sits in the middle of the ball: half of it is in the path.
@@ -164,7 +164,7 @@ def test_plume_in_the_path_shortens_the_range() -> None:
 
 
 def test_heat_near_the_station_bends_and_heat_near_the_target_does_not() -> None:
-    """physics.md entry 23: weight (d - s)."""
+    """Weight (d - s)."""
     near = HeatPlume(("S1",), offset=(0.3, 0.3, 0.0), radius=0.25)
     far = HeatPlume((), ("T10",), offset=(0.3, 0.3, 0.0), radius=0.25)
     bend = [np.abs(lengths(SCENE, e.design(SCENE)[:, :, 0])[:, 1:]).max() for e in (near, far)]
@@ -172,7 +172,7 @@ def test_heat_near_the_station_bends_and_heat_near_the_target_does_not() -> None
 
 
 def test_turbulence_has_the_size_of_the_shop_it_was_seen_in() -> None:
-    """physics.md entry 24: 40 um across at 2.5 m is C = 100 um^2/m^3."""
+    """40 um across at 2.5 m is C = 100 um^2/m^3."""
     nothing = np.zeros((len(SCENE), 3))
     variance = Turbulence().variance(SCENE, nothing, np.array([100e-12, 4e-12]))
     spread = lengths(SCENE, np.sqrt(variance))

@@ -4,73 +4,19 @@ from __future__ import annotations
 
 import pickle
 import re
-import sys
-import time
 
 import numpy as np
 import pytest
 
 from ltsim import effects
-from ltsim.effects import CATALOGUE, NoiseEffect, find_effect
-from ltsim.effects.effect import Effect, SlotEffect
+from ltsim.effects import CATALOGUE, NoiseEffect, card_of, find_effect
+from ltsim.effects.effect import Effect, Mistake, SlotEffect
 from ltsim.errors import ModelError
 from ltsim.model.construction import misalignment
 from ltsim.recording.recording import OBSERVABLES
 from tests.effects.scenes import all_candidates, chosen, samples, scene
 
 SCENE = scene()
-IDS = [
-    "beam-offset",
-    "transit-offset",
-    "beam-tilt",
-    "transit-tilt",
-    "vertical-index",
-    "azimuth-eccentricity",
-    "elevation-eccentricity",
-    "azimuth-second-order",
-    "elevation-second-order",
-    "azimuth-harmonic",
-    "elevation-harmonic",
-    "encoder-interpolation",
-    "bearing-wobble",
-    "head-sag",
-    "backlash",
-    "detector-offset",
-    "range-offset",
-    "range-step",
-    "range-scale",
-    "station-weather",
-    "dead-path",
-    "range-cyclic",
-    "refractivity-drift",
-    "range-drift",
-    "air-gradient",
-    "air-layer",
-    "heat-plume",
-    "turbulence",
-    "smr-centring",
-    "smr-incidence",
-    "smr-dihedral",
-    "window",
-    "smr-offset",
-    "nest-lift",
-    "target-moved",
-    "index-drift",
-    "azimuth-drift",
-    "station-settling",
-    "mesh-expansion",
-    "gauge-scale",
-    "gauge-shape",
-    "station-levelling",
-    "timing-lag",
-    "station-bump",
-    "target-swap",
-    "outlier",
-    "wrong-unit",
-    "face-confusion",
-    "noise-level",
-    "station-noise",
-]
 EVERY = pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
 AIR = ("air-gradient", "air-layer", "heat-plume")
 """First order here is a quadrature along the straight path: it has an error of its own, in proportion."""
@@ -78,10 +24,6 @@ AIR = ("air-gradient", "air-layer", "heat-plume")
 
 def prior(effect: Effect) -> np.ndarray:
     return np.array([p.prior_sigma for p in effect.parameters])
-
-
-def test_the_catalogue_is_that_of_the_interface() -> None:
-    assert [kind.name for kind in CATALOGUE] == IDS
 
 
 @EVERY
@@ -98,10 +40,12 @@ def test_parameters_are_declared(kind: type[Effect]) -> None:
 
 
 @EVERY
-def test_the_card_tells_its_source_and_its_status(kind: type[Effect]) -> None:
-    card = sys.modules[kind.__module__].__doc__ or ""
-    assert re.search(r"^Source: \S", card, re.MULTILINE)
-    assert re.search(r"^(Status|Validated): \S", card, re.MULTILINE)
+def test_the_card_has_all_parts(kind: type[Effect]) -> None:
+    card = card_of(kind)
+    assert all(text.endswith(".") for _, text in card.parts())
+    assert not card.title.endswith(".")
+    assert re.search(r"\d", card.size) or issubclass(kind, Mistake)
+    assert re.search(r"validated|empirical", card.status)
 
 
 @EVERY
@@ -204,15 +148,9 @@ def test_noise_is_the_stated_one_at_zero(kind: type[NoiseEffect]) -> None:
             assert (effect.variance(SCENE, sigma, np.array(values)) > 0).all()
 
 
-def test_a_search_over_all_candidates_is_quick() -> None:
-    """Less than a millisecond a candidate on 280 pointings, two thousand to three thousand candidates."""
-    scene_ = scene()
-    tried = [e for kind in CATALOGUE for e in kind.candidates(scene_)]
-    start = time.perf_counter()
-    for effect in tried:
-        effect.design(scene_)
-    assert len(tried) < 4000
-    assert (time.perf_counter() - start) / len(tried) < 1e-3
+def test_a_search_over_all_candidates_is_bounded() -> None:
+    """Two thousand to three thousand on 280 pointings."""
+    assert sum(len(kind.candidates(SCENE)) for kind in CATALOGUE) < 4000
 
 
 def test_effects_are_found_by_name() -> None:

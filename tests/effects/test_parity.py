@@ -1,4 +1,4 @@
-"""What flips with the face and what does not (physics.md sections 2.2, 2.5 and 4)."""
+"""What flips with the face and what does not."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_correction_on_both_faces(effect: Effect, parity: list[float]) -> None:
 
 
 def test_baseline_has_the_forms_and_face_signs_of_the_table() -> None:
-    """physics.md 2.2, row by row."""
+    """The first-order table of the misalignments, row by row."""
     for face, f in ((1, 1.0), (2, -1.0)):
         s = on_face(SCENE, face)
         d, az, el = s.range_, s.azimuth, s.elevation
@@ -108,7 +108,7 @@ def test_baseline_has_the_forms_and_face_signs_of_the_table() -> None:
 
 @pytest.mark.parametrize("order", [-1, 0, 1, 2, 3])
 def test_tilt_wobble_has_the_coupling_of_both_angles(order: int) -> None:
-    """physics.md 2.5: Delta_el = w_x sin az - w_y cos az, Delta_az = -tan el (w_x cos az + w_y sin az)."""
+    """Delta_el = w_x sin az - w_y cos az, Delta_az = -tan el (w_x cos az + w_y sin az)."""
     for face in (1, 2):
         s = on_face(SCENE, face)
         found = corrections(BearingWobble(kind="tilt", order=order), s)
@@ -120,7 +120,7 @@ def test_tilt_wobble_has_the_coupling_of_both_angles(order: int) -> None:
 
 
 def test_transit_wobble_is_a_lateral_shift_in_proportion_to_the_range() -> None:
-    """physics.md entry 10: D_t = f d eX(raw elevation)."""
+    """D_t = f d eX(raw elevation)."""
     for face, f in ((1, 1.0), (2, -1.0)):
         s = on_face(SCENE, face)
         found = corrections(BearingWobble(kind="transit", order=2), s)[:, 1]
@@ -134,7 +134,7 @@ def test_detector_offset_is_a_beam_offset_of_half_its_size() -> None:
 
 
 def test_sag_of_an_upright_tracker_is_the_cosine_of_the_elevation_circle() -> None:
-    """physics.md entry 11 and class E6: exact for upright stations, and not for leaning ones."""
+    """Exact for upright stations, and not for leaning ones."""
     circle = next(effect for effect in BASELINE if effect.name == "elevation-eccentricity")
     upright = scene(lean=0.0)
     np.testing.assert_allclose(HeadSag().design(upright)[:, :, 0], -circle.design(upright)[:, :, 0], atol=1e-12)

@@ -1,4 +1,4 @@
-"""A number or an identity of physics.md for each effect that no other file of this folder has."""
+"""A number or an identity for each effect that no other file of this folder has."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_azimuth_drift_over_the_recording_and_in_every_visit_are_the_same_up_to_
 
 
 def test_expanding_mesh_is_a_drifting_scale_of_the_ranges() -> None:
-    """physics.md class E2: 1.000 where both wait while a station measures, 0.99 where they go on."""
+    """1.000 where both wait while a station measures, 0.99 where they go on."""
     waiting = replace(SCENE, time=1000.0 * SCENE.station)
     for s, least in ((waiting, 1.0 - 1e-9), (SCENE, 0.99)):
         mesh = left_over(s, MeshExpansion(mode="uniform").design(s)[:, :, 0], scale=True)
@@ -171,7 +171,7 @@ def test_vertical_expansion_lifts_only() -> None:
 
 
 def test_gauge_scale_and_shape_change_the_stated_lengths_only() -> None:
-    """A length stated too short by s L; a nest that moved by D changes L by D along it (physics.md entries 35, 36)."""
+    """A length stated too short by s L; a nest that moved by D changes L by D along it ."""
     first, second = np.array([24, 24, 25]), np.array([25, 26, 27])
     points = SCENE.points
     true = np.linalg.norm(points[first] - points[second], axis=1)
@@ -188,7 +188,7 @@ def test_gauge_scale_and_shape_change_the_stated_lengths_only() -> None:
 
 
 def test_fixed_vertex_offset_is_a_displacement_and_is_absorbed() -> None:
-    """physics.md class E17: the target sits elsewhere."""
+    """The target sits elsewhere, exactly."""
     fixed = replace(SCENE, reaimed=np.zeros(28, dtype=bool), nest_normal=np.tile([0.0, 0.6, 0.8], (28, 1)))
     design = SmrCentring().design(fixed)
     basis = network_basis(fixed)
@@ -199,7 +199,7 @@ def test_fixed_vertex_offset_is_a_displacement_and_is_absorbed() -> None:
 
 
 def test_axial_vertex_offset_of_a_reaimed_reflector_is_a_range_offset() -> None:
-    """physics.md entry 25: Delta_d = +e_a at alpha = 0, and the rest is lateral and the same on both faces."""
+    """Delta_d = +e_a at alpha = 0, and the rest is lateral and the same on both faces."""
     turned = replace(SCENE, reaimed=np.ones(28, dtype=bool))
     design = SmrCentring().design(turned)
     np.testing.assert_allclose(design[:, :, 0], RangeOffset().design(turned)[:, :, 0], atol=1e-12)
@@ -207,7 +207,7 @@ def test_axial_vertex_offset_of_a_reaimed_reflector_is_a_range_offset() -> None:
 
 
 def test_fixed_vertex_offset_shows_in_the_range_by_the_incidence() -> None:
-    """physics.md entry 25: Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0); 26 um at 30 deg is 13 um."""
+    """Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0); 26 um at 30 deg is 13 um."""
     fixed = replace(SCENE, reaimed=np.zeros(28, dtype=bool))
     known = np.isfinite(fixed.incidence)
     found = -SmrCentring().design(fixed)[known, 0]
@@ -227,7 +227,7 @@ def test_split_spot_is_a_constant_angle_of_its_reflector() -> None:
 
 @pytest.mark.parametrize(("degrees", "along", "across"), [(0.0, 1.500, 0.0), (30.0, 1.645, 0.58)])
 def test_window_of_three_millimetres(degrees: float, along: float, across: float) -> None:
-    """physics.md entry 28."""
+    """3 mm of glass: 1.500 mm at normal incidence, 1.645 mm at 30 deg, 0.58 mm across."""
     one = chosen(SCENE, [10])
     beam, left, _ = (v[0] for v in one.unit_vectors)
     angle = np.radians(degrees)
@@ -241,7 +241,7 @@ def test_window_of_three_millimetres(degrees: float, along: float, across: float
 
 
 def test_other_ball_lifts_every_target_of_the_station_along_its_normal() -> None:
-    """physics.md entry 29: 12.7 mm for 1.5 in taken for 0.5 in."""
+    """12.7 mm for 1.5 in taken for 0.5 in."""
     assert pytest.approx(12.7) == 25.4 / 2 * (1.5 - 0.5)
     change = SmrOffset(("S2",)).shift(SCENE, np.array([12.7e-3]))
     lifted = SCENE.points + 12.7e-3 * np.nan_to_num(SCENE.nest_normal)
@@ -328,7 +328,7 @@ def test_levelling_bias_turns_about_the_axes_of_the_instrument() -> None:
 
 
 def test_lag_is_the_rate_of_the_approach() -> None:
-    """Delta = rate times lag: 1 ms at 0.1 m/s is 100 um (physics.md entry 38)."""
+    """Delta = rate times lag: 1 ms at 0.1 m/s is 100 um."""
     design = TimingLag().design(SCENE)
     here = np.flatnonzero(SCENE.station == 0)
     rate = (SCENE.raw[here[1:], 0] - SCENE.raw[here[:-1], 0]) / 15.0
@@ -360,7 +360,7 @@ def test_confused_faces_twice_are_right_again() -> None:
 
 
 def test_wrong_units_have_the_ratios_of_their_units() -> None:
-    """physics.md entry 40: 25.4, 1000, 10/9, and a zenith angle for an elevation."""
+    """25.4, 1000, 10/9, and a zenith angle for an elevation."""
     factors = {"inch": (0, 1 / 25.4), "metre": (0, 1e-3), "gon": (1, 10 / 9)}
     here = SCENE.station == 1
     for mistake, (column, factor) in factors.items():

@@ -55,7 +55,7 @@ def turn(axis: str, angle: float) -> Floats:
 
 
 def misalignment_twin(raw: Floats, e: Mapping[str, float]) -> Floats:
-    """The formula at the head of `ltsim/kinematics/misalignment.py` (physics.md 2.1), bearing first."""
+    """The formula at the head of `ltsim/kinematics/misalignment.py`, bearing first."""
     head = shift(e["transit-offset"], 0, 0) @ turn("x", e["transit-tilt"])
     head = head @ turn("y", -(raw[2] + e["elevation"])) @ shift(0, e["beam-lateral"], e["beam-vertical"])
     c, range_ = e["beam-tilt"], raw[0] + e["range"]

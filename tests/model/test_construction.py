@@ -156,7 +156,7 @@ PHYSICAL = [
     ("elevation-second-order-cos", +1, "J2.eY_cos2"),
     ("elevation-second-order-sin", +1, "J2.eY_sin2"),
 ]
-"""The table of physics.md 2.4: each misalignment term, and every D-H coefficient that alone reproduces it."""
+"""Each misalignment term, and every D-H coefficient that alone reproduces it."""
 
 
 @pytest.mark.parametrize(("term", "sign", "coefficient"), PHYSICAL)

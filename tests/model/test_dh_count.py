@@ -1,9 +1,9 @@
 """How many of the paper's 78 Denavit-Hartenberg coefficients a network can tell apart.
 
-The numbers are those of physics.md 2.4, derived there by hand and here by rank: of the 78 coefficients of eq. 1 to 8
-(Sensors 2021, 21, 7479), 14 have no effect on a point, 11 repeat others even with known stations and targets, 6 are
-absorbed by the pose of the station and 1, the range scale, by targets that are free. The network is that of
-physics.md section 1: two walls with 24 reflectors, a gauge of four near the corner, five stations.
+The numbers stand at the head of `ltsim/kinematics/dh.py`, derived by hand; here they are counted by rank: of the 78
+coefficients of eq. 1 to 8 (Sensors 2021, 21, 7479), 14 have no effect on a point, 11 repeat others even with known
+stations and targets, 6 are absorbed by the pose of the station and 1, the range scale, by targets that are free. The
+network is the reference workshop: two walls with 24 reflectors, a gauge of four near the corner, five stations.
 
 Columns are brought to unit length, so a singular value below the gap is rounding (1e-15) and one above it is a
 combination that is determined, however weakly.
@@ -32,7 +32,7 @@ network = pytest.mark.parametrize(("faces", "seed"), [((1,), 0), ((1,), 1), ((1,
 
 
 def reference_network(faces: tuple[int, ...], seed: int) -> Sightings:
-    """The reconstruction of physics.md section 1; heights of the heads, yaws and fine places are drawn."""
+    """The reference workshop; heights of the heads, yaws and fine places are drawn."""
     rng = stream(seed, "reference-network")
     along = np.linspace(0.6, 5.6, 4)
     wall = np.array([[0.0, s, z] for z in (5.9, 2.0, 0.15) for s in along])
@@ -185,7 +185,7 @@ def test_the_eleven_redundant_ones(lost: str, others: tuple[str, ...]) -> None:
 
 @network
 def test_the_six_that_poses_absorb(faces: tuple[int, ...], seed: int) -> None:
-    """Height, yaw, two for the place on the floor, two for the tilt: names as in physics.md 2.4."""
+    """Height, yaw, two for the place on the floor, two for the tilt: names as in `kinematics/dh.py`."""
     d = design(faces, seed)
     assert share_left(d.column("J1.dY_c", "J1.eY_c"), d.pose) < ROUNDING
     for kind in "de":

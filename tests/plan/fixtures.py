@@ -1,4 +1,4 @@
-"""A workshop of the size of the paper's: two walls, three levels, a gauge near the corner (physics.md, section 1)."""
+"""A workshop of the size of the paper's: two walls, three levels, a gauge near the corner."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Minimal detectable sizes: the power they promise, the table of physics.md, and pairs that are known to be alike."""
+"""Minimal detectable sizes: the power they promise, a table of a like network, and pairs that are known to be alike."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
 
 
 def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
-    """physics.md section 6, two faces, joint: 3-sigma amplitudes of a like network; minimal sizes are 4.13 sigma."""
+    """Two faces, joint: 3-sigma amplitudes of a like network; minimal sizes are 4.13 sigma."""
     found = detectability(INFORMATION.adjustment, [TransitOffset, StationWeather, RangeStep])
     size = {row.parameter: 3 / np.sqrt(noncentrality(1)) * row.typical for row in found.table()}
     assert size["transit-offset"] == pytest.approx(0.8e-6, rel=0.25)
@@ -76,7 +76,7 @@ def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
 
 
 def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
-    """physics.md, class E6: sag and the cosine of the elevation circle are one for upright stations."""
+    """Sag and the cosine of the elevation circle are one for upright stations."""
     sag = examine(ROOM, [HeadSag()])
     assert sag is not None
     assert sag.visible[0] < 1e-3

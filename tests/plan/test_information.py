@@ -41,7 +41,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
 
 def test_undetermined_combinations_have_the_gain_they_state() -> None:
     information = LayoutInformation.of(survey((1,)))
-    assert information.undetermined, "one face leaves the vertical group undetermined (physics.md, section 6)"
+    assert information.undetermined, "one face leaves the vertical group undetermined"
     for direction in information.undetermined:
         left = direction.vector @ information.scaled_covariance @ direction.vector
         assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)

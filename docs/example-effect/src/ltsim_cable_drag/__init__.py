@@ -1,0 +1,33 @@
+"""Cable drag: the cable of the head winds up as it turns and twists the instrument against its base.
+
+Delta_azimuth = k x, x the raw azimuth, which counts from the middle of the travel to the stops at half a turn: the
+instrument follows the cable's pull by a share of the angle that the head has turned. The same at every station, and of
+opposite sign on both sides of the cable's rest.
+
+Size: under 0.2 ppm (0.2 urad a radian) with a hanging cable, 2 to 5 ppm with a stiff one that lies on the floor.
+Like: azimuth-eccentricity sine and azimuth-drift where targets are taken round the clock.
+Separate by: a target taken again after a full turn of the head; two faces; the cable hung up.
+Valid: a cable that pulls in proportion to the turn; targets on more than half of the circle.
+Source: mechanics of a torsion spring.
+Status: validated on the sign and against a simulated recording.
+"""
+
+from dataclasses import dataclass
+
+from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+
+
+@dataclass(frozen=True)
+class CableDrag(Effect):
+    """A twist of the instrument that grows with the turn of its head."""
+
+    name = "cable-drag"
+    stage = Stage.AXES
+    observables = ("azimuth",)
+    covariates = ("azimuth",)
+    parameters = (Parameter("cable-drag", "ppm", "twist of the instrument over the turn of its head", 5e-6),)
+
+    def design(self, sightings):
+        """Change (n, 3, 1) of the raw readings per unit: minus the correction."""
+        turned = self.mask(sightings) * sightings.raw[:, 1]
+        return on_readings(sightings, azimuth=turned[:, None])
