@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import native
 from ltsim.recording.conventions import NO_HINTS, Hints
@@ -21,6 +23,8 @@ from ltsim.recording.formats import (
     spatialanalyzer,
 )
 from ltsim.recording.recording import Recording
+from ltsim.recording.settings import sentence
+from ltsim.recording.setup import Setup
 from ltsim.recording.tables import reader as tables
 
 HEAD = 16_384
@@ -140,9 +144,11 @@ def read(
         One sentence: what is wrong and where, or which hint is wanted.
     """
     path = Path(path)
-    if format is not None:
-        return _named(format, formats).read(path, hints)
-    return recognised(path, formats).read(path, hints)
+    chosen = recognised(path, formats) if format is None else _named(format, formats)
+    try:
+        return chosen.read(path, hints)
+    except ValidationError as problem:
+        raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
 
 
 def recognised(path: Path, formats: tuple[Format, ...] = FORMATS) -> Format:

@@ -14,6 +14,8 @@ NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Vector = tuple[Finite, Finite, Finite]
+EXACT_LEVEL_ARCSEC = 1e-3
+"""Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
 
 
 class Section(BaseModel):

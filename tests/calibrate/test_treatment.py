@@ -176,15 +176,15 @@ def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     recording = recorded(shared, "cern-lgc-trackers/20697_V2_Dirk_ESA_experimental.lgc")
     plain = adjust_network(recording)
     assert plain.verdict is not None
-    assert "although" in plain.verdict.sentence
+    assert "fails only because 4 readings are out of place" in plain.verdict.sentence
     found = adjust_network(recording, robust=True, noise_from_data=True)
     left = {o.row for o in found.outliers if o.left_out}
-    assert {42, 199, 361, 362, 348, 363, 318, 335} <= left
+    assert {42, 199, 361, 362, 348, 363} <= left
     assert 41 not in left
     assert len({n.instrument for n in found.noise if n.observable != "level"}) == 3
     noise = {(n.instrument, n.observable): n for n in found.noise}
     level = noise["", "level"]
-    assert (level.factor, level.factor_sigma) == (pytest.approx(0.93, abs=0.02), pytest.approx(0.13, abs=0.01))
+    assert (level.factor, level.factor_sigma) == (1.0, np.inf)  # exact levels: nothing to estimate
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.01)
 
 

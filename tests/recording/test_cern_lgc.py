@@ -97,6 +97,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     recording = read(sample(tmp_path / "a.lgc"))
     stations, targets = recording.setup.stations, recording.setup.targets
     assert stations["HALL.S1."].levelled
+    assert stations["HALL.S1."].levelling_sigma_arcsec == 1e-3
     assert not stations["HALL.S2."].levelled
     assert stations["HALL.S1."].over is None
     vertical = stations["HALL.S1."].vertical
@@ -107,7 +108,12 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     assert targets["HALL.P2."].datum
     assert targets["HALL.P4."].approximate_mm is None
     notes = " ".join(recording.notes)
-    for said in ("2 lines are switched off", "*DVER is not understood here and skipped (1", "*OBSXYZ", "*RS2K"):
+    for said in (
+        "2 lines are switched off",
+        "*DVER is not understood here and skipped (1",
+        "*OBSXYZ holds observed coord",
+        "*RS2K",
+    ):
         assert said in notes, said
 
 
@@ -129,6 +135,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
         ("HALL.P2.   2020.0 3000.0 400.5", "HALL.P2.   2020.0", "three coordinates"),
         ("HALL.P4.   0 0 400", "<b>   0 0 400", "holds '<'"),
         ("BALL 5 5 .01 0 0 0 0 0 0.03 0", "BALL 5 5", "four sigmas"),
+        ("PRISM 3 4 .02 6", "PRISM 3e11 4 .02 6", "a.lgc: azimuth_arcsec is 9"),
         ("Réseau", "x" * 30_000, "longer than"),
     ],
 )

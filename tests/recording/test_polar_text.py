@@ -9,7 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from ltsim.adjust import adjust
 from ltsim.errors import RecordError
+from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.recording import Hints, Recording, read, write
 from ltsim.recording.formats.point_list import read_points, recording_of_clouds
@@ -239,3 +241,24 @@ def test_the_girder_epochs() -> None:
         assert any("azimuths taken as clockwise" in note for note in recording.notes)
         assert any("gon with the vertical one as zenith" in note for note in recording.notes)
         assert 0.45 < np.mean(recording.face == 2) < 0.55
+
+
+@pytest.mark.parametrize(("epoch", "date"), [(3, "21Feb22"), (12, "21Apr22")])
+def test_the_girder_comes_out_where_its_authors_have_it(epoch: int, date: str) -> None:
+    """Units, zero directions and signs: a mirrored or rescaled network would miss by far more than 5 um."""
+    folder = shared("recordings", "desy-girder-at960")
+    if not folder.is_dir():
+        pytest.skip("the recordings of the girder are not beside this checkout")
+    recording = read(folder / f"Polar_measurements_{date}.txt", hints=CLOCKWISE)
+    points = adjust(recording, robust=True).state.points
+    lines = (
+        line.replace(",", " ").split() for line in (folder / f"Results_Epoch_{epoch}.txt").read_text().splitlines()
+    )
+    published = {w[0]: [float(x) for x in w[1:4]] for w in lines if len(w) > 3 and w[0] in recording.targets}
+    ours = points[[recording.targets.index(name) for name in published]]
+    goal = np.array(list(published.values()))
+    rotation, shift = align(ours, goal)
+    miss = np.linalg.norm(ours @ rotation.T + shift - goal, axis=1)
+    assert len(miss) == 88
+    assert np.median(miss) < 6e-6
+    assert miss.max() < 40e-6

@@ -25,7 +25,7 @@ from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import MAX_TEXT, check_name, number, read_lines, shown
 from ltsim.recording.merge import Kind, Merged, Observed, merged
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Axes, Instrument, Noise, Setup, Station, Target, Vector
+from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Axes, Instrument, Noise, Setup, Station, Target, Vector
 from ltsim.units import ARCSECOND, GON, MILLIMETRE, PPM
 
 EARTH = 6_371_000.0
@@ -336,7 +336,9 @@ def _say(file: _File) -> None:
     if file.switched_off:
         file.notes.append(f"{file.switched_off} lines are switched off with % and left out")
     for keyword, count in file.skipped.items():
-        file.notes.append(f"*{shown(keyword)} is not understood here and skipped ({count} lines)")
+        observed = "holds observed coordinates, no readings of an instrument,"
+        why = observed if keyword == "OBSXYZ" else "is not understood here"
+        file.notes.append(f"*{shown(keyword)} {why} and skipped ({count} lines)")
     if file.curved:
         sphere = "heights refer to a curved surface: a sphere is taken for it, plumb lines differ by place"
         file.notes.append(f"*{file.curved}: {sphere}")
@@ -364,6 +366,7 @@ def _station(name: str, setup: _SetUp, file: _File, middle: Floats, marks: list[
     return Station(
         position_mm=rough,
         levelled=setup.levelled,
+        levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC if setup.levelled else Station().levelling_sigma_arcsec,
         instrument=setup.instrument,
         instrument_height_mm=together.instrument_heights.get(name, 0.0),
         over=setup.point if setup.point in marks else None,

@@ -26,12 +26,11 @@ from ltsim.recording.files import MAX_TEXT, check_name, number, shown
 from ltsim.recording.formats.xml import attribute, parse, tag, value_of
 from ltsim.recording.merge import Merged, Observed, merged
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Noise, Setup, Station, Target
+from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Gauge, GaugeDistance, Instrument, Noise, Setup, Station, Target
 from ltsim.units import ARCSECOND, DEGREE, GON, MILLIMETRE
 
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 FIXED_MM = 1e-4
-EXACT_LEVEL_ARCSEC = 1e-3
 CC = GON * 1e-4
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 

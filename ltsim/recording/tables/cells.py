@@ -80,10 +80,10 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
         stamps = _all(texts, lambda text, f=form, k=letters: _stamp(text, f, k))  # type: ignore[misc]
         if stamps is not None:
             meanings.setdefault(name, stamps)
-    differing = {tuple(stamp - min(stamps) for stamp in stamps) for stamps in meanings.values()}
-    if len(differing) > 1:
+    found = [_since([stamp - datetime.min for stamp in stamps]) for stamps in meanings.values()]
+    if any(one != found[0] for one in found):
         return None, "?"
-    return _since([stamp - datetime.min for stamp in next(iter(meanings.values()))]) if meanings else (None, "")
+    return found[0] if found else (None, "")
 
 
 def _all(texts: Sequence[str], read: Callable[[str], datetime | None]) -> list[datetime] | None:
@@ -96,9 +96,9 @@ def _all(texts: Sequence[str], read: Callable[[str], datetime | None]) -> list[d
     return found
 
 
-def _since(spans: list[timedelta], remark: str = "") -> tuple[list[float], str]:
+def _since(spans: list[timedelta]) -> tuple[list[float], str]:
     first = min(spans)
-    return [(span - first).total_seconds() for span in spans], remark
+    return [(span - first).total_seconds() for span in spans], ""
 
 
 def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:

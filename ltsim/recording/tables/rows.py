@@ -120,6 +120,7 @@ class _SheetReader:
         self.sheet, self.hints = sheet, hints
         self.station = sheet.name if several else hints.station or ""
         self.table = Table([])
+        self.wanted: list[int] = []
 
     def read(self, start: int) -> Table:
         rows = self.sheet.rows
@@ -129,11 +130,14 @@ class _SheetReader:
             width = len(rows[start + 1].fields)
             numbered = Row(0, tuple(str(i + 1) for i in range(width)))
             self.table.columns = header_of(numbered, self.hints, self.sheet.file) or []
+            self.wanted = list(range(width))
         for i, row in enumerate(rows[max(start, 0) :]):
-            again = header_of(row, self.hints, self.sheet.file) if not self._has_values(row) else None
+            measured = self._has_values(row)
+            again = header_of(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
                 self.table.columns = again
-            elif row.comment or not self._has_values(row):
+                self.wanted = [c.place for c in again if any(c.role in kind for kind in READINGS)]
+            elif row.comment or not measured:
                 self._other(row)
             else:
                 self._pointing(row, last=i + max(start, 0) == len(rows) - 1)
@@ -142,8 +146,7 @@ class _SheetReader:
 
     def _has_values(self, row: Row) -> bool:
         """Whether a cell of the readings, or what stands in its place, is a number."""
-        wanted = [c.place for c in self.table.columns if any(c.role in kind for kind in READINGS)]
-        return any(cells.is_value(row.fields[i]) for i in wanted if i < len(row.fields))
+        return any(cells.is_value(row.fields[i]) for i in self.wanted if i < len(row.fields))
 
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
