@@ -35,6 +35,7 @@ VERBS = {
     "history": "follow an instrument's parameters over calibrations",
     "plan": "find a layout of stations and reflectors, or what to measure next",
     "report": "one page that opens offline, about any folder of results",
+    "uncertainty": "what a task on a recording is worth: budget, verdict",
     "view": "show the workshop in 3D",
 }
 SETTINGS: dict[str, Any] = {
