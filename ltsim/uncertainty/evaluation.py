@@ -70,7 +70,7 @@ class Evaluation:
             what = f"{task.name}, {output.name}"
             if self.curved[i] > CURVED:
                 gap = f"off by {self.curved[i]:.2g} of it"
-                told.append(f"{what}: the adjustment is not linear over its uncertainty ({gap}): the network is too weak")
+                told.append(f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak")
             elif not self.agrees[i] and self.drawn.stable[i]:
                 told.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
         if not self.drawn.stable.all():
