@@ -13,10 +13,11 @@ from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import SetupError
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import read_result
 from ltsim.simulate.scenario import builtin_names, load_scenario
 from ltsim.simulate.simulator import simulate
 from ltsim.uncertainty.evaluation import evaluate_tasks
-from ltsim.uncertainty.files import UncertaintyFile, compared, read_uncertainty, told, write_uncertainty
+from ltsim.uncertainty.files import UncertaintyFile, compared, told, write_uncertainty
 from ltsim.uncertainty.spec import Tasks, load_tasks
 
 TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
@@ -55,8 +56,8 @@ def uncertainty(
     with terminal.busy("drawing trials"):
         evaluation = evaluate_tasks(recording, tasks)
     content = told(evaluation, frame_of(evaluation.inputs.adjustment))
-    other = None if against is None else compared(content, read_uncertainty(against))
-    answer = content.model_dump(mode="json")
+    other = None if against is None else compared(content, read_result(against, UncertaintyFile))
+    answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
     if out is not None:

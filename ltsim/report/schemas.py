@@ -25,6 +25,8 @@ from ltsim.recording.result_table import ResultTable
 from ltsim.recording.setup import Setup
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.truth import TruthFile
+from ltsim.uncertainty import files as uncertainty
+from ltsim.uncertainty.spec import Tasks
 
 RESULTS: tuple[type[ResultFile], ...] = (
     CalibrationFile,
@@ -35,6 +37,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     plan.NextFile,
     ManifestFile,
     RecoveryFile,
+    uncertainty.UncertaintyFile,
 )
 """Files that verbs write and the report reads."""
 
@@ -45,6 +48,7 @@ FILES: dict[str, type[BaseModel]] = {
     "scenario.toml": Scenario,
     "campaign.toml": Campaign,
     "plan.toml": PlanFile,
+    "tasks.toml": Tasks,
 }
 """Every file with a model, those that people write among them."""
 
@@ -54,6 +58,7 @@ TABLES: dict[str, tuple[ResultTable, ...]] = {
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
     ManifestFile.FILE: (SUMMARY,),
+    uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     RecoveryFile.FILE: (trials_table(("PARAMETER",)),),
 }
 """The tables beside each file."""

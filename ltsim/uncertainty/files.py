@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from ltsim.errors import RecordError
-from ltsim.recording.files import read_text, write_texts
-from ltsim.recording.settings import sentence
+from ltsim.recording.result_file import Entry, Known, ResultFile, SourceEntry, write_result
+from ltsim.recording.result_table import ResultTable, numbers, texts
 from ltsim.uncertainty.evaluation import Evaluation, worst_first
 from ltsim.uncertainty.verdict import Judgement, normalised_error
 
-FORMAT = "ltsim-uncertainty/1"
-JSON, RESULTS, BUDGET = "uncertainty.json", "uncertainty.csv", "budget.csv"
+RESULTS = ResultTable(
+    "uncertainty.csv",
+    "results of the tasks",
+    (
+        *texts(task="name", result="name", unit="of all numbers"),
+        *numbers(".9g", value="estimate", u="standard uncertainty", U="expanded uncertainty"),
+        *numbers(".9g", mc_u="standard uncertainty by Monte Carlo", mc_low="end of its interval", mc_high="as mc_low"),
+        *texts(agrees="True where both intervals agree", judgement="against the tolerance, empty without one"),
+    ),
+)
+BUDGET = ResultTable(
+    "budget.csv",
+    "where the uncertainty comes from",
+    (
+        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
+        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+    ),
+)
 
-
-class Table(BaseModel):
-    """Base of the file's tables."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class MonteCarloTold(Table):
+class MonteCarloTold(Entry):
     """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
 
     mean: float
@@ -39,7 +44,7 @@ class MonteCarloTold(Table):
     agrees: bool = Field(description="whether the linear interval is that of the distribution (JCGM 101, clause 8)")
 
 
-class Part(Table):
+class Part(Entry):
     """One source of a result's uncertainty: its type, its share of the variance, its standard uncertainty."""
 
     source: str
@@ -48,7 +53,7 @@ class Part(Table):
     standard_uncertainty: float
 
 
-class ConformityTold(Table):
+class ConformityTold(Entry):
     """A result against its tolerance (JCGM 106), limits and guard band in its unit."""
 
     lower: float | None
@@ -60,7 +65,7 @@ class ConformityTold(Table):
     wrong: float = Field(description="probability that the judgement is wrong")
 
 
-class Result(Table):
+class Result(Entry):
     """One number of a task with its uncertainty, in its unit."""
 
     task: str
@@ -77,24 +82,20 @@ class Result(Table):
     conformity: ConformityTold | None = None
 
 
-class UncertaintyFile(Table):
+class UncertaintyFile(ResultFile):
     """The whole file."""
 
-    format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
+    FILE: ClassVar[str] = "uncertainty.json"
+    format: str = "ltsim-uncertainty/1"
     title: str
     source: str
     coverage: float
     trials: int
     frame: str
-    sigma0: float | None = Field(description="of the adjustment that the points come from")
+    sigma0: Known = Field(description="of the adjustment that the points come from")
     results: tuple[Result, ...]
-    correlation: tuple[tuple[float | None, ...], ...] = Field(description="of the results, in their order")
+    correlation: tuple[tuple[Known, ...], ...] = Field(description="of the results, in their order")
     warnings: tuple[str, ...] = ()
-
-    @property
-    def names(self) -> list[str]:
-        """``task, result`` of each result."""
-        return [f"{r.task}, {r.name}" for r in self.results]
 
 
 def told(evaluation: Evaluation, frame: str) -> UncertaintyFile:
@@ -150,18 +151,17 @@ def told(evaluation: Evaluation, frame: str) -> UncertaintyFile:
                 ),
             )
         )
-    sigma0 = evaluation.inputs.adjustment.sigma0
+    found = evaluation.inputs.adjustment
     return UncertaintyFile(
+        recording=SourceEntry.of(found.recording),
         title=tasks.title,
         source=tasks.source,
         coverage=coverage,
         trials=evaluation.drawn.trials,
         frame=frame,
-        sigma0=sigma0 if np.isfinite(sigma0) else None,
+        sigma0=found.sigma0,
         results=tuple(results),
-        correlation=tuple(
-            tuple(float(x) if np.isfinite(x) else None for x in row) for row in np.atleast_2d(linear.correlation)
-        ),
+        correlation=tuple(tuple(row) for row in linear.correlation.tolist()),
         warnings=tuple(evaluation.warnings),
     )
 
@@ -178,42 +178,14 @@ def write_uncertainty(content: UncertaintyFile, folder: Path) -> None:
     RecordError
         When the folder cannot be written; nothing half-written stays behind.
     """
-    results: list[list[Any]] = [
-        ["task", "result", "unit", "value", "u", "U", "mc_u", "mc_low", "mc_high", "agrees", "judgement"]
-    ]
-    parts: list[list[Any]] = [["task", "result", "source", "type", "share", "u", "unit"]]
+    results = []
+    parts = []
     for r in content.results:
-        mc = r.monte_carlo
-        figures = (r.value, r.standard_uncertainty, r.expanded_uncertainty, mc.standard_uncertainty, *mc.symmetric)
-        judged = r.conformity.judgement if r.conformity else ""
-        results.append([r.task, r.name, r.unit, *(f"{x:.9g}" for x in figures), mc.agrees, judged])
-        parts += [
-            [r.task, r.name, p.source, p.type, f"{p.share:.6f}", f"{p.standard_uncertainty:.6g}", r.unit]
-            for p in r.budget
-        ]
-    text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False) + "\n"
-    write_texts(folder, {JSON: text, RESULTS: _csv(results), BUDGET: _csv(parts)})
-
-
-def _csv(rows: Sequence[Sequence[Any]]) -> str:
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows(rows)
-    return stream.getvalue()
-
-
-def read_uncertainty(path: Path) -> UncertaintyFile:
-    """The contents of an uncertainty.json, or of the one in a folder.
-
-    Raises
-    ------
-    RecordError
-        One sentence for whatever is wrong.
-    """
-    file = path / JSON if path.is_dir() else path
-    try:
-        return UncertaintyFile.model_validate_json(read_text(file))
-    except ValidationError as problem:
-        raise RecordError(sentence(problem.errors()[0], UncertaintyFile), file=file) from None
+        mc, judged = r.monte_carlo, r.conformity.judgement if r.conformity else ""
+        figures = r.value, r.standard_uncertainty, r.expanded_uncertainty, mc.standard_uncertainty, *mc.symmetric
+        results.append([r.task, r.name, r.unit, *figures, mc.agrees, judged])
+        parts += [[r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty] for p in r.budget]
+    write_result(folder, content, {RESULTS.file: RESULTS.text(results), BUDGET.file: BUDGET.text(parts)})
 
 
 def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str, float]]:

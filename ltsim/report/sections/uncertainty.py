@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Block, Fact, Points, Section, Table, mood, picture
 from ltsim.report.figures.budget import budget
 from ltsim.report.words import count, listing
-from ltsim.uncertainty.files import JSON, Result, UncertaintyFile, read_uncertainty
+from ltsim.uncertainty.files import Result, UncertaintyFile
 
 MOST_BARS = 40
 """Results in one picture; the tables hold all."""
@@ -23,7 +24,7 @@ def uncertainty_section(folder: Path) -> Section:
     RecordError
         When the file is malformed.
     """
-    content = read_uncertainty(folder / JSON)
+    content = read_result(folder, UncertaintyFile)
     failed = [r for r in content.results if r.conformity is not None and r.conformity.judgement == "rejected"]
     blocks: list[Block] = [_results(content), *_conformity(content), *_budget(content)]
     if content.warnings:
@@ -98,8 +99,8 @@ def _conformity(content: UncertaintyFile) -> list[Block]:
             rows.append([r.task, r.name, *limits, r.unit, *figures])
     if not rows:
         return []
-    header = ["task", "result", "lower", "upper", "unit", "guard band", "conforms with probability", "judgement", "wrong"]
-    note = "wrong: probability that the judgement is wrong (JCGM 106)"
+    header = ["task", "result", "lower", "upper", "unit", "guard band", "conforms", "judgement", "wrong"]
+    note = "conforms, wrong: probabilities that the true value conforms, and that the judgement is wrong (JCGM 106)"
     return [Table("Conformity", header, rows, text_columns=2, note=note)]
 
 
