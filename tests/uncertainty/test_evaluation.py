@@ -126,7 +126,7 @@ def test_published_distributions() -> None:
         inputs = Inputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
         found = draw(inputs, [measurand], Stretch(), MonteCarlo(most_trials=100_000))
         assert found.sigma[0] == pytest.approx(sigma, rel=0.01)
-        assert found.symmetric[0] == pytest.approx([-half, half], abs=0.12)
+        assert found.symmetric[0] == pytest.approx([-half, half], abs=0.25)
         linear = propagate(inputs, [measurand], Stretch())
         expanded = {2.00: 3.92, 10.15: 19.9}[sigma]
         assert linear.expanded(0.95)[0] == pytest.approx(expanded, abs=0.05)
