@@ -29,6 +29,7 @@ VERBS = {
     "verify": "apply a calibration to another recording",
     "recover": "is what was injected recovered? a check for CI",
     "campaign": "many trials over a grid of settings, safely",
+    "compare": "did points move between two recordings",
     "convert": "read a recording in one format, write it in another",
     "effects": "the catalogue of physical effects",
     "diagnose": "do recording and model agree; if not, where and why",

@@ -25,6 +25,7 @@ from ltsim.recording.result_table import ResultTable
 from ltsim.recording.setup import Setup
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.truth import TruthFile
+from ltsim.uncertainty import comparison
 from ltsim.uncertainty import files as uncertainty
 from ltsim.uncertainty.spec import Tasks
 
@@ -38,6 +39,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     ManifestFile,
     RecoveryFile,
     uncertainty.UncertaintyFile,
+    comparison.ComparisonFile,
 )
 """Files that verbs write and the report reads."""
 
@@ -58,6 +60,7 @@ TABLES: dict[str, tuple[ResultTable, ...]] = {
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
     ManifestFile.FILE: (SUMMARY,),
+    comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     RecoveryFile.FILE: (trials_table(("PARAMETER",)),),
 }

@@ -26,6 +26,10 @@ SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqr
 """Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""
 
 
+LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker guarantees"
+"""Names of groups of observations; the last is the prior of the instrument's constants."""
+
+
 @dataclass(frozen=True)
 class Source:
     """One source of uncertainty of the points.
@@ -127,11 +131,11 @@ def observed_rows(adjustment: Adjustment) -> list[tuple[str, Ints]]:
     at = len(observable)
     held = len(problem._held_columns)
     for name, count in (
-        ("known lengths", len(problem.gauge)),
-        ("control points", problem.control.count + problem.known_marks.count),
+        (LENGTHS, len(problem.gauge)),
+        (CONTROL, problem.control.count + problem.known_marks.count),
         ("levels", 2 * len(problem.levels)),
         ("", held),
-        ("what the maker guarantees", int(np.isfinite(problem.prior_sigma).sum())),
+        (PRIORS, int(np.isfinite(problem.prior_sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
