@@ -11,6 +11,13 @@ from ltsim.report.style import AFTER, GREY, RED, new_figure, styled
 VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
 
 
+def enlargement(places: Floats, shifts: Floats, semi_axes: Floats) -> float:
+    """How many times larger than life shifts are drawn: the longest takes an eighth of the picture."""
+    extent = float(np.ptp(places, axis=0).max()) or 1.0
+    longest = float(max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9))
+    return 1e3 * 0.125 * extent / longest
+
+
 @styled
 def displacements(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bools, names: list[str]) -> Figure:
     """Arrows of the shifts, enlarged alike, and a circle of the largest semi-axis around each tip.
@@ -23,9 +30,7 @@ def displacements(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bool
     names : list of str
     """
     figure = new_figure(3.4)
-    extent = float(np.ptp(places, axis=0).max()) or 1.0
-    longest = float(max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9))
-    enlarged = 0.12 * extent / longest
+    enlarged = enlargement(places, shifts, semi_axes) * 1e-3
     for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for place, shift, axes, far, name in zip(places, shifts, semi_axes, moved, names, strict=True):
             colour = RED if far else AFTER
@@ -38,7 +43,7 @@ def displacements(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bool
             if far:
                 ax.annotate(name, end, xytext=(4, 4), textcoords="offset points", fontsize=8, color=colour)
         ax.set_aspect("equal", adjustable="datalim")
-        ax.set_title(f"{title}; shifts {enlarged * 1e3:.0f} times enlarged")
+        ax.set_title(title)
         ax.set_xlabel(f"{'xyz'[i]} [mm]")
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
     return figure

@@ -9,36 +9,35 @@ import numpy as np
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Fact, Section, Table, mood, picture
-from ltsim.report.figures.displacements import displacements
-from ltsim.report.words import p_text
+from ltsim.report.figures.displacements import displacements, enlargement
+from ltsim.report.words import natural, p_text
 from ltsim.uncertainty.comparison import ComparisonFile
 
 
 def comparison_section(folder: Path) -> Section:
     """The section of a folder with `comparison.json`; raises RecordError."""
     content = read_result(folder, ComparisonFile)
-    points = content.displacements
+    points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     rows = [
         [
             d.target,
             "moved" if d.moved else "",
             *(style.fixed(v, 1) for v in d.shift_um),
-            *(style.fixed(v, 1) for v in d.semi_axes_um),
+            " / ".join(style.fixed(v, 0) for v in d.semi_axes_um),
             p_text(d.p_value),
             style.fixed(d.visible_um[1], 0),
         ]
         for d in points
     ]
-    header = ["target", "", "dx [µm]", "dy [µm]", "dz [µm]", "a [µm]", "b [µm]", "c [µm]", "p", "visible [µm]"]
-    note = "a, b, c: semi-axes of the 95 % ellipsoid; visible: smallest motion found in 4 of 5 cases in any direction"
-    figure = displacements(
-        np.array([d.place_mm for d in points]),
-        np.array([d.shift_um for d in points]),
-        np.array([d.semi_axes_um for d in points]),
-        np.array([d.moved for d in points]),
-        [d.target for d in points],
+    header = ["target", "", "dx [µm]", "dy [µm]", "dz [µm]", "ellipsoid [µm]", "p", "visible [µm]"]
+    note = "ellipsoid: its semi-axes at 95 %; visible: smallest motion found in 4 of 5 cases in any direction"
+    columns = ("place_mm", "shift_um", "semi_axes_um")
+    places, shifts, axes = (np.array([getattr(d, column) for d in points]) for column in columns)
+    figure = displacements(places, shifts, axes, np.array([d.moved for d in points]), [d.target for d in points])
+    caption = (
+        f"Shift of each point between the recordings, {enlargement(places, shifts, axes):.0f} times enlarged; "
+        "the circle has the largest semi-axis of its 95 % ellipsoid."
     )
-    caption = "Shift of each point from the first recording to the second, with the largest semi-axis as a circle."
     return Section(
         title=folder.name,
         kind="Comparison",
