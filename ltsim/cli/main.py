@@ -29,12 +29,14 @@ VERBS = {
     "verify": "apply a calibration to another recording",
     "recover": "is what was injected recovered? a check for CI",
     "campaign": "many trials over a grid of settings, safely",
+    "compare": "did points move between two recordings",
     "convert": "read a recording in one format, write it in another",
     "effects": "the catalogue of physical effects",
     "diagnose": "do recording and model agree; if not, where and why",
     "history": "follow an instrument's parameters over calibrations",
     "plan": "find a layout of stations and reflectors, or what to measure next",
     "report": "one page that opens offline, about any folder of results",
+    "uncertainty": "what a task on a recording is worth: budget, verdict",
     "view": "show the workshop in 3D",
 }
 SETTINGS: dict[str, Any] = {

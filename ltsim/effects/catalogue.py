@@ -18,7 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import overload
 
 from ltsim.effects.card import card_of
-from ltsim.effects.effect import Effect, Stage
+from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
 from ltsim.errors import ModelError, unknown_name
 from ltsim.units import FACTOR
 
@@ -134,7 +134,8 @@ def _loaded(point: EntryPoint) -> Entry:
         raise _refused(point, f"its name '{kind.name}' should be lower-case words joined by '-'")
     if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
         raise _refused(point, "its class lacks a stage or parameters")
-    for declared in (*kind.parameters, *kind.shape):
+    declarations: tuple[Parameter | ShapeParameter, ...] = (*kind.parameters, *kind.shape)
+    for declared in declarations:
         if declared.unit not in FACTOR:
             raise _refused(point, f"the unit '{declared.unit}' of {declared.name} is none of {', '.join(FACTOR)}")
     try:

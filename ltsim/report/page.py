@@ -18,11 +18,13 @@ from ltsim.recording.files import write_text
 from ltsim.report.document import Detail, Document, Section
 from ltsim.report.sections.calibration import calibration_section
 from ltsim.report.sections.campaign import campaign_section
+from ltsim.report.sections.comparison import comparison_section
 from ltsim.report.sections.diagnosis import diagnosis_section
 from ltsim.report.sections.further import next_section
 from ltsim.report.sections.history import history_section
 from ltsim.report.sections.plan import plan_section
 from ltsim.report.sections.recording import recording_section
+from ltsim.report.sections.uncertainty import uncertainty_section
 from ltsim.report.words import natural
 
 NAME = "report.html"
@@ -42,6 +44,8 @@ KINDS: dict[str, Builder] = {
     "diagnosis.json": lambda part, recording, _: diagnosis_section(part.folder, recording),
     "history.json": lambda part, _, __: history_section(part.folder),
     "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
+    "uncertainty.json": lambda part, _, __: uncertainty_section(part.folder),
+    "comparison.json": lambda part, _, __: comparison_section(part.folder),
     "next.json": lambda part, _, __: next_section(part.folder),
     "manifest.json": lambda part, _, __: campaign_section(part.folder),
 }

@@ -25,6 +25,9 @@ from ltsim.recording.result_table import ResultTable
 from ltsim.recording.setup import Setup
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.truth import TruthFile
+from ltsim.uncertainty import comparison
+from ltsim.uncertainty import files as uncertainty
+from ltsim.uncertainty.spec import Tasks
 
 RESULTS: tuple[type[ResultFile], ...] = (
     CalibrationFile,
@@ -35,6 +38,8 @@ RESULTS: tuple[type[ResultFile], ...] = (
     plan.NextFile,
     ManifestFile,
     RecoveryFile,
+    uncertainty.UncertaintyFile,
+    comparison.ComparisonFile,
 )
 """Files that verbs write and the report reads."""
 
@@ -45,6 +50,7 @@ FILES: dict[str, type[BaseModel]] = {
     "scenario.toml": Scenario,
     "campaign.toml": Campaign,
     "plan.toml": PlanFile,
+    "tasks.toml": Tasks,
 }
 """Every file with a model, those that people write among them."""
 
@@ -54,6 +60,8 @@ TABLES: dict[str, tuple[ResultTable, ...]] = {
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
     ManifestFile.FILE: (SUMMARY,),
+    comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
+    uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     RecoveryFile.FILE: (trials_table(("PARAMETER",)),),
 }
 """The tables beside each file."""

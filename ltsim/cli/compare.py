@@ -1,0 +1,97 @@
+"""`ltsim compare`: which points moved between two recordings, and which motion could not have been seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Robust, Source, names_of, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal, table
+from ltsim.model.construction import ideal, misalignment
+from ltsim.uncertainty.comparison import ComparisonFile, comparison_file, write_comparison
+from ltsim.uncertainty.epochs import compare as compared
+
+Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
+Stable = Annotated[
+    str | None, typer.Option("--stable", metavar="T01,T02,...", help="Points known not to have moved: the datum.")
+]
+Scaled = Annotated[bool, typer.Option("--scale", help="Let the second recording have a scale of its own.")]
+SameInstrument = Annotated[
+    bool, typer.Option("--same-instrument", help="One tracker with the same errors measured both.")
+]
+Calibrated = Annotated[
+    bool, typer.Option("--calibrate/--no-calibrate", help="Estimate the instrument's constants in each recording.")
+]
+Level = Annotated[float, typer.Option("--level", min=1e-6, max=0.5, help="Chance of any false alarm over all points.")]
+
+
+def compare(
+    source: Source,
+    second: Second,
+    stable: Stable = None,
+    scale: Scaled = False,
+    same_instrument: SameInstrument = False,
+    calibrate: Calibrated = True,
+    level: Level = 0.05,
+    robust: Robust = False,
+    out: Out = None,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Say which points moved between two recordings, by how much, and which motion could not have been seen.
+
+    Writes comparison.json and displacements.csv to --out. Exit status 1 when a point moved.
+
+    Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
+    """
+    terminal = Terminal(quiet, as_json)
+    epochs: list[Adjustment] = []
+    for path in (source, second):
+        recording = recording_of(path, format_name, hint)
+        show_notes(terminal, recording)
+        terminal.say(recording_line(recording))
+        epochs.append(adjust(recording, misalignment() if calibrate else ideal(), robust=robust))
+        epochs[-1].solution.require_success()
+    first, later = epochs
+    found = compared(
+        first, later, stable=names_of(stable), scaled=scale, same_instrument=same_instrument, level=level
+    )
+    at = [first.recording.targets.index(d.target) for d in found.displacements]
+    content = comparison_file(found, first.recording, later.recording, first.state.points[np.array(at)])
+    if out is not None:
+        write_comparison(content, out)
+    terminal.answer(content.content())
+    show(terminal, content)
+    if out is not None:
+        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    return int(bool(found.moved))
+
+
+def show(terminal: Terminal, content: ComparisonFile) -> None:
+    """The verdict, then a line a point."""
+    terminal.say("\n" + content.sentence)
+    terminal.say(
+        f"no motion at all has p = {content.p_value:.2g} (chi-square {content.statistic:.1f}, {content.dof} degrees of "
+        f"freedom); without the points that moved p = {content.p_value_after:.2g}"
+    )
+    rows = [
+        [
+            d.target,
+            "moved" if d.moved else "",
+            *(f"{v:.1f}" for v in d.shift_um),
+            *(f"{v:.1f}" for v in d.sigma_um),
+            f"{d.visible_um[1]:.0f}",
+            f"{d.p_value:.2g}",
+        ]
+        for d in content.displacements
+    ]
+    header = ["target", "", "dx [um]", "dy [um]", "dz [um]", "sigma x", "sigma y", "sigma z", "visible [um]", "p"]
+    terminal.say(table(header, rows, left=2))
+    terminal.say("visible: the smallest motion that is found in 4 of 5 cases, whatever its direction")

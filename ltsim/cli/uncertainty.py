@@ -1,0 +1,126 @@
+"""`ltsim uncertainty`: what a task on a recording or a scenario is worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ltsim.calibrate.result import frame_of
+from ltsim.cli.options import Json, Out, Quiet, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal, digits, table
+from ltsim.errors import SetupError
+from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import read_result
+from ltsim.simulate.scenario import builtin_names, load_scenario
+from ltsim.simulate.simulator import simulate
+from ltsim.uncertainty.evaluation import evaluate_tasks
+from ltsim.uncertainty.files import UncertaintyFile, compared, told, write_uncertainty
+from ltsim.uncertainty.spec import Tasks, load_tasks
+
+TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
+TaskSource = Annotated[
+    str | None, typer.Option("--source", metavar="REC", help="Recording or scenario instead of the file's own.")
+]
+TaskSeed = Annotated[int | None, typer.Option("--seed", min=0, help="Root of all draws; default as the file says.")]
+Against = Annotated[
+    Path | None,
+    typer.Option("--against", metavar="FILE", help="Results of another recording or instrument: E_n of each result."),
+]
+
+
+def uncertainty(
+    file: TaskFile,
+    source: TaskSource = None,
+    seed: TaskSeed = None,
+    against: Against = None,
+    out: Out = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.
+
+    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 1 when a result fails its tolerance.
+
+    Example: ltsim uncertainty flange.toml --out my-uncertainty
+    """
+    terminal = Terminal(quiet, as_json)
+    tasks = load_tasks(file)
+    if seed is not None:
+        tasks = tasks.model_copy(update={"monte_carlo": tasks.monte_carlo.model_copy(update={"seed": seed})})
+    if source is not None:
+        tasks = tasks.model_copy(update={"source": source})
+    recording = _recording(terminal, tasks, file, beside=source is None)
+    with terminal.busy("drawing trials"):
+        evaluation = evaluate_tasks(recording, tasks)
+    content = told(evaluation, frame_of(evaluation.inputs.adjustment))
+    other = None if against is None else compared(content, read_result(against, UncertaintyFile))
+    answer = content.content()
+    if other is not None:
+        answer["against"] = [{"result": name, "E_n": value} for name, value in other]
+    if out is not None:
+        write_uncertainty(content, out)
+    terminal.answer(answer)
+    show(terminal, content)
+    if other is not None:
+        _show_against(terminal, other)
+    if out is not None:
+        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
+
+
+def _recording(terminal: Terminal, tasks: Tasks, file: Path, *, beside: bool) -> Recording:
+    """The recording of the tasks; a scenario is measured once, virtually."""
+    name = tasks.source
+    place = file.parent / name if beside else Path(name)
+    if name in builtin_names() or place.suffix == ".toml":
+        scenario = load_scenario(name if name in builtin_names() else place)
+        recording, _ = simulate(scenario, seed=tasks.monte_carlo.seed)
+        terminal.say(f"scenario {name}, measured once with seed {tasks.monte_carlo.seed}")
+        return recording
+    if not place.exists():
+        raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
+    recording = recording_of(place)
+    show_notes(terminal, recording)
+    terminal.say(recording_line(recording))
+    return recording
+
+
+def show(terminal: Terminal, content: UncertaintyFile) -> None:
+    """A line a result: value, expanded uncertainty, what makes most of it, verdict; then what to mind."""
+    rows = []
+    for r in content.results:
+        value, expanded = digits(r.value, r.expanded_uncertainty)
+        top = r.budget[0] if r.budget else None
+        rows.append(
+            [
+                r.task,
+                r.name,
+                value,
+                expanded,
+                r.unit,
+                f"{top.source} ({100 * top.share:.0f} %)" if top else "",
+                _verdict(r.conformity),
+            ]
+        )
+    percent, trials = 100 * content.coverage, content.trials
+    terminal.say(f"\nResults with expanded uncertainty U ({percent:g} %, {trials} trials); frame: {content.frame}")
+    terminal.say(table(["task", "result", "value", "U", "unit", "largest source", "verdict"], rows, left=2))
+    for warning in content.warnings:
+        terminal.say(f"mind: {warning}")
+
+
+def _verdict(conformity: Any) -> str:
+    if conformity is None:
+        return ""
+    return f"{conformity.judgement} (conforms with probability {conformity.probability:.3f})"
+
+
+def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:
+    if not other:
+        terminal.say("\nno result of the other file has the same task, name and unit")
+        return
+    terminal.say("\nAgainst the other results (|E_n| up to 1 agrees):")
+    terminal.say(table(["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]))

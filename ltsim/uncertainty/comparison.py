@@ -1,0 +1,101 @@
+"""comparison.json and displacements.csv: what two epochs say of each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from pydantic import Field
+
+from ltsim.arrays import Floats
+from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector, write_result
+from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.uncertainty.epochs import Congruence
+from ltsim.units import MICROMETRE, MILLIMETRE
+
+DISPLACEMENTS = ResultTable(
+    "displacements.csv",
+    "what every common point did from the first epoch to the second",
+    (
+        *texts(target="name", moved="True where it moved"),
+        *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
+        *numbers(dx_um="displacement", dy_um="as dx_um", dz_um="as dx_um"),
+        *numbers(sx_um="standard deviation of dx_um", sy_um="as sx_um", sz_um="as sx_um"),
+        *numbers(a_um="semi-axes of its 95 % ellipsoid", b_um="as a_um", c_um="as a_um"),
+        *numbers(p_value="that it did not move", visible_um="smallest that is found with 80 %"),
+    ),
+)
+
+
+class DisplacementEntry(Entry):
+    """One point: place in the first epoch [mm], displacement and its uncertainty [um]."""
+
+    target: str
+    moved: bool
+    place_mm: Vector
+    shift_um: Vector
+    sigma_um: Vector
+    semi_axes_um: Vector
+    p_value: Finite = Field(description="that the point did not move, paid for all points tested")
+    visible_um: tuple[Finite, Finite] = Field(description="smallest motion found with 80 %: best and worst direction")
+
+
+class ComparisonFile(ResultFile):
+    """The whole file; `recording` is the first epoch."""
+
+    FILE: ClassVar[str] = "comparison.json"
+    format: str = "ltsim-comparison/1"
+    second: SourceEntry
+    sentence: str
+    level: Finite = Field(description="probability that any point is told to have moved when none did")
+    statistic: Finite = Field(description="of the global test: no point moved; chi-square")
+    dof: int
+    p_value: Finite
+    p_value_after: Finite = Field(description="of the same test without the points that moved")
+    scale_ppm: Known = Field(default=None, description="of the second epoch, where it was estimated")
+    displacements: tuple[DisplacementEntry, ...]
+
+
+def comparison_file(found: Congruence, first: Recording, second: Recording, places: Floats) -> ComparisonFile:
+    """The contents of the file; `places` (T, 3) [m] are the common points in the first epoch."""
+    entries = []
+    for d, place in zip(found.displacements, places, strict=True):
+        entries.append(
+            DisplacementEntry(
+                target=d.target,
+                moved=d.moved,
+                place_mm=_vector(place / MILLIMETRE),
+                shift_um=_vector(d.shift / MICROMETRE),
+                sigma_um=_vector(d.covariance.diagonal() ** 0.5 / MICROMETRE),
+                semi_axes_um=_vector(d.semi_axes() / MICROMETRE),
+                p_value=d.p_value,
+                visible_um=(d.least / MICROMETRE, d.surely / MICROMETRE),
+            )
+        )
+    return ComparisonFile(
+        recording=SourceEntry.of(first),
+        second=SourceEntry.of(second),
+        sentence=found.sentence,
+        level=found.level,
+        statistic=found.statistic,
+        dof=found.dof,
+        p_value=found.p_value,
+        p_value_after=found.after,
+        scale_ppm=None if found.scale is None else 1e6 * found.scale,
+        displacements=tuple(entries),
+    )
+
+
+def _vector(values: Floats) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def write_comparison(content: ComparisonFile, folder: Path) -> None:
+    """Write comparison.json and displacements.csv into a folder; raises RecordError."""
+    rows = [
+        [d.target, d.moved, *d.place_mm, *d.shift_um, *d.sigma_um, *d.semi_axes_um, d.p_value, d.visible_um[1]]
+        for d in content.displacements
+    ]
+    write_result(folder, content, {DISPLACEMENTS.file: DISPLACEMENTS.text(rows)})

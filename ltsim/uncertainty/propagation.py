@@ -1,0 +1,109 @@
+"""The law of propagation: uncertainty of each result, its budget, joint covariance of all tasks (JCGM 100, 102)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ltsim.arrays import Floats
+from ltsim.uncertainty.inputs import Inputs
+from ltsim.uncertainty.measurands import Measurand
+from ltsim.uncertainty.spec import Growth
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The part's expansion as an input: the factor by which it was too large when measured, and its uncertainties.
+
+    Attributes
+    ----------
+    factor : float
+        1 + expansion (measured - reference).
+    by_expansion, by_temperature : float
+        Standard deviation of the factor from each.
+    """
+
+    factor: float = 1.0
+    by_expansion: float = 0.0
+    by_temperature: float = 0.0
+
+    @classmethod
+    def of(cls, growth: Growth | None) -> Stretch:
+        """From the file's table."""
+        if growth is None:
+            return cls()
+        kelvin = growth.measured_c - growth.reference_c
+        return cls(
+            1.0 + growth.expansion_per_k * kelvin,
+            abs(kelvin) * growth.sigma_expansion_per_k,
+            abs(growth.expansion_per_k) * growth.sigma_temperature_k,
+        )
+
+    @property
+    def parts(self) -> list[tuple[str, float]]:
+        """Name and standard deviation of each input that has one."""
+        named = [("expansion of the part", self.by_expansion), ("temperature of the part", self.by_temperature)]
+        return [(name, sigma) for name, sigma in named if sigma > 0]
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """Results of all tasks together by the law of propagation.
+
+    Attributes
+    ----------
+    values : (k,) float
+        Results of all tasks, one after another [SI].
+    covariance : (k, k) float
+    shares : dict of str to (k,) float
+        Variance of each result by source; they add up to the diagonal of the covariance.
+    kinds : dict of str to str
+        ``A`` or ``B`` of each source.
+    """
+
+    values: Floats
+    covariance: Floats
+    shares: dict[str, Floats]
+    kinds: dict[str, str]
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard uncertainty (k,)."""
+        sigma: Floats = np.sqrt(np.diag(self.covariance))
+        return sigma
+
+    def expanded(self, coverage: float) -> Floats:
+        """Expanded uncertainty (k,) for a coverage probability, each result by itself (normal)."""
+        return float(stats.norm.ppf(0.5 + coverage / 2)) * self.sigma
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlation (k, k) of the results; NaN where a result has no uncertainty."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
+        return correlation
+
+
+def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch) -> Propagated:
+    """First-order propagation of every source through adjustment and tasks."""
+    points = inputs.points
+    values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
+    by_points = np.concatenate([m.by_points(points, stretch.factor) for m in measurands])
+    by_stretch = np.concatenate([m.by_stretch(points, stretch.factor) for m in measurands])
+    covariance = np.zeros((len(values), len(values)))
+    shares: dict[str, Floats] = {}
+    kinds: dict[str, str] = {}
+    for source in inputs.sources:
+        reached = by_points @ source.response
+        covariance += reached @ reached.T
+        shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
+        kinds[source.name] = source.kind
+    for name, sigma in stretch.parts:
+        reached = by_stretch * sigma
+        covariance += np.outer(reached, reached)
+        shares[name] = reached**2
+        kinds[name] = "B"
+    return Propagated(values, covariance, shares, kinds)

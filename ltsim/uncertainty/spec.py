@@ -1,0 +1,165 @@
+"""A task file (ltsim-tasks/1): what is measured, how well it has to be known, and what the readings do not tell."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from ltsim.errors import RecordError, SetupError
+from ltsim.recording.settings import read_toml, sentence
+from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
+
+FORMAT = "ltsim-tasks/1"
+Kind = Literal[
+    "point", "distance", "angle", "line", "plane", "circle", "sphere", "cylinder", "transformation", "pose", "deviation"
+]
+Names = Annotated[tuple[str, ...], Field(min_length=1)]
+Level = Annotated[float, Field(gt=0.5, lt=1.0)]
+POINTS = {"point": 1, "distance": 2, "angle": 3}
+"""Targets of the kinds that take a fixed number."""
+
+
+class Tolerance(Section):
+    """Limits of one result of a task, in its unit; either may be left open."""
+
+    lower: Finite | None = None
+    upper: Finite | None = None
+
+    @model_validator(mode="after")
+    def _some_room(self) -> Tolerance:
+        if self.lower is None and self.upper is None:
+            raise ValueError("it should give lower, upper or both")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise ValueError("it should give a lower limit below the upper one")
+        return self
+
+
+class Task(Section):
+    """One task: what is made of which targets.
+
+    `point` gives coordinates, `distance` takes two targets, `angle` three (the vertex in the middle). Features are
+    fitted by least squares; with ``zone = "minimum"`` their form is that of the minimum zone. `transformation` moves
+    `nominal_mm` onto the targets by a best fit, `pose` gives the same as the place and the turn of a part; `deviation`
+    compares each target with its nominal point after that fit, or as they are with ``fit = false``.
+    """
+
+    name: str
+    kind: Kind
+    targets: Names
+    zone: Literal["least-squares", "minimum"] = "least-squares"
+    nominal_mm: dict[str, Vector] = Field(default_factory=dict)
+    fit: bool = True
+    scale: bool = False
+    radius_offset_mm: Finite = 0.0
+    tolerances: dict[str, Tolerance] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Task:
+        wanted = POINTS.get(self.kind)
+        if wanted is not None and len(self.targets) != wanted:
+            raise ValueError(f"it should name {wanted} targets for a {self.kind}")
+        if len(set(self.targets)) < len(self.targets):
+            raise ValueError("it should name each target once")
+        if self.kind in ("transformation", "pose", "deviation"):
+            missing = [name for name in self.targets if name not in self.nominal_mm]
+            if missing:
+                raise ValueError(f"it should give nominal_mm of {missing[0]}")
+        return self
+
+
+class TypeB(Section):
+    """An effect that the readings do not show, with the distribution of its size.
+
+    `sizes` holds a standard deviation (`normal`) or a half-width (the others) for parameters of the effect, in their
+    units; without them each has its plausible size as standard deviation. `shared` says how far one draw reaches:
+    one for all pointings, or one a station, an instrument, a target or a pointing.
+    """
+
+    effect: str
+    distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
+    sizes: dict[str, Positive] = Field(default_factory=dict)
+    shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    name: str = ""
+
+
+class Growth(Section):
+    """The part's own expansion: results hold at `reference_c`, the points were measured at `measured_c`."""
+
+    expansion_per_k: Finite
+    sigma_expansion_per_k: NonNegative = 0.0
+    measured_c: Finite = 20.0
+    sigma_temperature_k: NonNegative = 0.0
+    reference_c: Finite = 20.0
+
+
+class MonteCarlo(Section):
+    """How the distributions are propagated (JCGM 101): until every figure is stable to `digits` of its uncertainty."""
+
+    coverage: Level = 0.95
+    digits: Annotated[int, Field(ge=1, le=2)] = 2
+    most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+class Decision(Section):
+    """How conformity is decided (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
+
+    rule: Literal["guarded", "simple"] = "guarded"
+    risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
+
+
+class Tasks(Section):
+    """The whole file."""
+
+    format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
+    title: str = ""
+    source: str
+    calibrate: bool = True
+    datum: tuple[str, ...] = ()
+    robust: bool = False
+    task: Annotated[tuple[Task, ...], Field(min_length=1)]
+    type_b: tuple[TypeB, ...] = ()
+    growth: Growth | None = None
+    monte_carlo: MonteCarlo = MonteCarlo()
+    decision: Decision = Decision()
+
+    @model_validator(mode="after")
+    def _names_once(self) -> Tasks:
+        names = [task.name for task in self.task]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"it should not name two tasks '{twice}'")
+        return self
+
+
+def load_tasks(path: Path) -> Tasks:
+    """The tasks of a file.
+
+    Raises
+    ------
+    SetupError
+        One sentence: file, key, what was found, what would be right.
+    """
+    try:
+        data = read_toml(path, "task file")
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
+    return tasks_from(data, path)
+
+
+def tasks_from(data: dict[str, Any], file: object) -> Tasks:
+    """Check the tables of a task file; `file` is named in errors."""
+    if "format" not in data:
+        raise SetupError(f'{file}: the key format is missing, expected format = "{FORMAT}"')
+    try:
+        return Tasks.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as problem:
+        raise SetupError(f"{file}: {sentence(problem.errors()[0], Tasks)}") from None
+    except (ValueError, RecursionError):
+        raise SetupError(f"{file}: holds a value that no task file can hold") from None
