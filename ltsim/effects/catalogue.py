@@ -134,9 +134,10 @@ def _loaded(point: EntryPoint) -> Entry:
         raise _refused(point, f"its name '{kind.name}' should be lower-case words joined by '-'")
     if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
         raise _refused(point, "its class lacks a stage or parameters")
-    for declared in (*kind.parameters, *kind.shape):
-        if declared.unit not in FACTOR:
-            raise _refused(point, f"the unit '{declared.unit}' of {declared.name} is none of {', '.join(FACTOR)}")
+    units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
+    for name, unit in units.items():
+        if unit not in FACTOR:
+            raise _refused(point, f"the unit '{unit}' of {name} is none of {', '.join(FACTOR)}")
     try:
         card_of(kind)
     except ModelError as problem:

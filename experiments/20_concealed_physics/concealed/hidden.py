@@ -36,6 +36,8 @@ ABSURD = 20.0
 INVISIBLE = 1e-5
 """Share of a signature's squared size left by the adjustment, below which it is not drawn."""
 ALLOWED_TRIES = 400
+UNITS = ("inch", "metre", "gon", "zenith")
+"""Slips of the pen that are drawn."""
 MISTAKES: tuple[type[Effect], ...] = (TargetSwap, WrongUnit, FaceConfusion)
 SYSTEMATIC: tuple[type[Effect], ...] = tuple(
     kind for kind in CATALOGUE if kind not in {type(e) for e in BASELINE} and kind not in MISTAKES
@@ -141,6 +143,8 @@ def draw_mistake(sightings: Sightings, rng: np.random.Generator) -> Hidden:
         effect = tried[int(rng.integers(len(tried)))]
         return Hidden(effect, np.array([rng.choice([-1.0, 1.0]) * _geometric(rng, 2e-3, 3e-2)]))
     options = [e for e in kind.possible(sightings) if np.any(e.design(sightings))]  # type: ignore[attr-defined]
+    if kind is WrongUnit:
+        options = [e for e in options if e.mistake in UNITS]
     return Hidden(options[int(rng.integers(len(options)))], np.ones(1))
 
 
