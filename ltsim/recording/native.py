@@ -12,6 +12,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.recording.checks import idle_settings
 from ltsim.recording.files import (
     check_name,
     check_text,
@@ -131,7 +132,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path) -> Recording:
         has_clock="time_s" in columns,
     )
     _check_gauge(recording, folder / SETUP)
-    return recording
+    return recording.replace(notes=idle_settings(recording))
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:

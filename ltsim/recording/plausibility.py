@@ -19,7 +19,7 @@ from ltsim.units import DEGREE, MILLIMETRE
 FULL_RADIANS = 2 * np.pi + 0.01
 SHORTEST_MM = 200.0
 MAX_CHORDS = 400
-DIFFERENT, ALIKE = 1e-2, 1e-3
+DIFFERENT, ALIKE = 2e-3, 2e-4
 """Relative disagreement of lengths that no right file has, and that no wrong one has."""
 
 

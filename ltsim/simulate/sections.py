@@ -119,6 +119,12 @@ class Limits(ElevationLimits):
     range_max_mm: Positive = 20_000.0
     """Longest one."""
 
+    @model_validator(mode="after")
+    def _outward(self) -> Limits:
+        if self.range_min_mm >= self.range_max_mm:
+            raise ValueError("it should have range_min_mm below range_max_mm")
+        return self
+
 
 class Instrument(Section):
     """The tracker: construction, what its maker states, and the errors it truly has.
