@@ -61,7 +61,7 @@ def catalogue(*names: str) -> Catalogue:
        parameter  unit
     0  beam-tilt  urad
     """
-    return Catalogue(tuple(find_effect(name) for name in names) if names else CATALOGUE)
+    return Catalogue(tuple(find_effect(name) for name in names) if names else tuple(CATALOGUE))
 
 
 def _meaning(effect: type[Effect]) -> str:

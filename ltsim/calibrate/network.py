@@ -19,7 +19,7 @@ from ltsim.calibrate.result import (
     verdict_of,
 )
 from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction, ideal, misalignment
+from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 
@@ -39,7 +39,7 @@ def calibrate_network(
     ----------
     recording : Recording
     construction : Construction, optional
-        Default: the geometric misalignment model with its 16 parameters.
+        Default: that of the set-up; the misalignments of a source in the head (16 parameters), or of a steering mirror.
     advise : bool
         Compute which further measurements would cure undetermined combinations (half of the time it takes).
     robust : bool
@@ -58,7 +58,7 @@ def calibrate_network(
     ConvergenceError
         When the adjustment does not converge.
     """
-    built = construction or misalignment()
+    built = construction or stated_construction(recording)
     found = _adjusted(recording, built, robust, noise_from_data, datum)
     return _calibration(recording, found, "network", advise=advise, robust=robust)
 

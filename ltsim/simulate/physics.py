@@ -14,7 +14,7 @@ from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
-from ltsim.model.construction import Construction, dh, misalignment
+from ltsim.model.construction import Construction, construction, dh
 from ltsim.randomness import stream
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import EffectEntry, Instrument, Smr
@@ -27,7 +27,19 @@ WIDER = 100.0
 
 def construction_of(instrument: Instrument) -> Construction:
     """The construction of the scenario's tracker."""
-    return dh(instrument.harmonics, instrument.degree) if instrument.construction == "dh" else misalignment()
+    if instrument.construction == "dh":
+        return dh(instrument.harmonics, instrument.degree)
+    return construction(instrument.construction)
+
+
+def planned_construction(scenario: Scenario) -> Construction:
+    """The construction whose parameters a plan for the scenario's tracker is to determine.
+
+    Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all.
+    """
+    return construction(
+        "misalignment" if scenario.instrument.construction == "dh" else scenario.instrument.construction
+    )
 
 
 def instrument_values(instrument: Instrument, construction: Construction, seed: int, *key: str | int) -> Floats:

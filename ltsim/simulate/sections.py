@@ -135,7 +135,7 @@ class Instrument(Section):
 
     preset: Literal["paper", "modern", "after-transport"] = "paper"
     """Where all that is not given comes from."""
-    construction: Literal["misalignment", "dh"] = "misalignment"
+    construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
     """Which chain makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""
