@@ -105,7 +105,7 @@ def test_sensitivities_are_the_published_half_angle_forms(name: str) -> None:
 
 
 def test_two_faces_tell_what_turns_with_the_head() -> None:
-    """What is fixed in the base and the mirror's tilt move a point alike on both faces; offsets and tilt of the axes do not."""
+    """The base and the mirror's tilt move a point alike on both faces; the transit axis does not."""
     polar = np.array([[4.0, 0.7, 0.4]])
     for name, same in (("beam-tilt-x", True), ("beam-y", True), ("mirror-tilt", True), ("transit-tilt", False)):
         stated = values(**{name.replace("-", "_"): 1e-5})

@@ -10,7 +10,7 @@ import numpy as np
 from concealed.invented import Laws, draw_invented
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.effects import BASELINE, CATALOGUE
+from ltsim.effects import BASELINE, GROUPS
 from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.drift import WARM_UP, Drift
 from ltsim.effects.effect import Effect, NoiseEffect
@@ -39,8 +39,13 @@ ALLOWED_TRIES = 400
 UNITS = ("inch", "metre", "gon", "zenith")
 """Slips of the pen that are drawn."""
 MISTAKES: tuple[type[Effect], ...] = (TargetSwap, WrongUnit, FaceConfusion)
+LATER = ("range-mode",)
+"""Effects that came after the samples were drawn."""
 SYSTEMATIC: tuple[type[Effect], ...] = tuple(
-    kind for kind in CATALOGUE if kind not in {type(e) for e in BASELINE} and kind not in MISTAKES
+    kind
+    for kinds in GROUPS.values()
+    for kind in kinds
+    if kind not in {type(e) for e in BASELINE} and kind not in MISTAKES and kind.name not in LATER
 )
 
 
