@@ -115,5 +115,7 @@ def finish(terminal: Terminal, calibration: Calibration, out: Path | None, point
     content = calibration_file(calibration) if out is None else write_calibration(calibration, out)
     terminal.answer(content.content())
     show_calibration(terminal, calibration)
+    for note in calibration.notes:
+        terminal.note(f"note: {note}")
     if out is not None:
         terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
