@@ -75,7 +75,7 @@ def calibrate(
     recording: RecordingSource,
     *,
     method: str = "network",
-    construction: str | Construction = "misalignment",
+    construction: str | Construction | None = None,
     robust: bool = False,
     noise_from_data: bool = False,
     datum: Sequence[str] | None = None,
@@ -89,8 +89,9 @@ def calibrate(
     method : str
         `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective, least squares or least
         absolute deviations).
-    construction : str or Construction
-        `misalignment` (16 parameters) or `dh` (the paper's Denavit-Hartenberg chain, 78).
+    construction : str or Construction, optional
+        `misalignment` (source in the head, 16 parameters), `steering-mirror` (21) or `dh` (the paper's
+        Denavit-Hartenberg chain, 78); by default what the set-up states.
     robust, noise_from_data, datum
         As of `adjust`; with method `network` only.
     advise : bool

@@ -22,7 +22,7 @@ from ltsim.calibrate.result import (
     tied_readings,
     undetermined_of,
 )
-from ltsim.model.construction import Construction, misalignment
+from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 
@@ -58,7 +58,7 @@ def calibrate_distance(
     ConvergenceError
         When the final adjustment does not converge.
     """
-    built = construction or misalignment()
+    built = construction or stated_construction(recording)
     prior = prior_sigmas(recording, built)
     source = SourceEntry.of(recording)
     recording, _ = tied_readings(recording)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.calibrate.calibration import Calibration
@@ -18,10 +20,12 @@ from ltsim.calibrate.result import (
     undetermined_of,
     verdict_of,
 )
+from ltsim.effects.range_mode import RangeMode
 from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction, ideal, misalignment
-from ltsim.recording.recording import Recording
+from ltsim.model.construction import Construction, ideal, stated_construction
+from ltsim.recording.recording import MODE_COLUMN, Recording
 from ltsim.recording.result_file import SourceEntry
+from ltsim.units import MICROMETRE
 
 
 def calibrate_network(
@@ -39,7 +43,7 @@ def calibrate_network(
     ----------
     recording : Recording
     construction : Construction, optional
-        Default: the geometric misalignment model with its 16 parameters.
+        Default: that of the set-up; the misalignments of a source in the head (16 parameters), or of a steering mirror.
     advise : bool
         Compute which further measurements would cure undetermined combinations (half of the time it takes).
     robust : bool
@@ -58,7 +62,7 @@ def calibrate_network(
     ConvergenceError
         When the adjustment does not converge.
     """
-    built = construction or misalignment()
+    built = construction or stated_construction(recording)
     found = _adjusted(recording, built, robust, noise_from_data, datum)
     return _calibration(recording, found, "network", advise=advise, robust=robust)
 
@@ -79,7 +83,8 @@ def _adjusted(
     recording: Recording, construction: Construction, robust: bool, noise_from_data: bool, datum: Sequence[str] | None
 ) -> Adjustment:
     grouping: Grouping | None = "instrument" if noise_from_data else None
-    found = adjust(recording, construction, robust=robust, variance_components=grouping, datum=datum)
+    modes = [RangeMode()] if construction.size and MODE_COLUMN in recording.circumstances else []
+    found = adjust(recording, construction, effects=modes, robust=robust, variance_components=grouping, datum=datum)
     found.solution.require_success()
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
@@ -113,5 +118,17 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         noise=noise_of(adjustment),
         lost_targets=adjustment.lost_targets,
         recording=SourceEntry.of(source),
+        notes=_of_modes(adjustment),
         adjustment=adjustment,
+    )
+
+
+def _of_modes(adjustment: Adjustment) -> tuple[str, ...]:
+    """What was found beside the instrument's parameters where both distance meters were used."""
+    if not adjustment.effects:
+        return ()
+    value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
+    zero = f"{value / MICROMETRE:.1f} +- {sigma / MICROMETRE:.1f} um"
+    return (
+        f"the interferometer's range zero less the absolute meter's: {zero} (range-mode), estimated beside the rest",
     )

@@ -12,7 +12,7 @@ from ltsim.campaign.truth import TrueEffect, Truth
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.errors import ModelError, SetupError
-from ltsim.model.construction import Construction, dh, ideal, misalignment
+from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
@@ -175,7 +175,7 @@ def fitted_construction(method: Method) -> Construction:
     """The construction whose parameters a method estimates."""
     if method.construction == "dh":
         return dh(method.harmonics, method.degree)
-    return misalignment() if method.construction == "misalignment" else ideal()
+    return construction(method.construction)
 
 
 def fitted_effects(method: Method) -> tuple[Effect, ...]:

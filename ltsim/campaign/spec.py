@@ -44,7 +44,7 @@ class Method(Section):
     """What the results call it; the method's own name where it is not given."""
     method: Literal["network", "distance", "distance-l1"] = "network"
     """Network adjustment, or the paper's distance objective by least squares or least absolute deviations."""
-    construction: Literal["misalignment", "dh", "ideal"] = "misalignment"
+    construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Which parameters are estimated; `ideal` estimates none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""

@@ -29,6 +29,7 @@ from ltsim.cli.summary import recording_line, show_calibration, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 from ltsim.model.construction import construction as construction_called
+from ltsim.model.construction import stated_construction
 from ltsim.recording import Recording
 
 
@@ -45,20 +46,25 @@ class ConstructionName(StrEnum):
 
     MISALIGNMENT = "misalignment"
     DH = "dh"
+    STEERING_MIRROR = "steering-mirror"
 
 
 MethodOption = Annotated[
     Method, typer.Option(help="Rigorous network adjustment, or the paper's distance objective (least squares or l1).")
 ]
 ConstructionOption = Annotated[
-    ConstructionName, typer.Option(help="Geometric misalignments (16 parameters), or the paper's D-H chain (78).")
+    ConstructionName | None,
+    typer.Option(
+        help="Misalignments of a source in the head (16), of a steering mirror (21), or the paper's D-H chain (78); "
+        "default: what the set-up states."
+    ),
 ]
 
 
 def calibrate(
     source: Source,
     method: MethodOption = Method.NETWORK,
-    construction: ConstructionOption = ConstructionName.MISALIGNMENT,
+    construction: ConstructionOption = None,
     robust: Robust = False,
     noise_from_data: NoiseFromData = False,
     datum: Datum = None,
@@ -83,11 +89,12 @@ def calibrate(
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
+    built = construction_called(construction.value) if construction else stated_construction(recording)
     with terminal.busy("calibrating"):
         if method is Method.NETWORK:
-            found = calibrate_network(recording, construction_called(construction.value), **options)
+            found = calibrate_network(recording, built, **options)
         else:
-            found = calibrated(recording, method.value, construction.value)
+            found = calibrate_distance(recording, built, method=method.value)
     finish(terminal, found, out, points)
 
 
@@ -108,5 +115,7 @@ def finish(terminal: Terminal, calibration: Calibration, out: Path | None, point
     content = calibration_file(calibration) if out is None else write_calibration(calibration, out)
     terminal.answer(content.content())
     show_calibration(terminal, calibration)
+    for note in calibration.notes:
+        terminal.note(f"note: {note}")
     if out is not None:
         terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")

@@ -33,7 +33,7 @@ from ltsim.diagnose.words import summarise, without_clock
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import Tunable
-from ltsim.model.construction import Construction, misalignment
+from ltsim.model.construction import Construction, stated_construction
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
@@ -113,7 +113,7 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     Diagnosis
         Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
     """
-    construction = misalignment()
+    construction = stated_construction(recording)
     converted, wrong = mend_stations(recording)
     faced, confused = mend_faces(converted)
     first = adjust(faced, construction)

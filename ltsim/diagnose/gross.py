@@ -1,31 +1,26 @@
 """Gross errors explained: swapped reflectors, wrong units, mixed-up faces, single bad readings.
 
-A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the
-mistakes people
-make; what a mistake explains is mended for the adjustment that follows, the rest stays out of it.
+A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the mistakes
+people make; what a mistake explains is mended for the adjustment that follows, the rest stays out of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.geometry.polar import wrap
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS, Slip
 
 CLOSE = 1e-3
 """[m] how near a mended pointing must land."""
-UNITS = {
-    "metres for millimetres": (0, 1e-3),
-    "millimetres for metres": (0, 1e3),
-    "inches for millimetres": (0, 1 / 25.4),
-    "millimetres for inches": (0, 25.4),
-    "gon for degrees (azimuth)": (1, 10 / 9),
-    "gon for degrees (elevation)": (2, 10 / 9),
-}
 
 
 @dataclass(frozen=True)
@@ -146,37 +141,27 @@ def _finding(adjustment: Adjustment, effect: str, rows: Ints, observables: tuple
     return GrossFinding(effect, rows, stations, targets, observables, float(miss.max()), sentence)
 
 
-def _units(adjustment: Adjustment, rows: Bools) -> list[tuple[GrossFinding, Floats]]:
+def _slips(
+    adjustment: Adjustment, rows: Bools, slips: Sequence[Slip], effect: str
+) -> list[tuple[GrossFinding, Floats]]:
+    """Pointings that land on their target once a slip is mended."""
     found, left = [], rows.copy()
-    for cause, (column, factor) in UNITS.items():
-        readings = adjustment.recording.readings.copy()
-        readings[:, column] = readings[:, column] / factor
+    for slip in slips:
+        readings = slip.mended(adjustment.recording.readings)
         hit = _mended_rows(adjustment, left, readings)
         if len(hit):
             left[hit] = False
-            finding = _finding(adjustment, "wrong-unit", hit, (OBSERVABLES[column],), cause)
-            found.append((finding, readings[hit]))
-    zenith = adjustment.recording.readings.copy()
-    zenith[:, 2] = np.pi / 2 - zenith[:, 2]
-    hit = _mended_rows(adjustment, left, zenith)
-    if len(hit):
-        cause = "a zenith angle for an elevation"
-        found.append((_finding(adjustment, "wrong-unit", hit, ("elevation",), cause), zenith[hit]))
+            observables = tuple(OBSERVABLES[c] for c in slip.columns)
+            found.append((_finding(adjustment, effect, hit, observables, slip.cause), readings[hit]))
     return found
+
+
+def _units(adjustment: Adjustment, rows: Bools) -> list[tuple[GrossFinding, Floats]]:
+    return _slips(adjustment, rows, UNIT_SLIPS, WrongUnit.name)
 
 
 def _faces(adjustment: Adjustment, rows: Bools) -> list[tuple[GrossFinding, Floats]]:
-    found, left = [], rows.copy()
-    for column in (1, 2):
-        readings = adjustment.recording.readings.copy()
-        readings[:, column] = wrap(readings[:, 1] + np.pi) if column == 1 else np.pi - readings[:, 2]
-        hit = _mended_rows(adjustment, left, readings)
-        if len(hit):
-            left[hit] = False
-            cause = "one angle of the other face"
-            finding = _finding(adjustment, "face-confusion", hit, ("azimuth", "elevation"), cause)
-            found.append((finding, readings[hit]))
-    return found
+    return _slips(adjustment, rows, FACE_SLIPS, FaceConfusion.name)
 
 
 def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:

@@ -7,66 +7,18 @@ written in the raw elevation itself, which exceeds 90 degrees on face 2.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ltsim.adjust.start import robust_align, station_clouds
 from ltsim.arrays import Floats
 from ltsim.diagnose.gross import GrossFinding
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import NetworkError
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
 
 WRONG_SHAPE = 5e-3
 """[m] median misfit of two stations' clouds that no tracker error and no single blunder makes."""
-
-Mend = Callable[[Floats], Floats]
-
-
-def _scaled(column: int, factor: float) -> Mend:
-    def mend(readings: Floats) -> Floats:
-        mended = readings.copy()
-        mended[:, column] = mended[:, column] * factor
-        return mended
-
-    return mend
-
-
-def _zenith(readings: Floats) -> Floats:
-    mended = readings.copy()
-    mended[:, 2] = np.pi / 2 - mended[:, 2]
-    return mended
-
-
-def _clockwise(readings: Floats) -> Floats:
-    mended = readings.copy()
-    mended[:, 1] = -mended[:, 1]
-    return mended
-
-
-def _both_angles(factor: float) -> Mend:
-    def mend(readings: Floats) -> Floats:
-        mended = readings.copy()
-        mended[:, 1:] = mended[:, 1:] * factor
-        return mended
-
-    return mend
-
-
-MENDS: tuple[tuple[str, tuple[str, ...], Mend], ...] = (
-    ("metres in the column of millimetres", ("distance",), _scaled(0, 1e3)),
-    ("micrometres in the column of millimetres", ("distance",), _scaled(0, 1e-3)),
-    ("inches in the column of millimetres", ("distance",), _scaled(0, 25.4)),
-    ("feet in the column of millimetres", ("distance",), _scaled(0, 304.8)),
-    ("centimetres in the column of millimetres", ("distance",), _scaled(0, 10.0)),
-    ("gon in the columns of degrees", ("azimuth", "elevation"), _both_angles(0.9)),
-    ("radians in the columns of degrees", ("azimuth", "elevation"), _both_angles(180 / np.pi)),
-    ("gon in the column of degrees of the azimuth", ("azimuth",), _scaled(1, 0.9)),
-    ("gon in the column of degrees of the elevation", ("elevation",), _scaled(2, 0.9)),
-    ("zenith angles in the column of elevations", ("elevation",), _zenith),
-    ("azimuths counted clockwise", ("azimuth",), _clockwise),
-)
 
 
 def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
@@ -81,17 +33,16 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
     """
     findings: list[GrossFinding] = []
     for s in _odd_stations(recording):
-        for cause, observables, mend in MENDS:
-            rows = np.flatnonzero(recording.station == s)
+        name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
+        for effect in WrongUnit.at(name):
             readings = recording.readings.copy()
-            readings[rows] = mend(readings[rows])
+            readings[rows] = effect.slip.mended(readings[rows])
             mended = recording.with_readings(readings)
             if _misfit(mended)[s] < WRONG_SHAPE:
-                name = recording.stations[s]
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
-                sentence = f"Station {name} was recorded with {cause}."
-                findings.append(GrossFinding("wrong-unit", rows, (name,), (), observables, size, sentence))
+                sentence = f"Station {name} was recorded with {effect.slip.cause}."
+                findings.append(GrossFinding(effect.name, rows, (name,), (), effect.observables, size, sentence))
                 recording = mended
                 break
     return recording, findings

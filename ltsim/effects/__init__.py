@@ -33,6 +33,7 @@ from ltsim.effects.noise_level import NoiseLevel
 from ltsim.effects.outlier import Outlier
 from ltsim.effects.range_cyclic import RangeCyclic
 from ltsim.effects.range_drift import RangeDrift
+from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.range_offset import RangeOffset
 from ltsim.effects.range_scale import RangeScale
 from ltsim.effects.range_step import RangeStep
@@ -92,6 +93,7 @@ GROUPS: dict[str, tuple[type[Effect], ...]] = {
     ),
     "range": (
         RangeOffset,
+        RangeMode,
         RangeStep,
         RangeScale,
         StationWeather,

@@ -18,7 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import overload
 
 from ltsim.effects.card import card_of
-from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
+from ltsim.effects.effect import Effect, Stage
 from ltsim.errors import ModelError, unknown_name
 from ltsim.units import FACTOR
 
@@ -134,10 +134,10 @@ def _loaded(point: EntryPoint) -> Entry:
         raise _refused(point, f"its name '{kind.name}' should be lower-case words joined by '-'")
     if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
         raise _refused(point, "its class lacks a stage or parameters")
-    declarations: tuple[Parameter | ShapeParameter, ...] = (*kind.parameters, *kind.shape)
-    for declared in declarations:
-        if declared.unit not in FACTOR:
-            raise _refused(point, f"the unit '{declared.unit}' of {declared.name} is none of {', '.join(FACTOR)}")
+    units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
+    for name, unit in units.items():
+        if unit not in FACTOR:
+            raise _refused(point, f"the unit '{unit}' of {name} is none of {', '.join(FACTOR)}")
     try:
         card_of(kind)
     except ModelError as problem:

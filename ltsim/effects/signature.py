@@ -91,7 +91,7 @@ class ShapeParameter:
         return np.linspace(self.low, self.high, self.steps)
 
     def bracket(self, value: float) -> tuple[float, float]:
-        """The stretch [SI] from one step of the grid below a value to one above, within the bounds."""
+        """The stretch [SI] from one step of the grid below a value to one above, within the bounds and around it."""
         grid = np.sort(self.grid())
         if len(grid) < 2:
             return value, value
@@ -99,7 +99,7 @@ class ShapeParameter:
         below, above = float(grid[i - 1]), float(grid[i])
         low = value * below / above if self.logarithmic else value - (above - below)
         high = value * above / below if self.logarithmic else value + (above - below)
-        return max(low, self.low), min(high, self.high)
+        return max(low, min(self.low, value)), min(high, max(self.high, value))
 
 
 class Signature(Protocol):

@@ -24,6 +24,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.errors import ModelError
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, MICROMETRE
 
@@ -80,6 +81,10 @@ class SmrIncidence(Effect):
         _edge_parameter("threefold-cos", "of the three mirrors, cosine"),
         _edge_parameter("threefold-sin", "of the three mirrors, sine"),
     )
+
+    def __post_init__(self) -> None:
+        if self.table and len(self.table) != len(TABLE_ANGLES):
+            raise ModelError(f"smr-incidence.table has {len(self.table)} values, expected {len(TABLE_ANGLES)}")
 
     def incidence(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Incidence and direction (n,) [rad]; both 0 for a reflector that is re-aimed or whose nest is unknown."""

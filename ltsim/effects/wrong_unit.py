@@ -15,30 +15,25 @@ Status: validated on the readings: what the mend gives back is what was read.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Mistake, Parameter, Stage
+from ltsim.errors import unknown_name
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.recording.slips import UNIT_SLIPS, Slip
 from ltsim.scene.sightings import Sightings
 
-Slip = Literal["inch", "metre", "gon", "zenith"]
-MISTAKES: dict[Slip, tuple[tuple[int, ...], float]] = {
-    "inch": ((0,), 1 / 25.4),
-    "metre": ((0,), 1e-3),
-    "gon": ((1, 2), 10 / 9),
-    "zenith": ((2,), -1.0),
-}
-"""Columns that are wrong, and the factor on what is read."""
-SEEN = ("distance", "azimuth", "elevation")
+SLIPS = {slip.name: slip for slip in UNIT_SLIPS}
 
 
 @dataclass(frozen=True)
 class WrongUnit(Mistake):
-    """Readings of a station in another unit."""
+    """Readings of a station in another unit, or counted another way: a slip by its name."""
 
-    mistake: Slip = "gon"
+    mistake: str = "gon"
 
     name = "wrong-unit"
     stage = Stage.ELECTRONICS
@@ -46,7 +41,14 @@ class WrongUnit(Mistake):
     parameters = (Parameter("mistaken", "", "1 where the unit is wrong", 1.0),)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "observables", tuple(SEEN[c] for c in MISTAKES[self.mistake][0]))
+        if self.mistake not in SLIPS:
+            raise unknown_name("slip", self.mistake, SLIPS)
+        object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.slip.columns))
+
+    @property
+    def slip(self) -> Slip:
+        """What is written for what."""
+        return SLIPS[self.mistake]
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
@@ -54,19 +56,18 @@ class WrongUnit(Mistake):
         return []
 
     @classmethod
+    def at(cls, station: str) -> list[Self]:
+        """Every slip at a station."""
+        return [cls((station,), mistake=name) for name in SLIPS]
+
+    @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
-        """Every mistake at every station."""
-        return [cls((name,), mistake=mistake) for name in sightings.station_names for mistake in MISTAKES]
+        """Every slip at every station."""
+        return [effect for name in sightings.station_names for effect in cls.at(name)]
 
     def written(self, sightings: Sightings, readings: Floats) -> Floats:
         """The readings in the wrong unit."""
-        columns, factor = MISTAKES[self.mistake]
-        other = readings.copy()
-        for c in columns:
-            other[:, c] *= factor
-        if self.mistake == "zenith":
-            other[:, 2] += np.pi / 2
-        return np.where(self.mask(sightings)[:, None] > 0, other, readings)
+        return np.where(self.mask(sightings)[:, None] > 0, self.slip.written(readings), readings)
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings when the unit is wrong, exact."""

@@ -11,11 +11,14 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Parameter, SlotEffect, Term, one
-from ltsim.errors import unknown_name
+from ltsim.errors import NetworkError, unknown_name
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
 from ltsim.kinematics.chain import Chain, Motion, point, point_and_derivatives
 from ltsim.kinematics.dh import DH
 from ltsim.kinematics.misalignment import MISALIGNMENT
+from ltsim.kinematics.steering_mirror import STEERING_MIRROR
+from ltsim.model.steering_mirror import PARAMETERS as MIRROR_PARAMETERS
+from ltsim.recording.recording import Recording
 from ltsim.units import ARCSECOND, MICROMETRE, PPM
 
 NEWTON_STEPS = 12
@@ -235,14 +238,41 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     return Construction("dh", DH, tuple(parameters), tuple(terms))
 
 
+def steering_mirror() -> Construction:
+    """The construction with a beam-steering mirror and its 21 parameters."""
+    parameters, terms = zip(*MIRROR_PARAMETERS, strict=True)
+    return Construction("steering-mirror", STEERING_MIRROR, parameters, terms)
+
+
 def ideal() -> Construction:
     """A tracker without instrument parameters."""
     return Construction("ideal", MISALIGNMENT, (), ())
 
 
 def construction(name: str) -> Construction:
-    """Give a construction by its name: `misalignment`, `dh` or `ideal`."""
-    known: dict[str, Callable[[], Construction]] = {"misalignment": misalignment, "dh": dh, "ideal": ideal}
+    """Give a construction by its name: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
+    known: dict[str, Callable[[], Construction]] = {
+        "misalignment": misalignment,
+        "dh": dh,
+        "steering-mirror": steering_mirror,
+        "ideal": ideal,
+    }
     if name not in known:
         raise unknown_name("construction", name, known)
     return known[name]()
+
+
+def stated_construction(recording: Recording) -> Construction:
+    """The construction that a recording's set-up states: where the beam comes from in its instruments.
+
+    Raises
+    ------
+    NetworkError
+        When instruments of both designs measured together: their parameters are not the same.
+    """
+    designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
+    if len(set(designs.values())) > 1:
+        mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
+        message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
+        raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
+    return steering_mirror() if "steering-mirror" in designs.values() else misalignment()

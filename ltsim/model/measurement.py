@@ -84,7 +84,7 @@ def sightings_of(recording: Recording, state: State) -> Sightings:
         reaimed=np.array([recording.target_setup(name).reaimed for name in recording.targets], dtype=bool),
         station_names=recording.stations,
         target_names=recording.targets,
-        covariates=recording.covariates,
+        covariates=recording.circumstances,
         lift=lift_of(recording),
     )
 

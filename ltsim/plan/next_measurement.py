@@ -13,7 +13,7 @@ from ltsim.arrays import Floats
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.errors import ModelError
-from ltsim.model.construction import Construction, misalignment
+from ltsim.model.construction import Construction, stated_construction
 from ltsim.notebook import Columns, Shown
 from ltsim.plan.criteria import d_criterion
 from ltsim.plan.detectability import ResidualRoom, thinned
@@ -127,7 +127,7 @@ def next_measurement(
     ModelError
         When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
     """
-    adjustment = solved(recording, construction or misalignment())
+    adjustment = solved(recording, construction or stated_construction(recording))
     room = ResidualRoom.of(adjustment)
     explanations = [explanation(room, name) for name in between]
     suspects = [target for found in explanations for target in found.effect.targets]

@@ -10,7 +10,7 @@ from joblib import Parallel, delayed
 
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError
-from ltsim.model.construction import Construction, misalignment
+from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown, by_row
 from ltsim.plan.fast import Reducer
 from ltsim.plan.improvement import Expected, Predictor
@@ -23,6 +23,7 @@ from ltsim.plan.spec import PlanFile
 from ltsim.plan.survey import Survey
 from ltsim.plan.workshop import objective_of, site_of, staying, survey_of
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
+from ltsim.simulate.physics import planned_construction
 from ltsim.simulate.scenario import Scenario
 from ltsim.units import MILLIMETRE
 
@@ -158,7 +159,7 @@ def make_plan(
     SetupError
         When no layout keeps the plan's rules.
     """
-    built = construction or misalignment()
+    built = construction or planned_construction(scenario)
     count = file.stations.count or len(scenario.stations)
     faces = scenario.work.faces
     ways = [(n, f) for f in sorted({*file.budget.faces, faces}) for n in sorted({*file.stations.tries, count})]
@@ -205,14 +206,14 @@ def _searched(
         yield from (_task(file, scenario, task, built) for task in tasks)
         return
     pool = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    # A construction holds functions that cannot travel; workers build the default one.
+    # A construction holds functions that cannot travel; workers build the scenario's own.
     yield from pool(delayed(_task)(file, scenario, task, None) for task in tasks)
 
 
 def _task(file: PlanFile, scenario: Scenario, task: tuple[int, int, int], built: Construction | None) -> Found:
     n, f, start = task
     try:
-        return n, f, start, _search_one(file, scenario, n, f, start, built or misalignment())
+        return n, f, start, _search_one(file, scenario, n, f, start, built or planned_construction(scenario))
     except SetupError:
         return n, f, start, None
 

@@ -1,32 +1,34 @@
-"""Refusing networks that cannot be solved at all."""
+"""What a set-up says of points that nobody measured, and that therefore changes nothing: told, not passed over."""
 
 from __future__ import annotations
 
-import numpy as np
+import difflib
+from collections import Counter
+from collections.abc import Iterable
 
-from ltsim.errors import NetworkError
+from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
 
 
-def check_solvable(recording: Recording) -> None:
-    """Refuse stations that see too few targets to be placed.
-
-    A levelled station, or one over a known mark, needs fewer than three and is left to the adjustment.
-
-    Raises
-    ------
-    NetworkError
-        Naming the station and what would be right.
-    """
-    for i, name in enumerate(recording.stations):
-        station = recording.station_setup(name)
-        if station.levelled or station.over is not None:
-            continue
-        seen = np.unique(recording.target[recording.station == i])
-        if len(seen) < 3:
-            names = ", ".join(recording.targets[t] for t in seen)
-            message = (
-                f"station {name} sees {len(seen)} target{'s' if len(seen) != 1 else ''} only ({names}); "
-                "at least three are needed to place a station that is not levelled"
+def idle_settings(recording: Recording) -> tuple[str, ...]:
+    """Notes on settings without effect: marks that nothing else names, datum points that nothing reaches."""
+    setup, notes = recording.setup, []
+    marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
+    for name in recording.stations:
+        over = recording.station_setup(name).over
+        if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
+            notes.append(
+                f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
+                f"it holds nothing{_near(over, recording.targets)}"
             )
-            raise NetworkError(message)
+    for name, target in setup.targets.items():
+        if target.datum and name not in recording.targets and name not in marks:
+            notes.append(
+                f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
+            )
+    return tuple(notes)
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(near)}?" if near else ""

@@ -12,6 +12,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.recording.checks import idle_settings
 from ltsim.recording.files import (
     check_name,
     check_text,
@@ -23,7 +24,7 @@ from ltsim.recording.files import (
     write_texts,
 )
 from ltsim.recording.plausibility import check_degrees
-from ltsim.recording.recording import KIND_COLUMN, SIGMA_COLUMNS, Recording
+from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, SIGMA_COLUMNS, Recording
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables.dialect import is_folder
@@ -33,7 +34,7 @@ OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
 REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
 KNOWN = (*REQUIRED, "repeat", "time_s")
-WORDS = {"distance_mode": ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
 BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
@@ -131,7 +132,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path) -> Recording:
         has_clock="time_s" in columns,
     )
     _check_gauge(recording, folder / SETUP)
-    return recording
+    return recording.replace(notes=idle_settings(recording))
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:

@@ -13,11 +13,14 @@ import numpy as np
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar
+from ltsim.recording.slips import UNIT_SLIPS, Slip
 from ltsim.units import DEGREE, MILLIMETRE
 
 FULL_RADIANS = 2 * np.pi + 0.01
 SHORTEST_MM = 200.0
 MAX_CHORDS = 400
+DIFFERENT, ALIKE = 2e-3, 2e-4
+"""Relative disagreement of lengths that no right file has, and that no wrong one has."""
 
 
 def chord_gap(points: Floats, station: Ints, target: Ints) -> float:
@@ -93,20 +96,54 @@ def check_degrees(
     _check_millimetres(distance, file)
     sums = two_face_sums(elevation, station, target, face)
     middle = float(np.median(sums)) if len(sums) else float("nan")
-    for sum_of, looks in (
-        (200.0, "elevations in gon"),
-        (400.0, "zenith angles in gon"),
-        (360.0, "zenith angles in degrees"),
-        (np.pi, "radians"),
-    ):
-        if abs(middle - sum_of) < 0.005 * sum_of:
+    for slip in UNIT_SLIPS:
+        expected = _sum_of_faces(slip)
+        if expected is not None and abs(middle - expected) < 0.005 * expected:
             message = (
-                f"the two faces add up to {middle:.4g}, which looks like {looks}; "
+                f"the two faces add up to {middle:.4g}, which looks like {slip.found}; "
                 "expected elevations in degrees, where they add up to 180"
             )
             raise RecordError(message, file=file, column="elevation_deg")
     _check_not_radians(azimuth, elevation, distance, station, target, file)
     _check_faces(elevation, face, file)
+    readings = np.stack([distance * MILLIMETRE, azimuth * DEGREE, elevation * DEGREE], axis=1)
+    if (found := slip_by_lengths(readings, station, target)) is not None:
+        message = (
+            "two stations see other lengths between their targets, and the same ones if the column holds "
+            f"{found.found}; expected {found.expected}"
+        )
+        raise RecordError(message, file=file, column=("azimuth_deg", "elevation_deg")[found.columns[0] - 1])
+
+
+def _sum_of_faces(slip: Slip) -> float | None:
+    """What the vertical angles of a target on both faces add up to [deg] under a slip; None if that is 180 too."""
+    for column, factor, offset in slip.changes:
+        if column == 2:
+            total = factor * 180.0 + 2.0 * offset / DEGREE
+            return total if abs(total) > 1e-9 else abs(factor) * 360.0
+    return None
+
+
+def slip_by_lengths(readings: Floats, station: Ints, target: Ints) -> Slip | None:
+    """The slip of all angles that makes stations see the same lengths between targets, where as it stands they do not.
+
+    Parameters
+    ----------
+    readings : (n, 3) float
+        Raw range [m], azimuth and elevation [rad].
+    station, target : (n,) int
+
+    Returns
+    -------
+    Slip or None
+        None where the lengths agree as they are, or nothing makes them agree. No length tells of a mirrored network.
+    """
+    if not chord_gap(from_polar(readings), station, target) > DIFFERENT:
+        return None
+    angular = [slip for slip in UNIT_SLIPS if 0 not in slip.columns]
+    gaps = [chord_gap(from_polar(slip.mended(readings)), station, target) for slip in angular]
+    best = int(np.argmin(gaps))
+    return angular[best] if gaps[best] < ALIKE else None
 
 
 def _check_millimetres(distance: Floats, file: object) -> None:

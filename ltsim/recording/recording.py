@@ -24,6 +24,8 @@ BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
 KIND_COLUMN = "distance_kind"
 """Label ``slope`` (or empty) or ``horizontal`` of each distance."""
+MODE_COLUMN = "distance_mode"
+"""Label ``adm``, ``ifm`` or empty: by which meter a distance was measured."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 
@@ -172,6 +174,15 @@ class Recording(Shown):
             np.where(np.isfinite(one), one, other) * MILLIMETRE for one, other in zip(stated, constant, strict=True)
         )
         return first, second
+
+    @property
+    def circumstances(self) -> Mapping[str, Floats]:
+        """Columns (n,) of circumstances that readings may depend on; where both meters were used, 1 for `ifm`."""
+        known = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
+        modes = self.labels.get(MODE_COLUMN, ())
+        if {"adm", "ifm"} <= set(modes):
+            known[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
+        return known
 
     @property
     def is_horizontal(self) -> Bools:

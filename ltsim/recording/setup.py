@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
+Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Vector = tuple[Finite, Finite, Finite]
 EXACT_LEVEL_ARCSEC = 1e-3
@@ -59,10 +61,16 @@ class Prior(Section):
 class Limits(Section):
     """Travel of the elevation axis."""
 
-    elevation_min_deg: Finite = -55.0
+    elevation_min_deg: Elevation = -55.0
     """Lowest elevation that can be pointed at."""
-    elevation_max_deg: Finite = 77.0
+    elevation_max_deg: Elevation = 77.0
     """Highest one."""
+
+    @model_validator(mode="after")
+    def _upward(self) -> Limits:
+        if self.elevation_min_deg >= self.elevation_max_deg:
+            raise ValueError("it should have elevation_min_deg below elevation_max_deg")
+        return self
 
 
 class Instrument(Section):
@@ -124,7 +132,7 @@ class Station(Section):
     """Standard deviation of the level."""
     instrument: str | None = None
     """Name of the instrument that stood here, a table `[instruments.NAME]`."""
-    instrument_height_mm: Finite = 0.0
+    instrument_height_mm: Height = 0.0
     """Height of the head above its mark."""
     over: str | None = None
     """Target whose mark the instrument stands over."""
@@ -155,7 +163,7 @@ class Target(Section):
     """A start value without weight."""
     datum: bool = False
     """Takes part in the inner constraints that define the frame."""
-    height_mm: Finite = 0.0
+    height_mm: Height = 0.0
     """Height of the reflector above the mark that the name stands for."""
 
 

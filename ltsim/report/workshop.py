@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import misalignment
+from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
 from ltsim.scene.visibility import cone_opening, shadow_radius
@@ -152,7 +152,7 @@ def from_recording(recording: Recording) -> Workshop:
     """The workshop of a recording, adjusted with the instrument's parameters; arrows show what they change."""
     plain = adjust(recording)
     plain.solution.require_success()
-    full = adjust(recording, misalignment())
+    full = adjust(recording, stated_construction(recording))
     return from_adjustment(full if full.solution.converged else plain, plain=plain)
 
 

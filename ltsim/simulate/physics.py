@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -14,18 +14,32 @@ from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
-from ltsim.model.construction import Construction, dh, misalignment
+from ltsim.model.construction import Construction, construction, dh
 from ltsim.randomness import stream
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import EffectEntry, Instrument, Smr
 from ltsim.units import DEGREE, FACTOR, MICROMETRE
 
 PLACES = ("stations", "targets")
+WIDER = 100.0
+"""Times beyond the bounds of a search that a length or a time constant may be simulated."""
 
 
 def construction_of(instrument: Instrument) -> Construction:
     """The construction of the scenario's tracker."""
-    return dh(instrument.harmonics, instrument.degree) if instrument.construction == "dh" else misalignment()
+    if instrument.construction == "dh":
+        return dh(instrument.harmonics, instrument.degree)
+    return construction(instrument.construction)
+
+
+def planned_construction(scenario: Scenario) -> Construction:
+    """The construction whose parameters a plan for the scenario's tracker is to determine.
+
+    Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all.
+    """
+    return construction(
+        "misalignment" if scenario.instrument.construction == "dh" else scenario.instrument.construction
+    )
 
 
 def instrument_values(instrument: Instrument, construction: Construction, seed: int, *key: str | int) -> Floats:
@@ -69,7 +83,30 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
             known = ", ".join(sorted(fields)) or "none"
             raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
         constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
-    return kind(**places, **constants)
+    effect = kind(**places, **constants)
+    _check_constants(effect)
+    return effect
+
+
+def _check_constants(effect: Effect) -> None:
+    """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
+
+    Raises
+    ------
+    ModelError
+        Naming the constant and what would do.
+    """
+    hints = get_type_hints(type(effect))
+    for field in dataclasses.fields(effect):
+        known, value = get_args(hints[field.name]), getattr(effect, field.name)
+        if get_origin(hints[field.name]) is Literal and value not in known:
+            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, known))}")
+    for shape in effect.shape:
+        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
+        low, high = shape.low / WIDER, shape.high * WIDER
+        if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
+            bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
+            raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
 
 
 def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:

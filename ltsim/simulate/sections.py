@@ -119,6 +119,12 @@ class Limits(ElevationLimits):
     range_max_mm: Positive = 20_000.0
     """Longest one."""
 
+    @model_validator(mode="after")
+    def _outward(self) -> Limits:
+        if self.range_min_mm >= self.range_max_mm:
+            raise ValueError("it should have range_min_mm below range_max_mm")
+        return self
+
 
 class Instrument(Section):
     """The tracker: construction, what its maker states, and the errors it truly has.
@@ -129,7 +135,7 @@ class Instrument(Section):
 
     preset: Literal["paper", "modern", "after-transport"] = "paper"
     """Where all that is not given comes from."""
-    construction: Literal["misalignment", "dh"] = "misalignment"
+    construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
     """Which chain makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""

@@ -153,6 +153,7 @@ def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | i
     return Setup(
         title=scenario.title,
         instrument=Instrument(
+            construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
             corrected=tracker.corrected,
             noise=tracker.noise,
             prior=tracker.prior,

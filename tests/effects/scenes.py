@@ -56,7 +56,7 @@ def scene(*, lean: float = TILT) -> Sightings:
         reaimed=reaimed,
         station_names=tuple(f"S{i + 1}" for i in range(len(STATIONS))),
         target_names=tuple(f"T{i + 1:02d}" for i in range(len(points))),
-        covariates={"air_temperature_c": 20.0 + time / 3600.0},
+        covariates={"air_temperature_c": 20.0 + time / 3600.0, "distance_mode": (np.arange(len(rows)) // 3) % 2.0},
     )
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,6 +18,7 @@ from ltsim.effects.turbulence import Turbulence
 from tests.effects.scenes import corrections, left_over, lengths, scene
 
 SCENE = scene()
+FLOOR = float(min(SCENE.points[:, 2].min(), SCENE.position[:, 2].min()))
 
 
 def index(temperature: float, pressure: float, humidity: float, nanometres: float = 633.0) -> float:
@@ -126,9 +130,22 @@ def test_sensor_on_the_head_leaves_a_scale_at_each_station() -> None:
     assert np.linalg.norm(left_over(SCENE, head, scale=True)) > 1e-8
 
 
+def test_a_layer_lies_above_the_network_wherever_its_frame_is() -> None:
+    """A network 430 m above its zero has the same candidates, and a search stays between their neighbours."""
+    lifted = replace(SCENE, points=SCENE.points + [0.0, 0.0, 430.0], position=SCENE.position + [0.0, 0.0, 430.0])
+    here, there = AirLayer.candidates(SCENE), AirLayer.candidates(lifted)
+    assert [e.width for e in here] == [e.width for e in there]
+    np.testing.assert_allclose([e.height for e in here], [e.height for e in there], atol=1e-12)
+    np.testing.assert_allclose(here[3].design(SCENE), here[3].design(lifted), atol=1e-13)
+    tall = replace(SCENE, points=SCENE.points * [1.0, 1.0, 20.0])
+    for effect in AirLayer.candidates(tall):
+        low, high = AirLayer.shape[0].bracket(effect.height)
+        assert low <= effect.height <= high
+
+
 def test_wide_layer_is_a_gradient() -> None:
     """In the middle of a wide logistic the profile is linear with slope 1 / (4 width), about half its step."""
-    width, height = 60.0, float(SCENE.points[:, 2].mean())
+    width, height = 60.0, float(SCENE.points[:, 2].mean() - FLOOR)
     layer = AirLayer(height=height, width=width).design(SCENE)[:, :, 0] * 4 * width
     gradient = AirGradient().design(SCENE)[:, :, 0]
     layer[:, 0] += bending() * 0.5 * 4 * width * SCENE.range_
@@ -141,10 +158,10 @@ def test_wide_layer_is_a_gradient() -> None:
 )
 def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLayer | HeatPlume) -> None:
     step = np.array([0.05])
-    centre = None if isinstance(effect, AirLayer) else effect._centre(SCENE)
+    at: Any = FLOOR if isinstance(effect, AirLayer) else effect._centre(SCENE)
 
     def field(points: Floats) -> tuple[Floats, Floats]:
-        warm, gradient = effect.temperature(points) if centre is None else effect.temperature(points, centre)  # type: ignore[call-arg]
+        warm, gradient = effect.temperature(points, at)
         return step[0] * warm, step[0] * gradient
 
     coarse, fine = bent(SCENE, field), bent(SCENE, field, steps=256)

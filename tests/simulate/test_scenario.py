@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -135,3 +136,25 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
     assert scenario.workshop.obstacles[0].file == str(tmp_path / "press.stl")
     with pytest.raises(SetupError, match=r"press\.stl: cannot be read"):
         fieldwork(scenario, 1)
+
+
+@pytest.mark.parametrize(
+    ("tables", "says"),
+    [
+        (
+            '[[effects]]\nname = "range-cyclic"\nshape = { wavelength = 0.0 }',
+            "wavelength is 0, expected 0.2 to 2e+05 mm",
+        ),
+        (
+            '[[effects]]\nname = "encoder-interpolation"\nshape = { circle = "x" }',
+            "circle is 'x', expected one of azimuth",
+        ),
+        ('[[effects]]\nname = "mesh-expansion"\nshape = { mode = "x" }', "mode is 'x', expected one of uniform"),
+        ('[[effects]]\nname = "smr-incidence"\nshape = { table = [1.0] }', "table has 1 values, expected 9"),
+        ('[[effects]]\nname = "wrong-unit"\nshape = { mistake = "metres" }', "did you mean metre"),
+        ("[instrument.limits]\nrange_min_mm = 9000\nrange_max_mm = 500", "range_min_mm below range_max_mm"),
+    ],
+)
+def test_constants_that_mean_nothing_are_refused(write: Write, tables: str, says: str) -> None:
+    with pytest.raises(SetupError, match=re.escape(says)):
+        fieldwork(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)

@@ -24,7 +24,6 @@ from ltsim.effects.face_confusion import FaceConfusion
 from ltsim.effects.range_step import RangeStep
 from ltsim.effects.station_bump import StationBump
 from ltsim.effects.target_swap import TargetSwap
-from ltsim.effects.wrong_unit import MISTAKES as WRONG_UNITS
 from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import LtsimError
 from ltsim.geometry.alignment import align
@@ -140,11 +139,7 @@ def _as_written(readings: Floats, sightings: Sightings, hidden: Sequence[Hidden]
     for h in hidden:
         if isinstance(h.effect, WrongUnit):
             rows = h.effect.mask(sightings) > 0
-            columns, factor = WRONG_UNITS[h.effect.mistake]
-            for c in columns:
-                written[rows, c] *= factor
-            if h.effect.mistake == "zenith":
-                written[rows, 2] += np.pi / 2
+            written[rows] = h.effect.slip.written(written[rows])
     return written
 
 

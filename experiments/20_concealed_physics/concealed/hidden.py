@@ -10,7 +10,7 @@ import numpy as np
 from concealed.invented import Laws, draw_invented
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.effects import BASELINE, CATALOGUE
+from ltsim.effects import BASELINE, GROUPS
 from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.drift import WARM_UP, Drift
 from ltsim.effects.effect import Effect, NoiseEffect
@@ -36,9 +36,16 @@ ABSURD = 20.0
 INVISIBLE = 1e-5
 """Share of a signature's squared size left by the adjustment, below which it is not drawn."""
 ALLOWED_TRIES = 400
+UNITS = ("inch", "metre", "gon", "zenith")
+"""Slips of the pen that are drawn."""
 MISTAKES: tuple[type[Effect], ...] = (TargetSwap, WrongUnit, FaceConfusion)
+LATER = ("range-mode",)
+"""Effects that came after the samples were drawn."""
 SYSTEMATIC: tuple[type[Effect], ...] = tuple(
-    kind for kind in CATALOGUE if kind not in {type(e) for e in BASELINE} and kind not in MISTAKES
+    kind
+    for kinds in GROUPS.values()
+    for kind in kinds
+    if kind not in {type(e) for e in BASELINE} and kind not in MISTAKES and kind.name not in LATER
 )
 
 
@@ -141,6 +148,8 @@ def draw_mistake(sightings: Sightings, rng: np.random.Generator) -> Hidden:
         effect = tried[int(rng.integers(len(tried)))]
         return Hidden(effect, np.array([rng.choice([-1.0, 1.0]) * _geometric(rng, 2e-3, 3e-2)]))
     options = [e for e in kind.possible(sightings) if np.any(e.design(sightings))]  # type: ignore[attr-defined]
+    if kind is WrongUnit:
+        options = [e for e in options if e.mistake in UNITS]
     return Hidden(options[int(rng.integers(len(options)))], np.ones(1))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.errors import ConvergenceError, NetworkError
-from ltsim.model.construction import misalignment
+from ltsim.model.construction import stated_construction
 from ltsim.recording import Recording, read
 from ltsim.recording.setup import Limits
 from ltsim.report import figures
@@ -62,7 +62,7 @@ def adjusted(recording: Recording) -> tuple[Adjustment, Adjustment]:
     NetworkError, ConvergenceError
         When it cannot be adjusted.
     """
-    plain, full = adjust(recording), adjust(recording, misalignment())
+    plain, full = adjust(recording), adjust(recording, stated_construction(recording))
     plain.solution.require_success()
     full.solution.require_success()
     return plain, full
