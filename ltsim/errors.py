@@ -59,6 +59,14 @@ class NetworkError(LtsimError):
     """The network of a recording cannot be solved; the message names the stations or targets."""
 
 
+class WorkerError(LtsimError):
+    """A process that worked for this one ended before its work."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A person stopped the work; the message says what is kept and how to go on."""
+
+
 class ConvergenceError(LtsimError):
     """Raised by `Solution.require_success()`; carries the solution."""
 
