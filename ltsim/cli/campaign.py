@@ -12,7 +12,7 @@ import typer
 from ltsim.cli.options import Jobs, Json, Quiet
 from ltsim.cli.places import Force
 from ltsim.cli.terminal import Terminal, table
-from ltsim.errors import Interrupted, SetupError
+from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def campaign(
             outcome = run_campaign(file, folder, workers=workers, resume=resume, force=force, progress=advance)
     except KeyboardInterrupt:
         kept = len(Store(folder).shards())
-        raise Interrupted(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
+        raise StoppedError(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
     results = Results(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", summary_csv(summary))

@@ -13,7 +13,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from ltsim.errors import Interrupted, LtsimError
+from ltsim.errors import LtsimError, StoppedError, printable
 
 BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
@@ -93,19 +93,25 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
     except UsageProblem as problem:
         return _refuse(_usage_sentence(problem))
+    except StoppedError as stop:
+        return _interrupted(str(stop))
     except LtsimError as problem:
         return _refuse(str(problem))
     except BrokenPipeError:
         # The reader of the pipe has gone (`| head`).
         _drop_output()
         return 0
-    except (KeyboardInterrupt, typer.Abort) as stop:
-        kept = str(stop) if isinstance(stop, Interrupted) else "nothing half-written was left"
-        print(f"interrupted; {kept}", file=sys.stderr)
-        return INTERRUPTED
+    except (KeyboardInterrupt, typer.Abort):
+        return _interrupted()
     except Exception as problem:
         return _failed(problem)
-    return status if isinstance(status, int) else 0
+    # Typer turns an interruption into this status and says nothing.
+    return _interrupted() if status == INTERRUPTED else status if isinstance(status, int) else 0
+
+
+def _interrupted(kept: str = "nothing half-written was left") -> int:
+    print(f"interrupted; {kept}", file=sys.stderr)
+    return INTERRUPTED
 
 
 def _failed(problem: Exception) -> int:
@@ -133,7 +139,7 @@ def _usage_sentence(problem: Any) -> str:
 
 
 def _refuse(message: str) -> int:
-    print("error: " + " ".join(message.split()), file=sys.stderr)
+    print("error: " + printable(" ".join(message.split())), file=sys.stderr)
     return BAD_INPUT
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, printable
 
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
@@ -30,12 +30,12 @@ class Terminal:
     def say(self, text: str = "") -> None:
         """A line for a person."""
         if not self.quiet and not self.as_json:
-            print(text)
+            print(printable(text))
 
     def note(self, text: str) -> None:
         """A remark that does not belong to the answer: on standard error."""
         if not self.quiet:
-            print(text, file=sys.stderr)
+            print(printable(text), file=sys.stderr)
 
     def answer(self, content: Any) -> None:
         """The whole answer for a program, where it asked for it."""
