@@ -59,6 +59,14 @@ class NetworkError(LtsimError):
     """The network of a recording cannot be solved; the message names the stations or targets."""
 
 
+class WorkerError(LtsimError):
+    """A process that worked for this one ended before its work."""
+
+
+class StoppedError(LtsimError):
+    """A person stopped the work; the message says what is kept and how to go on."""
+
+
 class ConvergenceError(LtsimError):
     """Raised by `Solution.require_success()`; carries the solution."""
 
@@ -70,6 +78,11 @@ class ConvergenceError(LtsimError):
 def missing_extra(what: str, extra: str) -> SetupError:
     """Build the error for something that needs packages which a plain installation leaves out."""
     return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
+
+
+def printable(text: str) -> str:
+    """A text as it can stand on a terminal: no control characters, whatever a file or its name holds."""
+    return "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ModelError:

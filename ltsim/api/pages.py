@@ -12,7 +12,6 @@ from ltsim.notebook import Shown
 from ltsim.recording import Recording
 from ltsim.recording.files import write_text
 from ltsim.report import scene3d
-from ltsim.report.output import write_bytes
 from ltsim.report.page import report as write_report
 from ltsim.report.planned import from_scenario, with_cad
 from ltsim.report.scene_page import scene_page
@@ -36,7 +35,7 @@ class View(Shown):
 
     def png(self, path: str | Path) -> None:
         """Write a picture."""
-        write_bytes(Path(path), scene3d.picture(self.workshop))
+        write_text(Path(path), scene3d.picture(self.workshop))
 
     def html(self, path: str | Path) -> None:
         """Write one page to turn in a browser, offline."""

@@ -7,14 +7,14 @@ import numpy as np
 from ltsim.adjust.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Calibration
-from ltsim.errors import NetworkError
+from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 
 
-def correct(recording: Recording, calibration: Calibration) -> Recording:
+def correct(recording: Recording, calibration: Calibration, *, again: bool = False) -> Recording:
     """What an ideal tracker would have read: the calibrated points, as readings on the same face.
 
     The set-up of the result says that its instruments are corrected. A row without a range (or without an angle) is
@@ -25,14 +25,18 @@ def correct(recording: Recording, calibration: Calibration) -> Recording:
     recording : Recording
         Of the same instrument; any network.
     calibration : Calibration
+    again : bool
+        Correct readings too that the set-up says are corrected.
 
     Raises
     ------
     RecordError
-        When the calibration does not know the recording's instruments.
+        When the calibration does not know the recording's instruments, or the readings are corrected already.
     NetworkError
         When rows lack a range or an angle and the network cannot be solved.
     """
+    if not again and any(recording.instrument_of(name).corrected for name in recording.stations):
+        raise RecordError("the set-up says that the readings are corrected (corrected = true); once is right")
     values = calibration.values_for(recording)
     readings = corrected_readings(recording, calibration.construction, values)
     setup = recording.setup

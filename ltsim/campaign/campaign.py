@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -22,11 +22,12 @@ from joblib import Parallel, delayed, parallel_config
 from ltsim.campaign.cell import fitted_construction, fitted_effects
 from ltsim.campaign.rows import Task, rows_of, run_task, task_of
 from ltsim.campaign.schema import CellEntry, ManifestFile
-from ltsim.campaign.spec import Campaign, fingerprint, label, load_campaign, scenario_file
+from ltsim.campaign.spec import Campaign, cad_files, fingerprint, label, load_campaign, read_cad, scenario_file
 from ltsim.campaign.store import SOURCE, Store
-from ltsim.errors import SetupError
+from ltsim.errors import SetupError, WorkerError
 from ltsim.simulate.fieldwork import fieldwork
 from ltsim.simulate.scenario import Scenario
+from ltsim.workers import parallel
 
 DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose version can change a row's bytes."""
@@ -79,6 +80,7 @@ def run_campaign(
     *,
     workers: Workers | None = None,
     resume: bool = False,
+    force: bool = False,
     progress: Progress = lambda trials: None,
 ) -> Outcome:
     """Run or continue the campaign of a file.
@@ -92,6 +94,8 @@ def run_campaign(
         Default: one process, this one. The rows do not depend on it.
     resume : bool
         Continue what the folder holds.
+    force : bool
+        Begin anew in a folder that holds a campaign or other files of the same names; they are lost.
     progress : callable
         Told the number of trials that were done.
 
@@ -103,26 +107,41 @@ def run_campaign(
     campaign, scenarios = load_campaign(file)
     _check(campaign, scenarios, file)
     store, mark = Store(folder), fingerprint(campaign, scenarios)
+    sources = _sources(campaign, scenarios, file)
+    taken = [] if store.begun or force else store.taken(sources)
+    if taken:
+        listed = ", ".join(taken)
+        raise SetupError(f"{folder}: holds {listed} but no campaign; name another --out, or replace them with --force")
     with store.lock():
         notes = []
+        if force and not resume:
+            store.clear()
         if store.begun:
             notes += _check_same(store, campaign, mark, file, resume=resume)
         else:
-            store.begin(_manifest(campaign, scenarios, mark), _sources(campaign, file))
+            store.begin(_manifest(campaign, scenarios, mark), sources)
         store.sweep()
         waiting, damaged = _waiting(store, campaign, scenarios, mark, progress)
-        for task, content in _results(waiting, workers or Workers()):
-            store.write_shard(task.cell, task.shard, content)
-            progress(rows_of(campaign, task.shard))
+        try:
+            for task, content in _results(waiting, workers or Workers()):
+                store.write_shard(task.cell, task.shard, content)
+                progress(rows_of(campaign, task.shard))
+        except WorkerError as problem:
+            raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
     total = len(scenarios) * campaign.shards
     return Outcome(folder, len(waiting), total - len(waiting), (*notes, *damaged))
 
 
-def _sources(campaign: Campaign, file: Path) -> dict[str, bytes]:
-    """The files that the campaign was given, to be kept with its rows."""
+def _sources(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> dict[str, bytes]:
+    """The files that the campaign was given, to be kept with its rows: scenario, CAD files, the file itself."""
     scenario = scenario_file(campaign, file)
-    beside = {} if scenario is None else {scenario.name: scenario.read_bytes()}
-    return beside | {SOURCE: file.read_bytes()}
+    beside = (scenario or file).resolve().parent
+    kept = {} if scenario is None else {scenario.name: scenario.read_bytes()}
+    for path in cad_files(scenarios):
+        whole = path.resolve()
+        name = whole.relative_to(beside).as_posix() if whole.is_relative_to(beside) else path.name
+        kept[name] = read_cad(path)
+    return kept | {SOURCE: file.read_bytes()}
 
 
 def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> None:
@@ -140,7 +159,10 @@ def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> N
 def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> list[str]:
     """Continue only what was begun, with the versions it was begun with; a remark where code or processor differ."""
     if not resume:
-        raise SetupError(f"{store.folder}: holds a campaign; continue it with --resume or name another --out")
+        raise SetupError(
+            f"{store.folder}: holds a campaign; continue it with --resume, name another --out, "
+            "or begin anew with --force"
+        )
     manifest = store.manifest()
     if manifest.fingerprint != mark:
         before = manifest.settings
@@ -222,12 +244,12 @@ def _waiting(
     store: Store, campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str, progress: Progress
 ) -> tuple[list[Task], list[str]]:
     """Shards to be done; those that are damaged are set aside and done again."""
-    waiting, notes = [], []
+    waiting, notes, known = [], [], store.digests()
     for cell, scenario in enumerate(scenarios):
         first = task_of(campaign, scenario, mark, cell, 0)
         for shard in range(campaign.shards):
             task = Task(first.campaign, first.scenario, mark, cell, shard)
-            state = store.state_of(cell, shard, task.key, rows_of(campaign, shard))
+            state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
             if state == "whole":
                 progress(rows_of(campaign, shard))
                 continue
@@ -240,19 +262,14 @@ def _waiting(
 
 def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]]:
     """Shards as they are finished, in any order."""
-    if workers.backend == "local" and workers.jobs == 1:
-        for task in tasks:
-            yield task, run_task(task)
+    calls = ((task,) for task in tasks)
+    if workers.backend == "local":
+        jobs = min(workers.jobs, max(len(tasks), 1))
+        yield from parallel(_labelled, calls, jobs, ordered=False)
         return
-    with _backend(workers):
-        calls = (delayed(_labelled)(task) for task in tasks)
-        jobs = workers.jobs if workers.backend == "local" else -1
-        yield from _parallel(calls, jobs)
-
-
-def _parallel(calls: Iterable[Any], jobs: int) -> Iterator[tuple[Task, bytes]]:
-    results: Iterator[tuple[Task, bytes]] = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(calls)
-    yield from results
+    with _cluster(workers):
+        pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
+        yield from pool(delayed(_labelled)(*call) for call in calls)
 
 
 def _labelled(task: Task) -> tuple[Task, bytes]:
@@ -260,12 +277,8 @@ def _labelled(task: Task) -> tuple[Task, bytes]:
 
 
 @contextmanager
-def _backend(workers: Workers) -> Iterator[None]:
-    """Joblib's processes on this machine, or its dask backend on the scheduler's workers."""
-    if workers.backend == "local":
-        with parallel_config(backend="loky", inner_max_num_threads=1):
-            yield
-        return
+def _cluster(workers: Workers) -> Iterator[None]:
+    """Joblib's dask backend on the scheduler's workers."""
     try:
         from distributed import Client
     except ImportError:

@@ -15,8 +15,15 @@ def compiled(function: Callable[..., R]) -> Callable[..., R]:
 
     Sums keep their order; only a product and a sum may be fused. Runs outside the interpreter lock.
     """
-    compiler = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-    return cast(Callable[..., R], compiler(function))
+
+    def kept(cache: bool) -> Callable[..., R]:
+        compiler = numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath={"contract"})
+        return cast(Callable[..., R], compiler(function))
+
+    try:
+        return kept(cache=True)
+    except RuntimeError:  # neither the package's folder nor a home can be written to
+        return kept(cache=False)
 
 
 def inlined(function: Callable[..., R]) -> Callable[..., R]:

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from joblib import Parallel, delayed
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
@@ -29,6 +28,7 @@ from ltsim.simulate.fieldwork import fieldwork
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.simulator import measure
 from ltsim.simulate.truth import Truth
+from ltsim.workers import parallel
 
 FALSE_ALARM = 0.01
 """Chance that a correct model fails any of the checks."""
@@ -197,11 +197,8 @@ def recover(
         When the calibrator's parameters are not among those that are drawn.
     """
     drawn = from_prior(scenario)
-    work = (delayed(run_trial)(drawn, seed, index, method, construction) for index in range(trials))
-    if jobs == 1:
-        return (function(*args, **kwargs) for function, args, kwargs in work)
-    results: Iterator[Trial | None] = Parallel(n_jobs=jobs, return_as="generator", batch_size=4)(work)
-    return results
+    work = ((drawn, seed, index, method, construction) for index in range(trials))
+    return parallel(run_trial, work, min(jobs, trials), batch=4)
 
 
 def from_prior(scenario: Scenario) -> Scenario:

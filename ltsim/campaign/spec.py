@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,6 +18,7 @@ from ltsim.recording.setup import Finite, Section
 from ltsim.simulate.scenario import Scenario, changed, load_scenario, scenario_to_toml
 
 FORMAT = "ltsim-campaign/1"
+MOST_CELLS, MOST_SHARDS = 4096, 500_000
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 
 
@@ -113,6 +115,18 @@ class Campaign(Section):
             raise ValueError("it should hold at least one value a key of the grid")
         return self
 
+    @model_validator(mode="after")
+    def _of_a_size_that_can_be_kept(self) -> Campaign:
+        cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
+        if cells > MOST_CELLS:
+            raise ValueError(f"it should have at most {MOST_CELLS} cells, the grid makes {cells}: divide the campaign")
+        if cells * self.shards > MOST_SHARDS:
+            raise ValueError(
+                f"it should have at most {MOST_SHARDS} shards, trials and shard make {cells * self.shards}: "
+                "give a larger shard"
+            )
+        return self
+
     @property
     def shards(self) -> int:
         """Number of shards of each cell."""
@@ -168,7 +182,29 @@ def label(changes: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {json.dumps(value)}" for key, value in changes.items()) or "as the scenario says"
 
 
+def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
+    """The CAD files that stand in the workshops, each once."""
+    named = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
+    return [Path(name) for name in dict.fromkeys(named)]
+
+
 def fingerprint(campaign: Campaign, scenarios: tuple[Scenario, ...]) -> str:
-    """A number of everything that decides the rows: the file and every cell's scenario, spelled out."""
-    content = [campaign.model_dump_json(by_alias=True), *(scenario_to_toml(s) for s in scenarios)]
+    """A number of everything that decides the rows: the file, every cell's scenario, the content of its CAD files."""
+    known = {str(path): hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files(scenarios)}
+    content = [campaign.model_dump_json(by_alias=True), *(scenario_to_toml(_by_content(s, known)) for s in scenarios)]
     return hashlib.sha256("\n".join(content).encode()).hexdigest()
+
+
+def _by_content(scenario: Scenario, known: Mapping[str, str]) -> Scenario:
+    """The scenario with the digests of its CAD files in place of their names."""
+    room = scenario.workshop
+    named = [o if o.file is None else o.model_copy(update={"file": known[str(Path(o.file))]}) for o in room.obstacles]
+    return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(named)})})
+
+
+def read_cad(path: Path) -> bytes:
+    """The bytes of a CAD file; raises SetupError."""
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None

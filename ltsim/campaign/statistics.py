@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import pyarrow as pa
 
 from ltsim.campaign.engine import FAILED
 from ltsim.campaign.rows import CHECKED
@@ -89,17 +90,20 @@ class Results(Shown):
     def __init__(self, folder: Path) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
-        if not any(folder.glob("rows/cell-*/shard-*.parquet")):
+        shards = store.shards()
+        if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
-        self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 2})
-        source = f"read_parquet('{store.pattern.replace(chr(39), 2 * chr(39))}', union_by_name = true)"
+        # One thread: sums keep their order, and tables their last digit.
+        self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
+        source = f"read_parquet([{', '.join(map(_literal, shards))}], union_by_name = true)"
         try:
+            store.verify(self.manifest.fingerprint)
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
             self.columns: tuple[str, ...] = tuple(
                 row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"
             )
-        except duckdb.Error as problem:
+        except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
         self._base.execute("CREATE TABLE cells (cell INTEGER, label VARCHAR)")
         listed = [(entry.cell, entry.label) for entry in self.manifest.cells]
@@ -228,6 +232,12 @@ def summary_csv(summary: Mapping[str, Any]) -> str:
     """The content of `summary.csv`: one line a cell, method and column."""
     fixed = SUMMARY.header[: -len(LEVELS)]
     return SUMMARY.text([*(entry[name] for name in fixed), *entry["quantiles"]] for entry in summary["columns"])
+
+
+def _literal(path: Path) -> str:
+    """A path as SQL takes it, its brackets and stars no pattern."""
+    plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
+    return "'" + plain.replace("'", "''") + "'"
 
 
 def _improvements(names: list[str]) -> str:

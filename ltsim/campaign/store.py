@@ -4,8 +4,11 @@
     campaign.toml                          the file as it was given
     rows/cell-0000/shard-000000.parquet    a fixed run of trials of one cell, all methods
 
+    rows.sha256                            digest of each shard, as `sha256sum --check` reads it
+
 A shard appears under its name only when it is whole and on the disk (temporary sibling, fsync, rename). Its bytes
-depend on settings and versions alone. Pages carry checksums, so a damaged shard is found when it is opened.
+depend on settings and versions alone. Every reader compares its digest first; where a kill left a shard without one,
+the checksums of its pages and its label are compared.
 """
 
 from __future__ import annotations
@@ -13,8 +16,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import hashlib
 import json
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +27,12 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltsim.campaign.schema import ManifestFile
+from ltsim.campaign.schema import SUMMARY, ManifestFile
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording.result_file import read_result
 
 MANIFEST, SOURCE, ROWS, LOCK = ManifestFile.FILE, "campaign.toml", "rows", ".lock"
+DIGESTS, SUMMED = "rows.sha256", SUMMARY.file
 
 
 def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
@@ -75,10 +81,34 @@ class Store:
         """Where a shard lies."""
         return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
-    @property
-    def pattern(self) -> str:
-        """All shards, as a query names them."""
-        return str(self.folder / ROWS / "cell-*" / "shard-*.parquet")
+    def shards(self) -> list[Path]:
+        """Where the finished shards lie, in their order."""
+        return sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
+
+    def verify(self, fingerprint: str) -> None:
+        """Make sure that every finished shard is as it was written, for the campaign of a fingerprint.
+
+        Raises
+        ------
+        OSError, ValueError, pyarrow.ArrowException
+            When one is not.
+        """
+        known = self.digests()
+        for path in self.shards():
+            name = path.relative_to(self.folder).as_posix()
+            if name in known:
+                if _digest(path) != known[name]:
+                    raise ValueError(f"{name} was changed since it was written")
+            elif _label(table_of(path)).get("campaign", fingerprint) != fingerprint:
+                raise ValueError(f"{name} is of another campaign")
+
+    def digests(self) -> dict[str, str]:
+        """Digest of each shard by its place in the folder, as far as they are noted."""
+        try:
+            lines = (self.folder / DIGESTS).read_text(encoding="ascii").splitlines()
+        except (OSError, ValueError):
+            return {}
+        return {name: digest for digest, _, name in (line.partition("  ") for line in lines) if len(digest) == 64}
 
     @property
     def begun(self) -> bool:
@@ -105,6 +135,7 @@ class Store:
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
             for name, content in sources.items():
+                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
                 _write(self.folder / name, content)
             _write(self.manifest_path, manifest.text().encode())
 
@@ -120,18 +151,34 @@ class Store:
         with self._writing():
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(path, content)
+            with (self.folder / DIGESTS).open("a", encoding="ascii") as stream:
+                stream.write(f"{hashlib.sha256(content).hexdigest()}  {path.relative_to(self.folder).as_posix()}\n")
 
-    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int) -> str:
-        """`whole`, `missing` or `damaged`: whether a shard can be relied on."""
+    def taken(self, sources: Mapping[str, bytes]) -> list[str]:
+        """Names in the folder that beginning a campaign with some sources would replace by something else."""
+        others = [name for name in (ROWS, DIGESTS, SUMMED) if (self.folder / name).exists()]
+        return others + [n for n, content in sources.items() if _differs(self.folder / n, content)]
+
+    def clear(self) -> None:
+        """Remove manifest, rows and what was made of them."""
+        with self._writing():
+            for name in (MANIFEST, DIGESTS, SUMMED):
+                (self.folder / name).unlink(missing_ok=True)
+            if (self.folder / ROWS).exists():
+                shutil.rmtree(self.folder / ROWS)
+
+    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, known: Mapping[str, str]) -> str:
+        """`whole`, `missing` or `damaged`: whether a shard can be relied on; `known` are the noted digests."""
         path = self.shard_path(cell, shard)
         if not path.exists():
             return "missing"
         try:
             table = table_of(path)
-            label = json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
+            noted = known.get(path.relative_to(self.folder).as_posix())
+            same = noted in (None, _digest(path)) and _label(table) == dict(key)
         except (pa.ArrowException, OSError, ValueError):
             return "damaged"
-        return "whole" if len(table) == rows and label == dict(key) else "damaged"
+        return "whole" if len(table) == rows and same else "damaged"
 
     def set_aside(self, cell: int, shard: int) -> Path:
         """Rename a damaged shard, so that it can be looked at; where it went."""
@@ -179,6 +226,21 @@ class Store:
             raise SetupError(
                 f"{self.folder}: {reason}; finished shards are kept: {cure} and go on with --resume"
             ) from None
+
+
+def _label(table: pa.Table) -> dict[str, str]:
+    """What a shard says of itself."""
+    label: dict[str, str] = json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
+    return label
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _differs(path: Path, content: bytes) -> bool:
+    return path.exists() and not (path.is_file() and path.read_bytes() == content)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ltsim.calibrate import adjust_network
-from ltsim.cli.calibrate import finish
+from ltsim.cli.calibrate import claim_results, finish
 from ltsim.cli.options import (
     ColumnMap,
     Datum,
@@ -19,6 +19,7 @@ from ltsim.cli.options import (
     names_of,
     recording_of,
 )
+from ltsim.cli.places import Force
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 
@@ -33,6 +34,7 @@ def adjust(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -43,6 +45,7 @@ def adjust(
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
     terminal = Terminal(quiet, as_json)
+    claim_results(out, points, adjusted=True, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))

@@ -10,6 +10,7 @@ import typer
 
 from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network, write_calibration
 from ltsim.calibrate.files import calibration_file
+from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.cli.options import (
     ColumnMap,
     Datum,
@@ -25,6 +26,7 @@ from ltsim.cli.options import (
     names_of,
     recording_of,
 )
+from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.summary import recording_line, show_calibration, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
@@ -73,6 +75,7 @@ def calibrate(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -86,6 +89,7 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": names_of(datum)}
     if method is not Method.NETWORK and any(options.values()):
         raise SetupError(f"--robust, --noise-from-data and --datum go with --method network, not {method.value}")
+    claim_results(out, points, adjusted=False, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
@@ -104,6 +108,13 @@ def calibrated(recording: Recording, method: str, construction_name: str, *, adv
     if method == Method.NETWORK.value:
         return calibrate_network(recording, built, advise=advise)
     return calibrate_distance(recording, built, method=method, advise=advise)
+
+
+def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, force: bool) -> None:
+    """Make sure that a calibration, or a network `adjusted` without parameters, replaces nothing else."""
+    names = (TARGETS.file, RESIDUALS.file)
+    claim(out, CalibrationFile, names, force=force, own=lambda found: (found.method == "adjustment") == adjusted)
+    claim_file(points, force=force)
 
 
 def finish(terminal: Terminal, calibration: Calibration, out: Path | None, points: Path | None = None) -> None:

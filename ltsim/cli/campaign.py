@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltsim.cli.options import Jobs, Json, Quiet
+from ltsim.cli.places import Force
 from ltsim.cli.terminal import Terminal, table
-from ltsim.errors import SetupError
+from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def campaign(
     scheduler: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786.")
     ] = "",
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -72,14 +74,19 @@ def campaign(
     from ltsim.campaign.campaign import Workers, run_campaign
     from ltsim.campaign.spec import load_campaign
     from ltsim.campaign.statistics import Results, summary_csv
+    from ltsim.campaign.store import Store
 
     terminal = Terminal(quiet, as_json)
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file)
     total = settings.trials * len(settings.methods) * len(scenarios)
     workers = Workers(jobs, backend.value, scheduler)
-    with terminal.progress("trials", total) as advance:
-        outcome = run_campaign(file, folder, workers=workers, resume=resume, progress=advance)
+    try:
+        with terminal.progress("trials", total) as advance:
+            outcome = run_campaign(file, folder, workers=workers, resume=resume, force=force, progress=advance)
+    except KeyboardInterrupt:
+        kept = len(Store(folder).shards())
+        raise StoppedError(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
     results = Results(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", summary_csv(summary))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Quiet, recording_of
+from ltsim.cli.places import Force, claim_file, claim_recording
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import FORMATS, write
@@ -26,6 +27,7 @@ def convert(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -38,6 +40,10 @@ def convert(
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
     terminal = Terminal(quiet, as_json)
+    if to == "native":
+        claim_recording(destination, force=force)
+    else:
+        claim_file(destination, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     write(recording, destination, to)

@@ -10,6 +10,7 @@ import typer
 
 from ltsim.calibrate import correct as corrected_by
 from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Quiet, Source, recording_of
+from ltsim.cli.places import Force, claim_recording
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.geometry.polar import wrap
@@ -26,6 +27,7 @@ def correct(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -34,12 +36,13 @@ def correct(
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """
     terminal = Terminal(quiet, as_json)
+    claim_recording(out, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     found = calibration_of(terminal, calibration)
     if not found.names:
         terminal.note("note: this calibration holds no instrument parameters; nothing changes")
-    corrected = corrected_by(recording, found)
+    corrected = corrected_by(recording, found, again=force)
     write(corrected, out)
     change = corrected.readings - recording.readings
     change[:, 1:] = wrap(change[:, 1:])

@@ -14,6 +14,7 @@ from ltsim.calibrate import calibrate_network, write_calibration
 from ltsim.campaign.campaign import Workers, run_campaign
 from ltsim.campaign.statistics import Results, summary_csv
 from ltsim.cli.options import Json, Quiet, Seed
+from ltsim.cli.places import Force, claim_empty
 from ltsim.cli.terminal import Terminal
 from ltsim.diagnose import diagnose
 from ltsim.diagnose.files import write_diagnosis
@@ -60,6 +61,7 @@ class Step:
 def demo(
     out: Folder = Path("ltsim-demo"),
     seed: Seed = 0,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -68,6 +70,7 @@ def demo(
     Example: ltsim demo --out ltsim-demo
     """
     terminal = Terminal(quiet, as_json)
+    claim_empty(out, force=force)
     said = []
     for number, step in enumerate(STEPS, start=1):
         began = time.perf_counter()
@@ -121,7 +124,7 @@ def diagnosed(out: Path, seed: int) -> str:
 def repeated(out: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
     write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
-    run_campaign(out / "campaign.toml", out / "campaign", workers=Workers(), resume=True)
+    run_campaign(out / "campaign.toml", out / "campaign", workers=Workers(), force=True)
     results = Results(out / "campaign")
     write_texts(out / "campaign", {"summary.csv": summary_csv(results.summary())})
     parts = []

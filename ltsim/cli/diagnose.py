@@ -7,11 +7,13 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Seed, Source, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 from ltsim.diagnose import Diagnosis
 from ltsim.diagnose import diagnose as diagnosis_of
-from ltsim.diagnose.files import diagnosis_file, write_diagnosis
+from ltsim.diagnose.files import COMPANIONS, diagnosis_file, write_diagnosis
+from ltsim.diagnose.schema import DiagnosisFile
 from ltsim.diagnose.words import percent, place
 
 FailOnMismatch = Annotated[
@@ -31,6 +33,7 @@ def diagnose(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -41,6 +44,7 @@ def diagnose(
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))

@@ -19,6 +19,7 @@ from ltsim.cli.options import (
     Source,
     recording_of,
 )
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of, criteria_table, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.evaluate import Criteria
@@ -35,6 +36,7 @@ def evaluate(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -45,6 +47,7 @@ def evaluate(
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, CriteriaFile, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))

@@ -10,8 +10,9 @@ import typer
 from ltsim.calibrate import Calibration, calibrate_network
 from ltsim.calibrate.files import history_file
 from ltsim.calibrate.history import Change, History
-from ltsim.calibrate.schema import CalibrationFile
+from ltsim.calibrate.schema import CalibrationFile, HistoryFile
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
@@ -48,6 +49,7 @@ def history(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -58,6 +60,7 @@ def history(
     Example: ltsim history january.json may.json september-recording --out my-history
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []
     treated: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data}
     with terminal.progress("calibrating", len(sources)) as done:

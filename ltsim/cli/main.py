@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -11,9 +13,11 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from ltsim.errors import LtsimError
+from ltsim.errors import LtsimError, StoppedError, printable
 
-BAD_INPUT = 2
+BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
+"""What a disk says that takes no more."""
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -83,22 +87,49 @@ def ltsim() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the command with `arguments`; the exit status.
 
-    0 done, 1 a check failed, 2 bad input or bad usage (one sentence on standard error), 130 interrupted.
+    0 done, 1 a check failed, 2 bad input or bad usage (one sentence on standard error), 70 a fault of ltsim itself
+    (with a traceback), 130 interrupted.
     """
     try:
         status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
+        sys.stdout.flush()
     except UsageProblem as problem:
         return _refuse(_usage_sentence(problem))
+    except StoppedError as stop:
+        return _interrupted(str(stop))
     except LtsimError as problem:
         return _refuse(str(problem))
     except BrokenPipeError:
-        # The reader of the pipe has gone (`| head`); Python must not complain about that at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader of the pipe has gone (`| head`).
+        _drop_output()
         return 0
     except (KeyboardInterrupt, typer.Abort):
-        print("interrupted; nothing half-written was left", file=sys.stderr)
-        return 130
-    return status if isinstance(status, int) else 0
+        return _interrupted()
+    except Exception as problem:
+        return _failed(problem)
+    # Typer turns an interruption into this status and says nothing.
+    return _interrupted() if status == INTERRUPTED else status if isinstance(status, int) else 0
+
+
+def _interrupted(kept: str = "nothing half-written was left") -> int:
+    print(f"interrupted; {kept}", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _failed(problem: Exception) -> int:
+    """What no input should bring about, but for a disk that is full."""
+    if isinstance(problem, OSError) and problem.errno in UNWRITABLE:
+        _drop_output()
+        return _refuse(f"{problem.filename or 'the output'} cannot be written ({problem.strerror})")
+    traceback.print_exception(problem)
+    words = "the memory is not enough for this" if isinstance(problem, MemoryError) else "a fault of ltsim itself"
+    print(f"error: {words} ({type(problem).__name__}); please report it with the lines above", file=sys.stderr)
+    return UNEXPECTED
+
+
+def _drop_output() -> None:
+    """Let what is still to be printed go nowhere, so that Python does not complain about it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage_sentence(problem: Any) -> str:
@@ -110,7 +141,7 @@ def _usage_sentence(problem: Any) -> str:
 
 
 def _refuse(message: str) -> int:
-    print("error: " + " ".join(message.split()), file=sys.stderr)
+    print("error: " + printable(" ".join(message.split())), file=sys.stderr)
     return BAD_INPUT
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltsim.errors import RecordError
+from ltsim.workers import MOST
 
 if TYPE_CHECKING:
     from ltsim.recording import Hints, Recording
@@ -27,7 +28,9 @@ OptionalCalibrationFile = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random draws; the same seed, the same result.")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, help="Processes to work with; the result is the same.")]
+Jobs = Annotated[
+    int, typer.Option("--jobs", "-j", min=1, max=MOST, help="Processes to work with; the result is the same.")
+]
 FormatName = Annotated[
     str | None, typer.Option("--format", metavar="NAME", help="Format of REC, where its content does not tell.")
 ]

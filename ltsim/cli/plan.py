@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Jobs, Json, Quiet, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line
 from ltsim.cli.terminal import Terminal, table
 from ltsim.diagnose import Diagnosis
@@ -17,11 +18,10 @@ from ltsim.errors import SetupError
 from ltsim.plan.files import next_csv, next_file, write_plan
 from ltsim.plan.next_measurement import DECISIVE, NextMeasurement, next_measurement
 from ltsim.plan.planner import Plan, make_plan
-from ltsim.plan.schema import NEXT, PlanResult
+from ltsim.plan.schema import NEXT, TABLES, NextFile, PlanResult
 from ltsim.plan.spec import load_plan, plan_names, plan_text
 from ltsim.recording import Recording
 from ltsim.recording.result_file import SourceEntry, write_result
-from ltsim.report.output import write_bytes
 
 PlanSource = Annotated[
     str | None,
@@ -43,6 +43,7 @@ Between = Annotated[
     ),
 ]
 MOST_SHOWN = 6
+PICTURES = ("floor.png", "tradeoff.png")
 
 
 def plan(
@@ -57,6 +58,7 @@ def plan(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -71,6 +73,7 @@ def plan(
     if after is not None:
         if source is not None:
             raise SetupError("ltsim plan takes either FILE or --after REC, not both")
+        claim(out, NextFile, (NEXT.file,), force=force)
         return _after(terminal, recording_of(after, format_name, hint, columns), _explanations(between), out)
     if between is not None:
         raise SetupError("--between goes with --after REC: it needs a recording whose two explanations it names")
@@ -79,21 +82,23 @@ def plan(
     if show:
         print(plan_text(source), end="")
         return None
-    return _search(terminal, source, out, seed, starts, jobs)
+    folder = out if out is not None or as_json else Path(f"plan-{Path(source).stem}")
+    claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", *PICTURES), force=force)
+    return _search(terminal, source, folder, seed, starts, jobs)
 
 
-def _search(terminal: Terminal, source: str, out: Path | None, seed: int | None, starts: int | None, jobs: int) -> None:
+def _search(
+    terminal: Terminal, source: str, folder: Path | None, seed: int | None, starts: int | None, jobs: int
+) -> None:
     file, scenario = load_plan(source)
     changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
     file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
     with terminal.progress("searching layouts", 100) as advance:
         made = make_plan(file, scenario, jobs=jobs, progress=_percent(advance))
-    folder = out if out is not None or terminal.as_json else Path(f"plan-{Path(source).stem}")
-    content = write_plan(made, folder)
+    content = write_plan(made, folder, {} if folder is None else pictures_of(made))
     terminal.answer(content.content())
     show_plan(terminal, content)
     if folder is not None:
-        write_pictures(made, folder)
         terminal.say(f"\nwritten to {folder}: floor.png shows where the tripod goes, stations.csv its coordinates")
         terminal.say(f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}")
 
@@ -131,7 +136,7 @@ def show_plan(terminal: Terminal, content: PlanResult) -> None:
     terminal.say(table(["stations", "faces", "rounds", "hours", "quality"], rows, left=0))
 
 
-def write_pictures(made: Plan, folder: Path) -> None:
+def pictures_of(made: Plan) -> dict[str, bytes]:
     """floor.png: the plan from above; tradeoff.png: cost against quality."""
     from io import BytesIO  # matplotlib takes a second to load
 
@@ -154,14 +159,13 @@ def write_pictures(made: Plan, folder: Path) -> None:
         value = next(iter(made.reference.qualities.values()))
         if len(made.reference.qualities) == 1:
             layouts.append(Layout("the scenario's own", own.seconds / 60, value, "reference"))
-    figures = {
-        "floor.png": floor_plan(from_scenario(planned_scenario(made)), coordinates=True),
-        "tradeoff.png": trade_off(layouts),
-    }
-    for name, figure in figures.items():
+    figures = floor_plan(from_scenario(planned_scenario(made)), coordinates=True), trade_off(layouts)
+    found = {}
+    for name, figure in zip(PICTURES, figures, strict=True):
         buffer = BytesIO()
         figure.savefig(buffer, format="png", dpi=150)
-        write_bytes(folder / name, buffer.getvalue())
+        found[name] = buffer.getvalue()
+    return found
 
 
 def _explanations(between: str | None) -> tuple[str, ...]:

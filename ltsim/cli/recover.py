@@ -13,6 +13,7 @@ from ltsim.campaign.recovery import recover as trials_of
 from ltsim.campaign.schema import CheckEntry, RecoveryFile, trials_table
 from ltsim.cli.calibrate import Method, MethodOption
 from ltsim.cli.options import Json, Out, Quiet, Seed
+from ltsim.cli.places import Force, claim
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError
@@ -20,6 +21,7 @@ from ltsim.model.construction import construction as construction_called
 from ltsim.recording.result_file import write_result
 from ltsim.simulate.physics import construction_of
 from ltsim.simulate.scenario import load_scenario
+from ltsim.workers import MOST
 
 Trials = Annotated[int, typer.Option("--trials", "-n", min=2, help="How many recordings to simulate.")]
 ConstructionChoice = Annotated[
@@ -29,7 +31,9 @@ ConstructionChoice = Annotated[
 
 RecoverJobs = Annotated[
     int | None,
-    typer.Option("--jobs", "-j", min=1, help="Processes to work with; default all cores, one for few trials."),
+    typer.Option(
+        "--jobs", "-j", min=1, max=MOST, help="Processes to work with; default all cores, one for few trials."
+    ),
 ]
 FEW = 100
 """Trials that take less time than starting further processes."""
@@ -43,6 +47,7 @@ def recover(
     seed: Seed = 0,
     jobs: RecoverJobs = None,
     out: Out = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -54,6 +59,7 @@ def recover(
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, RecoveryFile, ("trials.csv",), force=force)
     built = load_scenario(scenario)
     if built.instrument.construction == "dh" and construction not in (None, "dh"):
         raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")

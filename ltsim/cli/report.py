@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import Quiet
+from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Terminal
 
 Folder = Annotated[
@@ -21,16 +22,18 @@ Behind = Annotated[
 ]
 
 
-def report(folder: Folder, recording: Behind = None, quiet: Quiet = False) -> None:
+def report(folder: Folder, recording: Behind = None, force: Force = False, quiet: Quiet = False) -> None:
     """Write report.html into DIR: one page that opens offline, the answer first, then tables, figures and the 3D view.
 
     DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them.
 
     Example: ltsim report my-calibration --recording my-recording
     """
+    from ltsim.report.page import NAME
     from ltsim.report.page import report as write_report  # jinja2, matplotlib and vtk take two seconds to load
 
     terminal = Terminal(quiet)
+    claim_file(folder / NAME, force=force)
     with terminal.busy("drawing the report"):
-        page = write_report(folder, recording=recording)
+        page = write_report(folder, recording=recording, tell=terminal.note)
     terminal.say(f"written to {page}")

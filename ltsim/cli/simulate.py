@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import Json, Quiet, Seed
+from ltsim.cli.places import Force, claim_file, claim_recording
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
@@ -38,6 +39,7 @@ def simulate(
     nominal: NominalFile = None,
     seed: Seed = 0,
     show: Show = False,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -52,6 +54,9 @@ def simulate(
         return
     if out is None:
         raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")
+    claim_recording(out, force=force)
+    for file in (truth, nominal):
+        claim_file(file, force=force)
     built = load_scenario(scenario)
     recording, true = measured(built, seed)
     table = nominal_csv(true) if nominal is not None else ""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,7 +14,10 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, printable
+
+SILENCE = 10.0
+"""[s] after which a pipe is told that the work goes on."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +30,12 @@ class Terminal:
     def say(self, text: str = "") -> None:
         """A line for a person."""
         if not self.quiet and not self.as_json:
-            print(text)
+            print(printable(text))
 
     def note(self, text: str) -> None:
         """A remark that does not belong to the answer: on standard error."""
         if not self.quiet:
-            print(text, file=sys.stderr)
+            print(printable(text), file=sys.stderr)
 
     def answer(self, content: Any) -> None:
         """The whole answer for a program, where it asked for it."""
@@ -39,9 +44,11 @@ class Terminal:
 
     @contextmanager
     def progress(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
-        """A bar on standard error, on a terminal only; the function it gives counts steps done."""
+        """A bar on standard error, in a pipe a line now and then; the function it gives counts steps done."""
         if self.quiet or not sys.stderr.isatty():
-            yield lambda steps: None
+            done = [0]
+            with self._sign_of_life(lambda: f"{what}: {done[0]} of {total}"):
+                yield lambda steps: done.__setitem__(0, done[0] + steps)
             return
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
@@ -50,12 +57,35 @@ class Terminal:
 
     @contextmanager
     def busy(self, what: str) -> Iterator[None]:
-        """A sign of life on a terminal while something takes its time."""
+        """A sign of life while something takes its time."""
         if self.quiet or not sys.stderr.isatty():
-            yield
+            with self._sign_of_life(lambda: what):
+                yield
             return
         with Console(stderr=True).status(what):
             yield
+
+    @contextmanager
+    def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:
+        """A line on standard error after `SILENCE` seconds, and whenever the time has doubled."""
+        if self.quiet:
+            yield
+            return
+        began, done = time.monotonic(), threading.Event()
+
+        def tell() -> None:
+            wait = SILENCE
+            while not done.wait(wait):
+                wait = time.monotonic() - began
+                print(f"{words()} ({wait:.0f} s)", file=sys.stderr, flush=True)
+
+        thread = threading.Thread(target=tell, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:

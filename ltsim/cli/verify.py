@@ -9,10 +9,12 @@ import typer
 
 from ltsim.cli.evaluate import show
 from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.evaluate import read_nominal
 from ltsim.evaluate import verify as verified
+from ltsim.evaluate.schema import CriteriaFile
 
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
@@ -27,6 +29,7 @@ def verify(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -37,6 +40,7 @@ def verify(
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, CriteriaFile, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))

@@ -11,10 +11,10 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Quiet, recording_of
+from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import RecordError
 from ltsim.recording.files import write_text
-from ltsim.report.output import write_bytes
 from ltsim.report.workshop import Workshop
 
 
@@ -54,6 +54,7 @@ def view(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
@@ -70,11 +71,13 @@ def view(
     terminal = Terminal(quiet)
     if png is None and html is None and not _has_screen():
         raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
+    for file in (png, html):
+        claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
         shown = workshop_of(place, format_name, hint, columns).coloured(colour.value)
         shown = shown if cad is None else with_cad(shown, cad, cad_unit.value)
         if png is not None:
-            write_bytes(png, scene3d.picture(shown))
+            write_text(png, scene3d.picture(shown))
         if html is not None:
             write_text(html, scene_page(shown))
     for file in (png, html):

@@ -11,12 +11,13 @@ from ltsim.calibrate.files import residuals_csv
 from ltsim.calibrate.schema import RESIDUALS
 from ltsim.diagnose.diagnosis import Diagnosis
 from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile
-from ltsim.recording.native import recording_texts
+from ltsim.recording.native import OBSERVATIONS, SETUP, recording_texts
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.units import MILLIMETRE
 
 RECORDING = "recording"
+COMPANIONS = (TARGETS.file, RESIDUALS.file, BEFORE.file, f"{RECORDING}/{OBSERVATIONS}", f"{RECORDING}/{SETUP}")
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> DiagnosisFile:

@@ -5,6 +5,13 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from ltsim.recording.result_file import Entry, Known, ResultFile
+from ltsim.recording.result_table import ResultTable, numbers, texts
+
+NOMINAL = ResultTable(
+    "nominal.csv",
+    "points of a measuring machine, which `verify` compares with",
+    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
 
 
 class SpreadEntry(Entry):

@@ -8,9 +8,6 @@ parameters of a calibration.
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +16,11 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluate.clouds import measured_points, on_points, station_means
 from ltsim.evaluate.criteria import Comparison, Criteria, Differences, pair_distances
+from ltsim.evaluate.schema import NOMINAL
 from ltsim.model.construction import Construction
+from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
 from ltsim.units import MILLIMETRE
-
-COLUMNS = ("target", "x_mm", "y_mm", "z_mm")
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:
@@ -34,35 +31,19 @@ def read_nominal(path: Path) -> dict[str, Floats]:
     RecordError
         When the file is missing or malformed; one sentence with row and column.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as problem:
-        reason = getattr(problem, "strerror", None) or "not UTF-8 text"
-        raise RecordError(f"cannot be read ({reason})", file=path) from None
-    rows = csv.DictReader(io.StringIO(text))
-    missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
-    if missing:
-        raise RecordError(f"the column {missing[0]} is missing, expected {','.join(COLUMNS)}", file=path, row=0)
+    names, columns = NOMINAL.read(path)
     points: dict[str, Floats] = {}
-    for number, row in enumerate(rows, start=1):
-        name = (row["target"] or "").strip()
+    places = np.stack([columns[name] for name in NOMINAL.header[1:]], axis=1) * MILLIMETRE
+    for number, (name, place) in enumerate(zip(map(str.strip, names["target"]), places, strict=True), start=1):
         if not name or name in points:
-            found = f"target '{name}' stands here a second time" if name else "the target has no name"
+            found = f"target '{shown(name)}' stands here a second time" if name else "the target has no name"
             raise RecordError(f"{found}; expected one row a target", file=path, row=number, column="target")
-        points[name] = np.array([_millimetres(row[c], path, number, c) for c in COLUMNS[1:]])
+        if not np.isfinite(place).all():
+            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=number)
+        points[name] = place
     if not points:
         raise RecordError("holds no nominal points", file=path)
     return points
-
-
-def _millimetres(text: str | None, path: Path, row: int, column: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise RecordError(f"found '{text}', expected a number in mm", file=path, row=row, column=column)
-    return value * MILLIMETRE
 
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -213,11 +214,11 @@ def _millimetres(place: Floats) -> tuple[float, float, float]:
     return x, y, z
 
 
-def write_plan(plan: Plan, folder: Path | None) -> PlanResult:
-    """Write plan.json, the tables and scenario.toml, where a folder is given; the content of plan.json."""
+def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> PlanResult:
+    """Write plan.json, the tables, scenario.toml and pictures, where a folder is given; the content of plan.json."""
     content = plan_file(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
     if folder is not None:
-        return write_result(folder, content, plan_texts(plan, content))
+        return write_result(folder, content, {**plan_texts(plan, content), **(pictures or {})})
     return content
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError
@@ -26,7 +25,10 @@ from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulate.physics import planned_construction
 from ltsim.simulate.scenario import Scenario
 from ltsim.units import MILLIMETRE
+from ltsim.workers import parallel
 
+MOST_SETUPS = 200_000
+"""Set-ups of a grid that one search holds in memory."""
 ROUNDS = 2
 """Times stations and reflectors are chosen in turn."""
 
@@ -159,6 +161,7 @@ def make_plan(
     SetupError
         When no layout keeps the plan's rules.
     """
+    _check_size(file, scenario)
     built = construction or planned_construction(scenario)
     count = file.stations.count or len(scenario.stations)
     faces = scenario.work.faces
@@ -191,6 +194,19 @@ def make_plan(
     )
 
 
+def _check_size(file: PlanFile, scenario: Scenario) -> None:
+    """Refuse a grid of set-ups that no memory holds."""
+    corners = np.array(file.floor.corners_mm or [(0.0, 0.0), scenario.workshop.size_mm[:2]])
+    rows = 1.0 + np.ptp(corners, axis=0) / file.search.grid_mm
+    count = float(np.prod(rows)) * file.search.yaws * file.search.heights
+    if count > MOST_SETUPS:
+        raise SetupError(
+            f"search: a grid of {file.search.grid_mm:g} mm over {np.ptp(corners, axis=0)[0]:g} x "
+            f"{np.ptp(corners, axis=0)[1]:g} mm has {count:.2g} set-ups, the most is {MOST_SETUPS}; "
+            "give a larger grid_mm or a smaller floor"
+        )
+
+
 def _starts(file: PlanFile, n: int, f: int, count: int, faces: int) -> int:
     return file.search.starts if (n, f) == (count, faces) else file.search.starts_of_the_curve
 
@@ -205,9 +221,9 @@ def _searched(
     if jobs == 1:
         yield from (_task(file, scenario, task, built) for task in tasks)
         return
-    pool = Parallel(n_jobs=jobs, return_as="generator_unordered")
     # A construction holds functions that cannot travel; workers build the scenario's own.
-    yield from pool(delayed(_task)(file, scenario, task, None) for task in tasks)
+    work = ((file, scenario, task, None) for task in tasks)
+    yield from parallel(_task, work, min(jobs, len(tasks)), ordered=False)
 
 
 def _task(file: PlanFile, scenario: Scenario, task: tuple[int, int, int], built: Construction | None) -> Found:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from ltsim.errors import RecordError
@@ -174,8 +175,10 @@ def check_text(text: str, *, file: object, row: int | None = None, column: str |
     return text
 
 
-def write_texts(folder: Path, texts: dict[str, str]) -> None:
+def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
     """Write files into `folder` (a name may lead through a folder): all to temporary siblings first, then each moved.
+
+    What a link leads to is replaced, the link stays; a device or a pipe is written to.
 
     Raises
     ------
@@ -186,12 +189,16 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            place = folder / name
+            place = Path(os.path.realpath(folder / name))
             place.parent.mkdir(exist_ok=True)
+            content = text.encode() if isinstance(text, str) else text
+            if is_device(place):
+                place.write_bytes(content)
+                continue
             handle, temporary = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
             waiting.append((temporary, place))
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-                stream.write(text)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content)
             os.chmod(temporary, 0o644)
         while waiting:
             os.replace(*waiting[0])
@@ -204,6 +211,11 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
             Path(temporary).unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
+def is_device(path: Path) -> bool:
+    """Whether a path leads to something that is neither a file nor a folder: a device, a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def write_text(path: Path, text: str | bytes) -> None:
     """Write one file at once: to a temporary sibling that then takes its place."""
     write_texts(path.parent, {path.name: text})

@@ -25,6 +25,7 @@ from ltsim.recording.files import (
 )
 from ltsim.recording.plausibility import check_degrees
 from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, SIGMA_COLUMNS, Recording
+from ltsim.recording.result_table import guarded, plain
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables.dialect import is_folder
@@ -102,7 +103,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path) -> Recording:
     file = folder / OBSERVATIONS
     header = rows[0]
     _check_header(header, file)
-    columns = {name: [row[i] for row in rows[1:]] for i, name in enumerate(header)}
+    columns = {name: [plain(row[i]) for row in rows[1:]] for i, name in enumerate(header)}
     stations, station = _names(columns["station"], "station", file)
     targets, target = _names(columns["target"], "target", file)
     count = len(rows) - 1
@@ -263,8 +264,8 @@ def table_of(recording: Recording) -> list[list[str]]:
     """Header and rows of `observations.csv`."""
     polar = recording.readings
     columns: dict[str, Sequence[str]] = {
-        "station": [recording.stations[i] for i in recording.station],
-        "target": [recording.targets[i] for i in recording.target],
+        "station": [guarded(recording.stations[i]) for i in recording.station],
+        "target": [guarded(recording.targets[i]) for i in recording.target],
         "face": [str(f) for f in recording.face],
         "repeat": [str(r) for r in recording.repeat],
     }
@@ -274,7 +275,7 @@ def table_of(recording: Recording) -> list[list[str]]:
     columns["elevation_deg"] = _texts(polar[:, 2], DEGREE, 9)
     columns["distance_mm"] = _texts(polar[:, 0], MILLIMETRE, 6)
     columns |= {name: _texts(values) for name, values in recording.covariates.items()}
-    columns |= dict(recording.labels)
+    columns |= {name: [guarded(text) for text in labels] for name, labels in recording.labels.items()}
     return [list(columns), *(list(row) for row in zip(*columns.values(), strict=True))]
 
 

@@ -100,7 +100,7 @@ def digest_of(recording: Recording) -> str:
 File = TypeVar("File", bound=ResultFile)
 
 
-def write_result(folder: Path, result: File, beside: Mapping[str, str]) -> File:
+def write_result(folder: Path, result: File, beside: Mapping[str, str | bytes]) -> File:
     """Write a result and the files beside it; give the result with their digests, as it was written.
 
     Raises
@@ -108,7 +108,7 @@ def write_result(folder: Path, result: File, beside: Mapping[str, str]) -> File:
     RecordError
         When the folder cannot be written to; nothing half-written stays behind.
     """
-    digests = {name: _digest(text.encode()) for name, text in beside.items()}
+    digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in beside.items()}
     written = result.model_copy(update={"files": digests})
     write_texts(folder, {**beside, result.FILE: written.text()})
     return written

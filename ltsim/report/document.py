@@ -10,6 +10,11 @@ from matplotlib.figure import Figure
 
 from ltsim.report.style import svg_uri
 
+POLICY = (
+    "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
+)
+"""Of a page: the browser itself refuses whatever is not in the file."""
 Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "still", "none"]
 """How a section shows the workshop: in 3D to turn, as pictures, or not, since another section shows the same one."""

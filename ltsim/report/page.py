@@ -12,10 +12,10 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from ltsim.errors import RecordError
+from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import Recording, read
 from ltsim.recording.files import write_text
-from ltsim.report.document import Detail, Document, Section
+from ltsim.report.document import POLICY, Detail, Document, Section
 from ltsim.report.sections.calibration import calibration_section
 from ltsim.report.sections.campaign import campaign_section
 from ltsim.report.sections.comparison import comparison_section
@@ -28,14 +28,9 @@ from ltsim.report.sections.uncertainty import uncertainty_section
 from ltsim.report.words import natural
 
 NAME = "report.html"
-WEIGHT = {"Diagnosis": 0}
+UNREADABLE = "Not readable"
+WEIGHT = {"Diagnosis": 0, UNREADABLE: 2}
 """Whose answer stands first on a page of several parts: the diagnosis, else the first part's."""
-
-POLICY = (
-    "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
-    "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
-)
-"""The browser itself refuses whatever is not in the file."""
 
 Builder = Callable[["Part", Recording | None, Detail], Section]
 KINDS: dict[str, Builder] = {
@@ -62,7 +57,7 @@ class Part:
     brief: bool = False
 
 
-def report(folder: Path, *, recording: Path | None = None) -> Path:
+def report(folder: Path, *, recording: Path | None = None, tell: Callable[[str], None] = lambda words: None) -> Path:
     """Write `report.html` into a folder that a command left, and give its path.
 
     Parameters
@@ -71,14 +66,19 @@ def report(folder: Path, *, recording: Path | None = None) -> Path:
         A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
     recording : Path, optional
         The recording behind a calibration or a diagnosis, where it does not lie in the folder or in `recording/`.
+    tell : callable
+        Told of each folder in the folder that cannot be read; the page says it too.
 
     Raises
     ------
     RecordError
-        When there is nothing to report, or a file is malformed; nothing is written then.
+        When there is nothing to report, or a file of the folder itself is malformed; nothing is written then.
     """
-    target = folder / NAME
-    write_text(target, render(document(folder, recording=recording)))
+    target, content = folder / NAME, document(folder, recording=recording)
+    for section in content.sections:
+        if section.kind == UNREADABLE:
+            tell(section.answer)
+    write_text(target, render(content))
     return target
 
 
@@ -88,11 +88,13 @@ def document(folder: Path, *, recording: Path | None = None) -> Document:
     Raises
     ------
     RecordError
-        When there is nothing to report, or a file is malformed.
+        When there is nothing to report, or a file of the folder itself is malformed.
     """
     if not folder.is_dir():
         raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
-    sections = [replace(section, folder=part.folder.name) for part, section in _sections(_parts(folder, recording))]
+    sections = [
+        replace(section, folder=part.folder.name) for part, section in _sections(_parts(folder, recording), folder)
+    ]
     first = min(sections, key=lambda section: WEIGHT.get(section.kind, 1))
     title = first.title if len(sections) == 1 else folder.resolve().name
     return Document(title, first.answer, first.mood, sections, versions())
@@ -113,12 +115,20 @@ def _parts(folder: Path, recording: Path | None) -> list[Part]:
     return [replace(part, brief=used[part.recording] > 1) for part in found]
 
 
-def _sections(parts: list[Part]) -> Iterator[tuple[Part, Section]]:
-    """The sections; each recording is shown in 3D once, the first of them to turn."""
+def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
+    """The sections; each recording is shown in 3D once, the first of them to turn.
+
+    A folder in the `top` one that cannot be read is a section that says so, unless there is nothing else.
+    """
     shown: set[Path | None] = set()
     for part in parts:
         detail: Detail = "none" if part.recording in shown and part.recording else "still" if shown else "turn"
-        section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
+        try:
+            section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
+        except LtsimError as problem:
+            if part.folder == top or len(parts) == 1:
+                raise
+            section = Section(part.folder.name, UNREADABLE, str(problem), "bad")
         if any(block.kind == "scene" for block in section.blocks):
             shown.add(part.recording)
         yield part, section

@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.files import targets_csv
 from ltsim.errors import RecordError
-from ltsim.report.output import write_bytes
+from ltsim.recording.files import write_text
 from ltsim.units import MILLIMETRE
 
 SUFFIXES = (".csv", ".ply", ".glb")
@@ -35,9 +35,9 @@ def write_points(calibration: Calibration, path: Path) -> None:
         raise RecordError(f"points are written as {', '.join(SUFFIXES)}: give a name that ends in one", file=path)
     if suffix == ".csv":
         table = targets_csv(calibration.targets, calibration.points, calibration.target_covariance)
-        write_bytes(path, table.encode())
+        write_text(path, table)
     else:
-        write_bytes(path, ply(calibration) if suffix == ".ply" else glb(calibration))
+        write_text(path, ply(calibration) if suffix == ".ply" else glb(calibration))
 
 
 def ply(calibration: Calibration) -> bytes:

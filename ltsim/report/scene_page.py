@@ -10,6 +10,7 @@ import pyvista as pv
 from matplotlib.colors import to_hex
 
 from ltsim.report import scene3d, solids
+from ltsim.report.document import POLICY
 from ltsim.report.style import INK, number, shorten
 from ltsim.report.viewer import viewer_page
 from ltsim.report.workshop import Workshop
@@ -29,6 +30,7 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
   font-size: 11px; }
 @media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
 """
+HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta name="generator" content="ltsim">'
 
 
 def scene_page(workshop: Workshop) -> str:
@@ -39,6 +41,7 @@ def scene_page(workshop: Workshop) -> str:
     plotter.close()
     title = escape(workshop.title or "Workshop")
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
+    html = html.replace("<head>", f"<head>{HEAD}", 1)
     html = html.replace("</style>", STYLE + "</style>", 1)
     html = html.replace("<body>", '<body><div class="content"></div>', 1)
     return _before_last(html, "</body>", _overlay(title, legend))

@@ -16,7 +16,7 @@ from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile, HistoryF
 from ltsim.campaign.schema import SUMMARY, ManifestFile, RecoveryFile, trials_table
 from ltsim.campaign.spec import Campaign
 from ltsim.diagnose import schema as diagnosis
-from ltsim.evaluate.schema import CriteriaFile
+from ltsim.evaluate.schema import NOMINAL, CriteriaFile
 from ltsim.plan import schema as plan
 from ltsim.plan.spec import PlanFile
 from ltsim.recording.files import write_texts
@@ -56,6 +56,7 @@ FILES: dict[str, type[BaseModel]] = {
 
 TABLES: dict[str, tuple[ResultTable, ...]] = {
     CalibrationFile.FILE: (TARGETS, RESIDUALS),
+    "truth.json": (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),

@@ -176,14 +176,19 @@ def _with_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:
-    """CAD files are named from the folder of the scenario."""
+    """CAD files are named from the folder of the scenario, or lie in it."""
     obstacles = tuple(
-        o if o.file is None else o.model_copy(update={"file": str(file.parent / o.file)})
+        o if o.file is None else o.model_copy(update={"file": str(_beside(o.file, file.parent))})
         for o in scenario.workshop.obstacles
     )
     if not any(o.file for o in obstacles):
         return scenario
     return scenario.model_copy(update={"workshop": scenario.workshop.model_copy(update={"obstacles": obstacles})})
+
+
+def _beside(name: str, folder: Path) -> Path:
+    named, copied = folder / name, folder / Path(name).name
+    return copied if copied.is_file() and not named.is_file() else named
 
 
 Refuse = Callable[[str, str], NoReturn]

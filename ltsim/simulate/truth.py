@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, RecordError
+from ltsim.evaluate.schema import NOMINAL
 from ltsim.geometry.rotations import quaternion
 from ltsim.notebook import Columns, Shown
 from ltsim.recording.files import read_text, write_text
@@ -258,8 +259,4 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    rows = [
-        ",".join([name, *(f"{x / MILLIMETRE:.4f}" for x in point)])
-        for name, point in zip(truth.targets, truth.nominal, strict=True)
-    ]
-    return "\n".join(["target,x_mm,y_mm,z_mm", *rows]) + "\n"
+    return NOMINAL.text([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))

@@ -137,7 +137,7 @@ def test_verify_against_the_laboratory(workplace: Path, capsys, tmp_path: Path) 
     assert run(["simulate", "paper-laboratory", "--out", lab, "--nominal", cmm, "-q"]) == 0
     assert run(["verify", lab, "--nominal", cmm, "--calibration", str(workplace / "cal"), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert set(content) == {"distance", "coordinate"}
+    assert set(content) == {"format", "recording", "distance", "coordinate"}
     assert 0 < content["coordinate"]["after"]["mean_um"] < 500
 
 
@@ -166,7 +166,7 @@ def test_convert_there_and_back(workplace: Path, capsys, tmp_path: Path) -> None
     assert status == 0
     one, other = read(workplace / "rec"), read(Path(back))
     assert len(one) == len(other)
-    assert run(["convert", str(workplace / "rec"), text, "--to", "papyrus"]) == 2
+    assert run(["convert", str(workplace / "rec"), str(tmp_path / "x"), "--to", "papyrus"]) == 2
     assert "papyrus" in capsys.readouterr().err
 
 
@@ -213,7 +213,7 @@ def test_help_and_catalogue_wait_for_nothing_heavy(argument: str) -> None:
 
 def test_every_module_of_a_verb_is_listed() -> None:
     folder = Path(ltsim.cli.__file__).parent
-    helpers = {"__init__", "main", "options", "summary", "terminal"}
+    helpers = {"__init__", "main", "options", "places", "summary", "terminal"}
     assert {path.stem for path in folder.glob("*.py")} - helpers == set(VERBS)
 
 

@@ -1,0 +1,85 @@
+"""Work in several processes of this machine that end with the one that started them, however that ends."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
+from typing import Any, TypeVar
+
+from ltsim.errors import WorkerError
+
+MOST = 256
+"""Processes at once."""
+WATCH = 1.0
+"""[s] between two looks whether the parent is there."""
+Result = TypeVar("Result")
+
+
+def parallel(
+    function: Callable[..., Result],
+    calls: Iterable[tuple[Any, ...]],
+    jobs: int,
+    *,
+    ordered: bool = True,
+    batch: int = 1,
+) -> Iterator[Result]:
+    """Results of a function, call by call, from `jobs` processes; in this one where that is one.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module: it travels by name.
+    calls : iterable of tuple
+        Arguments.
+    jobs : int
+    ordered : bool
+        In the order of the calls; else as they come.
+    batch : int
+        Calls that travel together.
+
+    Raises
+    ------
+    WorkerError
+        When a process ends before its work.
+    """
+    if jobs == 1:
+        return (function(*arguments) for arguments in calls)
+    return _parallel(function, calls, min(jobs, MOST), ordered=ordered, batch=batch)
+
+
+def _parallel(
+    function: Callable[..., Result], calls: Iterable[tuple[Any, ...]], jobs: int, *, ordered: bool, batch: int
+) -> Iterator[Result]:
+    from joblib import Parallel, delayed, parallel_config  # most runs need one process
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    how = "generator" if ordered else "generator_unordered"
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        pool = Parallel(n_jobs=jobs, return_as=how, batch_size=batch)
+    try:
+        yield from pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
+    except TerminatedWorkerError:
+        raise WorkerError(
+            "a worker process was ended from outside, perhaps for want of memory; take fewer --jobs"
+        ) from None
+
+
+def _watched(parent: int, function: Callable[..., Result], *arguments: Any) -> Result:
+    _watch(parent)
+    return function(*arguments)
+
+
+@lru_cache(maxsize=1)
+def _watch(parent: int) -> None:
+    """End this process as soon as its parent is gone."""
+
+    def look() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    if os.getppid() == parent:
+        threading.Thread(target=look, daemon=True).start()

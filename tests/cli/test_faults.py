@@ -1,0 +1,158 @@
+"""What leaves the command line when something goes wrong that is not the input's fault, and signs of life."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ltsim.cli import effects, terminal
+from ltsim.cli.main import run
+from ltsim.cli.terminal import Terminal
+from ltsim.recording import read, write
+from ltsim.recording.setup import Setup
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.simulator import simulate
+
+START = "from ltsim.cli.main import main; main()"
+
+
+def test_a_fault_of_ltsim_has_a_status_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise IndexError("nobody expects this")
+
+    monkeypatch.setattr(effects, "Terminal", broken)
+    assert run(["effects"]) == 70
+    said = capsys.readouterr().err
+    assert "Traceback" in said and "nobody expects this" in said
+    assert said.splitlines()[-1].startswith("error: a fault of ltsim itself (IndexError)")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk at hand")
+def test_a_full_disk_on_standard_output_is_a_sentence() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", START, "effects"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr == "error: the output cannot be written (No space left on device)\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["campaign", "few.toml", "--jobs", "1000000"], "256"),
+        (["recover", "paper-workshop", "--jobs", "1000000"], "--jobs"),
+        (["plan", "fine.toml", "--json"], "a grid of 0.001 mm"),
+        (["plan", "wide.toml", "--json"], "the most is 200000"),
+    ],
+)
+def test_sizes_that_no_machine_holds_are_a_sentence(
+    arguments: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("fine.toml").write_text('format = "ltsim-plan/1"\n[search]\ngrid_mm = 0.001\n')
+    assert run(["simulate", "paper-workshop", "--show"]) == 0
+    scenario = capsys.readouterr().out.replace("size_mm = [6000, 6000, 6000]", "size_mm = [1e9, 1e9, 6000]")
+    Path("wide.toml").write_text(scenario)
+    assert run(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1
+    assert words in said.err
+
+
+def test_an_interrupted_campaign_says_what_is_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    from ltsim.campaign import campaign
+
+    real = campaign.rows_of
+
+    def stop(*arguments: object) -> int:
+        if list((tmp_path / "few").glob("rows/*/*.parquet")):
+            raise KeyboardInterrupt
+        return real(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(campaign, "rows_of", stop)
+    (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\nshard = 4\n')
+    assert run(["campaign", str(tmp_path / "few.toml")]) == 130
+    said = capsys.readouterr().err
+    assert said == f"interrupted; 1 finished shards are kept in {tmp_path / 'few'}; go on with --resume\n"
+
+
+def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "SILENCE", 0.01)
+    for quiet in (False, True):
+        told = io.StringIO()
+        monkeypatch.setattr(sys, "stderr", told)
+        with Terminal(quiet).progress("trials", 200) as advance:
+            advance(7)
+            deadline = time.monotonic() + 60
+            while not told.getvalue() and not quiet and time.monotonic() < deadline:
+                time.sleep(0.005)
+        lines = told.getvalue().splitlines()
+        assert lines == [] if quiet else lines[0].startswith("trials: 7 of 200 (")
+
+
+def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(effects, "Terminal", stop)
+    assert run(["effects"]) == 130
+    assert capsys.readouterr().err == "interrupted; nothing half-written was left\n"
+
+
+def test_hostile_names_are_text_on_the_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    hostile = "\x1b]0;title\x07\u202eevil"
+    assert run(["simulate", "paper-workshop", "--out", hostile]) == 0
+    assert run(["adjust", hostile + "x"]) == 2
+    said = capsys.readouterr()
+    assert not {c for c in said.out + said.err if not c.isprintable()} - {"\n"}
+
+
+def test_a_recording_without_redundancy_has_a_diagnosis_in_json(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    whole, _ = simulate(load_scenario("paper-workshop"), 1)
+    write(whole.select((whole.station == 0) & (whole.target < 8)), tmp_path / "once")
+    assert run(["diagnose", str(tmp_path / "once"), "--out", str(tmp_path / "found"), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["fit"]["before"]["dof"] == 0
+    assert content["global_test"]["p_value"] in (None, 1.0)
+    assert run(["report", str(tmp_path / "found"), "-q"]) == 0
+
+
+def test_a_report_goes_on_past_a_folder_that_cannot_be_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run(["simulate", "paper-workshop", "--out", str(tmp_path / "good"), "-q"]) == 0
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "calibration.json").write_text("{")
+    assert run(["report", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert said.err.startswith(f"{tmp_path / 'bad' / 'calibration.json'}: is not JSON")
+    page = (tmp_path / "report.html").read_text()
+    assert "is not JSON" in page and "140 pointings" in page
+
+
+def test_names_that_begin_as_formulas_survive_a_recording(tmp_path: Path) -> None:
+    whole, _ = simulate(load_scenario("paper-workshop"), 1)
+    names = ("=A1", "+1", "-x", "@y", "'=z", "a,b", *whole.targets[6:])
+    renamed = whole.replace(targets=names, setup=Setup())
+    write(renamed, tmp_path / "rec")
+    assert set(read(tmp_path / "rec").targets) == set(names)
+    cells = (tmp_path / "rec" / "observations.csv").read_text().replace('"', "").split(",")
+    assert not [cell for cell in cells if cell.startswith(("=", "+", "@"))]

@@ -1,0 +1,82 @@
+"""Processes that work for another end with it, and one that dies is a sentence."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ltsim.errors import WorkerError
+from ltsim.workers import parallel
+
+SLEEPERS = """
+import os, sys, time
+from pathlib import Path
+from ltsim.workers import parallel
+
+def sleep(name):
+    (Path(sys.argv[1]) / name).write_text(str(os.getpid()))
+    time.sleep(300)
+
+if __name__ == "__main__":
+    list(parallel(sleep, [("a",), ("b",)], 2))
+"""
+
+
+def test_results_come_in_order_and_as_they_come() -> None:
+    calls = [(k, 2) for k in range(20)]
+    assert list(parallel(pow, calls, 1)) == [k * k for k in range(20)]
+    assert list(parallel(pow, calls, 2)) == [k * k for k in range(20)]
+    assert sorted(parallel(pow, calls, 2, ordered=False)) == [k * k for k in range(20)]
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path, root: Path) -> None:
+    (tmp_path / "sleepers.py").write_text(SLEEPERS)
+    there = tmp_path / "pids"
+    there.mkdir()
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "sleepers.py"), str(there)], cwd=root, env=_path(root))
+    try:
+        assert _until(lambda: len(_pids(there)) == 2)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    assert _until(lambda: not any(map(_lives, _pids(there))))
+
+
+def test_a_worker_that_is_killed_is_a_sentence() -> None:
+    with pytest.raises(WorkerError, match="ended from outside"):
+        list(parallel(_die, [(1,), (2,)], 2))
+
+
+def _die(number: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _path(root: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(root)}
+
+
+def _pids(folder: Path) -> list[int]:
+    return [int(p.read_text()) for p in folder.iterdir() if p.read_text()]
+
+
+def _lives(pid: int) -> bool:
+    """Whether a process works; one that has ended and waits to be collected does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _until(done: object, seconds: float = 120.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if done():  # type: ignore[operator]
+            return True
+        time.sleep(0.05)
+    return False
