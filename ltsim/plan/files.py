@@ -10,7 +10,6 @@ from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.plan.detectability import Detectability, detectability
 from ltsim.plan.improvement import Expected
-from ltsim.plan.next_measurement import NextMeasurement
 from ltsim.plan.planner import Evaluated, Option, Plan
 from ltsim.plan.reasons import fewest, reasons
 from ltsim.plan.schema import (
@@ -26,6 +25,7 @@ from ltsim.plan.schema import (
 )
 from ltsim.plan.survey import Survey
 from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.simulate.scenario import Scenario, scenario_to_toml
 from ltsim.simulate.sections import Station, Target
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
@@ -228,11 +228,12 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
         "diagnosis": summary,
         "between": list(made.between),
         "evidence_now": made.evidence_now,
+        "advice": made.advice,
         "proposals": [
             {
-                "do": p.extension.words,
-                "kind": p.extension.kind,
-                "minutes": round(p.extension.seconds / 60, 2),
+                "do": p.remedy.words,
+                "kind": p.remedy.kind,
+                "minutes": round(p.remedy.seconds / 60, 2),
                 "sharper": p.sharper,
                 "serves": p.serves,
                 "serves_factor": p.serves_factor,
@@ -240,9 +241,9 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
                 "tells_apart": list(p.tells_apart),
                 "decides": p.decides,
                 "position_mm": None
-                if p.extension.place is None
-                else [round(float(v) / MILLIMETRE, 1) for v in p.extension.place],
-                "yaw_deg": None if p.extension.yaw is None else round(p.extension.yaw / DEGREE % 360, 2),
+                if p.remedy.place is None
+                else [round(float(v) / MILLIMETRE, 1) for v in p.remedy.place],
+                "yaw_deg": None if p.remedy.yaw is None else round(p.remedy.yaw / DEGREE % 360, 2),
             }
             for p in made.proposals
         ],

@@ -18,10 +18,11 @@ from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import Objective
 from ltsim.plan.reflectors import choose_reflectors
 from ltsim.plan.search import Layout, Searcher
-from ltsim.plan.site import Progress, Site, quiet
+from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile
 from ltsim.plan.survey import Survey
 from ltsim.plan.workshop import objective_of, site_of, staying, survey_of
+from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulate.scenario import Scenario
 from ltsim.units import MILLIMETRE

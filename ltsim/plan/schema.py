@@ -218,4 +218,5 @@ class NextFile(ResultFile):
     diagnosis: str = ""
     between: tuple[str, ...] = ()
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
+    advice: str = ""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)

@@ -8,6 +8,8 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import sightings_of
 from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile, Surface
@@ -171,4 +173,7 @@ def objective_of(plan: PlanFile, survey: Survey) -> Objective:
         else:
             message = "acts on single targets or readings; name effects of all or of a station"
             raise SetupError(f"goal.effects: {name} {message}")
-    return Objective(weights, goal.criterion, tuple(effects))
+    built = misalignment()
+    sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None
+    places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}
+    return Objective(weights, goal.criterion, tuple(effects), places)

@@ -1,0 +1,289 @@
+"""The list of further measurements: pointings, set-ups, another way of working, a known length, near reflectors.
+
+Calibration asks which of them determines a combination, diagnosis and planning which of them decides between
+explanations; all choose from this list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Limits
+from ltsim.remedies.network import Network
+from ltsim.remedies.words import advice, listed
+from ltsim.scene.visibility import SightLimits, visibility
+from ltsim.units import DEGREE, MILLIMETRE
+
+Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
+EFFORT: tuple[Kind, ...] = get_args(Kind)
+"""Kinds of remedies, the one that asks least of a person first."""
+
+CLOSING = 3
+"""Targets measured again before leaving a station."""
+ROUNDS, AGAIN = 4, 3
+"""Further rounds at the last station, and pointings at a target worth another look."""
+TURN = 90.0 * DEGREE
+"""Turn of the base at a place where an instrument has stood already."""
+RETURNS = 12
+"""Set-ups that are tried once more; of many, some evenly spread."""
+GRID, TURNS = 5, 4
+"""Places along each side of the floor, and turns at each, that are tried for a further station."""
+CROWDED = 30
+"""Set-ups from which a further place for one more is not looked for: it is one among many."""
+CLEARANCE = 0.8
+"""[m] how near to another station, and to a target, a further one is not put."""
+KNOWN_LENGTH, KNOWN_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
+"""[m] a length that a workshop can have calibrated, how well, and the time it takes [s]."""
+NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
+"""Range [m], azimuth, elevation [rad] of near reflectors."""
+NEST = 300.0
+"""[s] to mount a nest."""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A measurement that could be added.
+
+    Attributes
+    ----------
+    kind : Kind
+    words : str
+        What to do, for a person.
+    seconds : float, [s]
+    network : Network
+        With it, as the adjusted network predicts it.
+    place : (3,) float or None, [m]
+        Of a further station, in the frame that `words` says.
+    yaw : float or None, [rad]
+    """
+
+    kind: Kind
+    words: str
+    seconds: float
+    network: Network
+    place: Floats | None = None
+    yaw: float | None = None
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """From the network's frame to the floor plan's; the identity where no plan is known.
+
+    Attributes
+    ----------
+    rotation : (3, 3), translation : (3,) float
+    known : bool
+    """
+
+    rotation: Floats
+    translation: Floats
+    known: bool
+
+    @classmethod
+    def of(cls, recording: Recording, state: State) -> FloorPlan:
+        """By at least three stations whose places on the plan the set-up states."""
+        stated = [recording.station_setup(name).position_mm for name in recording.stations]
+        known = [i for i, place in enumerate(stated) if place is not None]
+        try:
+            goal = np.array([stated[i] for i in known], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+            rotation, translation = align(state.position[known], goal)
+        except NetworkError:
+            return cls(np.eye(3), np.zeros(3), known=False)
+        return cls(rotation, translation, known=True)
+
+    def place(self, position: Floats) -> Floats:
+        """Positions (..., 3) on the plan."""
+        moved: Floats = position @ self.rotation.T + self.translation
+        return moved
+
+    def yaw(self, rotation: Floats) -> float:
+        """Turn [rad] on the plan of an instrument's rotation (3, 3)."""
+        turned = self.rotation @ rotation
+        return float(np.arctan2(turned[1, 0], turned[0, 0]))
+
+
+def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterator[Remedy]:
+    """What can be done from the last station before it is left; `suspects` are targets worth another look."""
+    recording = network.recording
+    last = int(recording.station[np.argmax(recording.time)])
+    station, here = recording.stations[last], _visit(recording, last)
+    order = _first_visits(recording.target[here])
+    usual = int(recording.face[here[0]])
+
+    def remedy(key: str, target: Ints, face: int = usual, **values: object) -> Remedy:
+        seconds = len(target) * network.seconds_per_pointing
+        words = advice(key, station=station, **values)
+        return Remedy("pointings", words, seconds, network.with_pointings(last, target, face))
+
+    if len(np.unique(recording.face[here])) == 1:
+        yield remedy("other face here", order[::-1], 3 - usual)
+    yield remedy("close here", order[:CLOSING], count=min(CLOSING, len(order)))
+    yield remedy("reverse here", order[::-1])
+    again = [t for t in order.tolist() if recording.targets[t] in set(suspects)]
+    if again:
+        names = listed([recording.targets[t] for t in again])
+        yield remedy("look again", np.tile(np.array(again, dtype=np.int64), AGAIN), targets=names, count=AGAIN)
+    yield remedy("to and fro", np.tile(np.r_[order[::-1], order], ROUNDS // 2), count=ROUNDS)
+    unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
+    if len(unseen):
+        yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
+
+
+def returns(network: Network, seconds_per_move: float, stations: Iterable[int] | None = None) -> Iterator[Remedy]:
+    """Each place of an instrument once more, its base turned, for the targets that it saw."""
+    recording, state = network.recording, network.state
+    count = len(recording.stations)
+    which = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int))
+    for s in which.tolist() if stations is None else stations:
+        words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
+        target = _first_visits(recording.target[_visit(recording, s)])
+        rotation = state.rotation[s] @ about_z(TURN)
+        if len(target):
+            yield _set_up(network, "return", words, s, state.position[s], rotation, target, seconds_per_move)
+
+
+def further_stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
+    """A further station on a grid between and around the others, with some turns, for the targets in sight."""
+    recording, state = network.recording, network.state
+    if len(recording.stations) >= CROWDED:
+        return
+    plan = FloorPlan.of(recording, state)
+    frame = "floor plan" if plan.known else f"frame of {recording.stations[0]}"
+    travel = recording.instrument_of(recording.stations[0]).limits or Limits()
+    limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
+    low, high = state.position.min(axis=0), state.position.max(axis=0)
+    margin = 0.2 * (high - low) + 0.2
+    axes = [np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2)]
+    places = np.stack([*(a.ravel() for a in np.meshgrid(*axes, indexing="ij")), np.full(GRID**2, low[2])], axis=1)
+    places[:, 2] = state.position[:, 2].mean()
+    taken = np.concatenate([state.position, state.points])
+    seen = visibility(places, state.points, limits).visible
+    for position, sights in zip(places, seen, strict=True):
+        if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < CLEARANCE:
+            continue
+        for turn in range(TURNS):
+            rotation = state.rotation[0] @ about_z(turn * 2 * np.pi / TURNS)
+            (x, y, z), yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
+            words = advice("new station", station=_fresh(recording), x=x, y=y, z=z, yaw=yaw, frame=frame)
+            yield _set_up(
+                network, "station", words, 0, position, rotation, np.flatnonzero(sights), seconds_per_move, plan
+            )
+
+
+def _set_up(
+    network: Network,
+    kind: Kind,
+    words: str,
+    like: int,
+    position: Floats,
+    rotation: Floats,
+    target: Ints,
+    seconds_per_move: float,
+    plan: FloorPlan | None = None,
+) -> Remedy:
+    recording = network.recording
+    plan = plan or FloorPlan.of(recording, network.state)
+    faces = np.unique(recording.face)
+    grown = network.with_station(_fresh(recording), like, position, rotation).with_pointings(
+        len(recording.stations),
+        np.tile(target, len(faces)),
+        np.repeat(faces, len(target)),
+        recording.time.max() + seconds_per_move,
+    )
+    seconds = seconds_per_move + len(target) * len(faces) * network.seconds_per_pointing
+    return Remedy(kind, words, seconds, grown, place=plan.place(position), yaw=plan.yaw(rotation))
+
+
+def _before_leaving(network: Network, key: str, chosen: Callable[[Ints], tuple[Ints, Ints]]) -> Iterator[Remedy]:
+    """The whole work with something more at each station; `chosen` gives targets and faces from the rows of a visit."""
+    recording, step = network.recording, network.seconds_per_pointing
+    parts = []
+    for s in np.unique(recording.station):
+        rows = _visit(recording, s)
+        target, face = chosen(rows)
+        when = recording.time[rows[-1]] + step * (1 + np.arange(len(target)))
+        parts.append((np.full(len(target), s), target, face, when))
+    station, target, face, time = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if len(target):
+        grown = network.with_pointings(station, target, face, time)
+        seconds = float(np.ptp(recording.time)) + len(target) * step
+        yield Remedy("survey", advice(key, count=CLOSING), seconds, grown)
+
+
+def other_face(network: Network) -> Iterator[Remedy]:
+    """Every target that a station measured in one face only, in the other face as well."""
+    recording = network.recording
+
+    def missing(rows: Ints) -> tuple[Ints, Ints]:
+        seen = set(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+        lacking = np.array([(t, 3 - f) for t, f in sorted(seen) if (t, 3 - f) not in seen], dtype=np.int64)
+        return lacking.reshape(-1, 2)[:, 0], lacking.reshape(-1, 2)[:, 1]
+
+    yield from _before_leaving(network, "other face", missing)
+
+
+def other_order(network: Network) -> Iterator[Remedy]:
+    """Something again before each station is left: its first targets, or all in the reverse order."""
+    recording = network.recording
+
+    def first(rows: Ints) -> tuple[Ints, Ints]:
+        target = _first_visits(recording.target[rows])[:CLOSING]
+        return target, np.full(len(target), recording.face[rows[0]])
+
+    yield from _before_leaving(network, "close", first)
+    yield from _before_leaving(
+        network, "reverse", lambda rows: (recording.target[rows[::-1]], recording.face[rows[::-1]])
+    )
+
+
+def known_length(network: Network) -> Iterator[Remedy]:
+    """The pair of targets nearest to 2 m apart, with that length known."""
+    points, names = network.state.points, network.recording.targets
+    if len(points) < 2:
+        return
+    first, second = np.triu_indices(len(points), k=1)
+    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - KNOWN_LENGTH)))
+    i, j = int(first[best]), int(second[best])
+    words = advice("length", length=KNOWN_LENGTH, targets=listed([names[i], names[j]]))
+    yield Remedy("length", words, CALIBRATION, network.with_length(i, j, KNOWN_SIGMA_MM))
+
+
+def near_reflectors(network: Network) -> Iterator[Remedy]:
+    """Four reflectors near each of the first two stations, seen from all stations; with the other face as well."""
+    for key, start in [("near", network), *(("other face and near", both.network) for both in other_face(network))]:
+        recording, state = start.recording, start.state
+        points = np.concatenate([centre + from_polar(NEAR) for centre in state.position[:2]])
+        axes = np.arange(len(recording.stations)), len(state.points) + np.arange(len(points)), np.unique(recording.face)
+        station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        wider = start.with_targets([f"near-{i + 1}" for i in range(len(points))], points)
+        grown = wider.with_pointings(station, target, face)
+        added = len(grown.recording) - len(network.recording)
+        seconds = NEST * len(points) + float(np.ptp(recording.time)) + added * start.seconds_per_pointing
+        yield Remedy("reflectors", advice(key), seconds, grown)
+
+
+def _visit(recording: Recording, station: int) -> Ints:
+    """Rows of one set-up in the order of time."""
+    here = np.flatnonzero(recording.station == station)
+    return here[np.argsort(recording.time[here], kind="stable")]
+
+
+def _first_visits(target: Ints) -> Ints:
+    """Each target once, in the order in which they come."""
+    return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
+
+
+def _fresh(recording: Recording) -> str:
+    """A name that no set-up has."""
+    return next(f"S{i}" for i in range(1, len(recording.stations) + 2) if f"S{i}" not in recording.stations)
