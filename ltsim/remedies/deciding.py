@@ -70,68 +70,46 @@ def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Flo
 
 
 @dataclass(frozen=True)
-class Question:
-    """A first explanation against each of the others, with all that could stand in for either.
+class Rivals:
+    """Two explanations, with all that could stand in for either.
 
     Attributes
     ----------
-    explanations : tuple of Explanation
-    stand_ins : tuple of tuple of (float, Effect)
-        For each pair, first explanation true and then the other one: every instance of the rival with what it leaves
-        of the truth in the recording as it is, the least first. More pointings never leave less.
+    first, second : Explanation
+    stand_ins : (list, list) of (float, Effect)
+        Every instance of the second and what it leaves of the first in the recording as it is, the least first; then
+        the other way round. More pointings never leave less.
     """
 
-    explanations: tuple[Explanation, ...]
-    stand_ins: tuple[tuple[tuple[float, Effect], ...], ...]
+    first: Explanation
+    second: Explanation
+    stand_ins: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
 
     @classmethod
-    def of(cls, space: ResidualSpace, explanations: Sequence[Explanation]) -> Question:
-        """The question as the recording leaves it."""
-        first, *others = explanations
-        pairs = [pair for other in others for pair in ((first, other), (other, first))]
-        return cls(tuple(explanations), tuple(_stand_ins(space, truth, rival.effect) for truth, rival in pairs))
+    def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
+        """As a recording leaves them."""
+        return cls(first, second, (_stand_ins(space, first, second.effect), _stand_ins(space, second, first.effect)))
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the explanations."""
-        return tuple(e.effect.name for e in self.explanations)
+    def now(self) -> float:
+        """Evidence in the recording as it is."""
+        return min(found[0][0] for found in self.stand_ins)
 
-    def now(self) -> dict[str, float]:
-        """Evidence between the first and each other in the recording as it is."""
-        least = [pair[0][0] for pair in self.stand_ins]
-        return dict(zip(self.names[1:], map(min, least[::2], least[1::2]), strict=True))
-
-    def still_open(self, enough: float) -> Question:
-        """The question without explanations that the recording tells from the first already; all where it does all."""
-        keep = [i for i, value in enumerate(self.now().values()) if value < enough] or range(len(self.names) - 1)
-        pairs = [self.stand_ins[2 * i + k] for i in keep for k in (0, 1)]
-        return Question((self.explanations[0], *(self.explanations[1 + i] for i in keep)), tuple(pairs))
-
-    def evidence(self, space: ResidualSpace) -> dict[str, float]:
-        """Expected difference of chi-square between the first and each other in a longer recording."""
-        first, *others = self.explanations
-        truths = [truth for other in others for truth in (first, other)]
-        least = [_least(space, truth, pair) for truth, pair in zip(truths, self.stand_ins, strict=True)]
-        return dict(zip(self.names[1:], map(min, least[::2], least[1::2]), strict=True))
+    def evidence(self, space: ResidualSpace) -> float:
+        """Expected difference of chi-square in a longer recording, whichever of the two holds."""
+        least = []
+        for truth, stand_ins in zip((self.first, self.second), self.stand_ins, strict=True):
+            signature = space.project(space.signature(truth.effect) @ truth.values)
+            smallest = float(signature @ signature)
+            for before, effect in stand_ins:
+                if before >= smallest:
+                    break
+                smallest = min(smallest, _fitted(space, effect, signature)[1])
+            least.append(smallest)
+        return min(least)
 
 
-def _signature(space: ResidualSpace, truth: Explanation) -> Floats:
-    return space.project(space.signature(truth.effect) @ truth.values)
-
-
-def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> tuple[tuple[float, Effect], ...]:
-    signature = _signature(space, truth)
+def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[tuple[float, Effect]]:
+    signature = space.project(space.signature(truth.effect) @ truth.values)
     instances = [rival, *thinned(type(rival).candidates(space.sightings))]
-    found = [(_fitted(space, effect, signature)[1], effect) for effect in instances]
-    return tuple(sorted(found, key=lambda pair: pair[0]))
-
-
-def _least(space: ResidualSpace, truth: Explanation, stand_ins: Sequence[tuple[float, Effect]]) -> float:
-    """What the best stand-in leaves of the true signature."""
-    signature = _signature(space, truth)
-    least = float(signature @ signature)
-    for before, effect in stand_ins:
-        if before >= least:
-            break
-        least = min(least, _fitted(space, effect, signature)[1])
-    return least
+    return sorted(((_fitted(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])

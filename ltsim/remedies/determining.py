@@ -44,7 +44,8 @@ def determining(
 
 def _worth_a_thought(network: Network) -> Iterator[Remedy]:
     """Remedies for a whole survey, the cheapest first."""
-    yield from other_face(network)
+    both = other_face(network)
+    yield from [both] if both else []
     yield from known_length(network)
     yield from returns(network, 0.0, [0])
     yield from near_reflectors(network)

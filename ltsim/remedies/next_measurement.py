@@ -14,7 +14,7 @@ from ltsim.effects.signature import Signature
 from ltsim.model.construction import Construction, misalignment
 from ltsim.notebook import Columns, Shown
 from ltsim.recording.recording import Recording
-from ltsim.remedies.deciding import DECISIVE, Explanation, Question, explanation, space_of
+from ltsim.remedies.deciding import DECISIVE, Explanation, Rivals, explanation, space_of
 from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import (
     EFFORT,
@@ -22,8 +22,7 @@ from ltsim.remedies.remedy import (
     further_pointings,
     further_stations,
     known_length,
-    other_face,
-    other_order,
+    other_ways,
     returns,
 )
 from ltsim.remedies.words import advice, listed
@@ -172,18 +171,13 @@ def next_measurement(
         space = space_of(adjustment, beside)
         asked = [explanation(space, name) for name in between]
         return deciding(adjustment, asked, beside, seconds_per_move=60.0 * minutes_per_move, progress=progress)
-    network = Network.of(adjustment)
-    found = [*further_pointings(network), *_stations(network, 60.0 * minutes_per_move)]
+    network, move = Network.of(adjustment), 60.0 * minutes_per_move
+    found = [*further_pointings(network), *returns(network, move), *further_stations(network, move)]
     proposals = []
     for done, remedy in enumerate(found, 1):
         proposals.append(Proposal.of(remedy, network.adjustment))
         progress("trying further measurements", done / len(found))
     return NextMeasurement(tuple(sorted(proposals, key=lambda p: p.sharper)))
-
-
-def _stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
-    yield from returns(network, seconds_per_move)
-    yield from further_stations(network, seconds_per_move)
 
 
 def deciding(
@@ -201,27 +195,33 @@ def deciding(
     ----------
     adjustment : Adjustment
     explanations : sequence of Explanation
-        Two or more; each is to be told from the first.
+        Two or more; each is to be told from the first. Those that the recording tells from it already are left aside.
     beside : sequence of Signature
         What has been found already beside them.
     first_is_enough : bool
         Look no further than the first remedy that decides; it is the best of all.
     """
-    network = Network.of(adjustment)
-    question = Question.of(space_of(network.adjustment, beside), explanations).still_open(DECISIVE)
+    network, (first, *others) = Network.of(adjustment), explanations
+    space = space_of(network.adjustment, beside)
+    rivals = {other.effect.name: Rivals.of(space, first, other) for other in others}
+    told = [name for name, pair in rivals.items() if pair.now >= DECISIVE]
+    if len(told) < len(rivals):
+        rivals = {name: pair for name, pair in rivals.items() if name not in told}
     suspects = [target for e in explanations for target in e.effect.targets]
-    near = sorted(further_pointings(network, suspects), key=lambda r: r.seconds)
-    again = sorted(returns(network, seconds_per_move), key=lambda r: r.seconds)
-    late = [*other_face(network), *other_order(network), *known_length(network)]
+    near = sorted(further_pointings(network, suspects), key=_effort)
+    again = sorted(returns(network, seconds_per_move), key=_effort)
+    late = sorted([*other_ways(network), *known_length(network)], key=_effort)
     total = len(near) + len(again) + FINALISTS + len(late)
     judged: list[Proposal] = []
-    for remedy in chain(near, again, _finalists(network, seconds_per_move), sorted(late, key=_effort)):
-        evidence = question.evidence(space_of(remedy.network.adjustment, beside))
+    for remedy in chain(near, again, _finalists(network, seconds_per_move), late):
+        longer = space_of(remedy.network.adjustment, beside)
+        evidence = {name: pair.evidence(longer) for name, pair in rivals.items()}
         judged.append(Proposal.of(remedy, network.adjustment, evidence))
         progress("weighing the explanations", min(len(judged) / total, 1.0))
         if first_is_enough and judged[-1].decides:
             break
-    return NextMeasurement(tuple(sorted(judged, key=lambda p: p.rank)), question.names, question.now())
+    ranked = tuple(sorted(judged, key=lambda p: p.rank))
+    return NextMeasurement(ranked, (first.effect.name, *rivals), {name: pair.now for name, pair in rivals.items()})
 
 
 def _effort(remedy: Remedy) -> tuple[int, float]:

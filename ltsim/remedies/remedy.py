@@ -6,7 +6,7 @@ explanations; all choose from this list.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -63,17 +63,30 @@ class Remedy:
     seconds : float, [s]
     network : Network
         With it, as the adjusted network predicts it.
-    place : (3,) float or None, [m]
-        Of a further station, in the frame that `words` says.
-    yaw : float or None, [rad]
     """
 
     kind: Kind
     words: str
     seconds: float
     network: Network
-    place: Floats | None = None
-    yaw: float | None = None
+
+    @property
+    def place(self) -> Floats | None:
+        """(3,) [m] of a further set-up, on the floor plan."""
+        return self._plan.place(self.network.state.position[-1]) if self._sets_up else None
+
+    @property
+    def yaw(self) -> float | None:
+        """[rad] of a further set-up, on the floor plan."""
+        return self._plan.yaw(self.network.state.rotation[-1]) if self._sets_up else None
+
+    @property
+    def _sets_up(self) -> bool:
+        return self.kind in ("return", "station")
+
+    @property
+    def _plan(self) -> FloorPlan:
+        return FloorPlan.of(self.network.recording, self.network.state)
 
 
 @dataclass(frozen=True)
@@ -144,13 +157,13 @@ def returns(network: Network, seconds_per_move: float, stations: Iterable[int] |
     """Each place of an instrument once more, its base turned, for the targets that it saw."""
     recording, state = network.recording, network.state
     count = len(recording.stations)
-    which = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int))
-    for s in which.tolist() if stations is None else stations:
-        words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
+    some = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
+    for s in some if stations is None else stations:
         target = _first_visits(recording.target[_visit(recording, s)])
-        rotation = state.rotation[s] @ about_z(TURN)
         if len(target):
-            yield _set_up(network, "return", words, s, state.position[s], rotation, target, seconds_per_move)
+            words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
+            grown = network.with_station(_fresh(recording), s, state.position[s], state.rotation[s] @ about_z(TURN))
+            yield _set_up("return", words, grown, target, seconds_per_move)
 
 
 def further_stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
@@ -158,15 +171,14 @@ def further_stations(network: Network, seconds_per_move: float) -> Iterator[Reme
     recording, state = network.recording, network.state
     if len(recording.stations) >= CROWDED:
         return
-    plan = FloorPlan.of(recording, state)
+    plan, name = FloorPlan.of(recording, state), _fresh(recording)
     frame = "floor plan" if plan.known else f"frame of {recording.stations[0]}"
     travel = recording.instrument_of(recording.stations[0]).limits or Limits()
     limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
     low, high = state.position.min(axis=0), state.position.max(axis=0)
     margin = 0.2 * (high - low) + 0.2
-    axes = [np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2)]
-    places = np.stack([*(a.ravel() for a in np.meshgrid(*axes, indexing="ij")), np.full(GRID**2, low[2])], axis=1)
-    places[:, 2] = state.position[:, 2].mean()
+    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2))
+    places = np.array([(a, b, state.position[:, 2].mean()) for a in x for b in y])
     taken = np.concatenate([state.position, state.points])
     seen = visibility(places, state.points, limits).visible
     for position, sights in zip(places, seen, strict=True):
@@ -174,77 +186,52 @@ def further_stations(network: Network, seconds_per_move: float) -> Iterator[Reme
             continue
         for turn in range(TURNS):
             rotation = state.rotation[0] @ about_z(turn * 2 * np.pi / TURNS)
-            (x, y, z), yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
-            words = advice("new station", station=_fresh(recording), x=x, y=y, z=z, yaw=yaw, frame=frame)
-            yield _set_up(
-                network, "station", words, 0, position, rotation, np.flatnonzero(sights), seconds_per_move, plan
-            )
+            place, yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
+            words = advice("new station", station=name, place=place, yaw=yaw, frame=frame)
+            grown = network.with_station(name, 0, position, rotation)
+            yield _set_up("station", words, grown, np.flatnonzero(sights), seconds_per_move)
 
 
-def _set_up(
-    network: Network,
-    kind: Kind,
-    words: str,
-    like: int,
-    position: Floats,
-    rotation: Floats,
-    target: Ints,
-    seconds_per_move: float,
-    plan: FloorPlan | None = None,
-) -> Remedy:
+def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_move: float) -> Remedy:
+    """Targets measured from a further set-up, the last of a network."""
+    recording, faces = grown.recording, np.unique(grown.recording.face)
+    targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
+    start = float(recording.time.max()) + seconds_per_move
+    seconds = seconds_per_move + len(targets) * grown.seconds_per_pointing
+    return Remedy(kind, words, seconds, grown.with_pointings(len(recording.stations) - 1, targets, face, start))
+
+
+def other_ways(network: Network) -> Iterator[Remedy]:
+    """The whole work with something more at each station: both faces first, where one is used, then another order."""
     recording = network.recording
-    plan = plan or FloorPlan.of(recording, network.state)
-    faces = np.unique(recording.face)
-    grown = network.with_station(_fresh(recording), like, position, rotation).with_pointings(
-        len(recording.stations),
-        np.tile(target, len(faces)),
-        np.repeat(faces, len(target)),
-        recording.time.max() + seconds_per_move,
-    )
-    seconds = seconds_per_move + len(target) * len(faces) * network.seconds_per_pointing
-    return Remedy(kind, words, seconds, grown, place=plan.place(position), yaw=plan.yaw(rotation))
+    target, face = recording.target, recording.face
+
+    def other_face(rows: Ints) -> list[tuple[int, int]]:
+        seen = set(zip(target[rows].tolist(), face[rows].tolist(), strict=True))
+        return sorted((t, 3 - f) for t, f in seen if (t, 3 - f) not in seen)
+
+    def closing(rows: Ints) -> list[tuple[int, int]]:
+        return [(t, int(face[rows[0]])) for t in _first_visits(target[rows])[:CLOSING].tolist()]
+
+    def reverse(rows: Ints) -> list[tuple[int, int]]:
+        return list(zip(target[rows[::-1]].tolist(), face[rows[::-1]].tolist(), strict=True))
+
+    step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
+    for key, more in (("other face", other_face), ("close", closing), ("reverse", reverse)):
+        made = []
+        for s in np.unique(recording.station):
+            rows = _visit(recording, s)
+            made += [(s, t, f, recording.time[rows[-1]] + step * (i + 1)) for i, (t, f) in enumerate(more(rows))]
+        if made:
+            station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
+            grown = network.with_pointings(station, targets, faces, time)
+            yield Remedy("survey", advice(key, count=CLOSING), work + len(made) * step, grown)
 
 
-def _before_leaving(network: Network, key: str, chosen: Callable[[Ints], tuple[Ints, Ints]]) -> Iterator[Remedy]:
-    """The whole work with something more at each station; `chosen` gives targets and faces from the rows of a visit."""
-    recording, step = network.recording, network.seconds_per_pointing
-    parts = []
-    for s in np.unique(recording.station):
-        rows = _visit(recording, s)
-        target, face = chosen(rows)
-        when = recording.time[rows[-1]] + step * (1 + np.arange(len(target)))
-        parts.append((np.full(len(target), s), target, face, when))
-    station, target, face, time = (np.concatenate(column) for column in zip(*parts, strict=True))
-    if len(target):
-        grown = network.with_pointings(station, target, face, time)
-        seconds = float(np.ptp(recording.time)) + len(target) * step
-        yield Remedy("survey", advice(key, count=CLOSING), seconds, grown)
-
-
-def other_face(network: Network) -> Iterator[Remedy]:
-    """Every target that a station measured in one face only, in the other face as well."""
-    recording = network.recording
-
-    def missing(rows: Ints) -> tuple[Ints, Ints]:
-        seen = set(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
-        lacking = np.array([(t, 3 - f) for t, f in sorted(seen) if (t, 3 - f) not in seen], dtype=np.int64)
-        return lacking.reshape(-1, 2)[:, 0], lacking.reshape(-1, 2)[:, 1]
-
-    yield from _before_leaving(network, "other face", missing)
-
-
-def other_order(network: Network) -> Iterator[Remedy]:
-    """Something again before each station is left: its first targets, or all in the reverse order."""
-    recording = network.recording
-
-    def first(rows: Ints) -> tuple[Ints, Ints]:
-        target = _first_visits(recording.target[rows])[:CLOSING]
-        return target, np.full(len(target), recording.face[rows[0]])
-
-    yield from _before_leaving(network, "close", first)
-    yield from _before_leaving(
-        network, "reverse", lambda rows: (recording.target[rows[::-1]], recording.face[rows[::-1]])
-    )
+def other_face(network: Network) -> Remedy | None:
+    """Both faces at each station; None where they are used already."""
+    first = next(other_ways(network), None)
+    return first if first and first.words == advice("other face") else None
 
 
 def known_length(network: Network) -> Iterator[Remedy]:
@@ -261,7 +248,8 @@ def known_length(network: Network) -> Iterator[Remedy]:
 
 def near_reflectors(network: Network) -> Iterator[Remedy]:
     """Four reflectors near each of the first two stations, seen from all stations; with the other face as well."""
-    for key, start in [("near", network), *(("other face and near", both.network) for both in other_face(network))]:
+    both = other_face(network)
+    for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
         recording, state = start.recording, start.state
         points = np.concatenate([centre + from_polar(NEAR) for centre in state.position[:2]])
         axes = np.arange(len(recording.stations)), len(state.points) + np.arange(len(points)), np.unique(recording.face)

@@ -12,8 +12,8 @@ ADVICE = {
     "unmeasured": "measure from {station} the targets it has not measured ({targets})",
     # a further set-up
     "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
-    "new station": "add station {station} at ({x:.2f}, {y:.2f}, {z:.2f}) m, yaw {yaw:.0f} deg ({frame}), "
-    "and measure all targets",
+    "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
+    "yaw {yaw:.0f} deg ({frame}), and measure all targets",
     # the whole work in another way
     "other face": "measure every target in both faces",
     "close": "measure the first {count} targets again before leaving each station",

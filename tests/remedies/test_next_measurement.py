@@ -16,7 +16,7 @@ from ltsim.errors import ModelError
 from ltsim.model.construction import misalignment
 from ltsim.plan.criteria import d_criterion
 from ltsim.recording import Recording, write
-from ltsim.remedies.deciding import Question, explanation, space_of
+from ltsim.remedies.deciding import Rivals, explanation, space_of
 from ltsim.remedies.network import Network
 from ltsim.remedies.next_measurement import next_measurement
 from ltsim.remedies.remedy import (
@@ -24,8 +24,7 @@ from ltsim.remedies.remedy import (
     further_pointings,
     further_stations,
     near_reflectors,
-    other_face,
-    other_order,
+    other_ways,
     returns,
 )
 from ltsim.simulate.scenario import Scenario, load_scenario
@@ -72,7 +71,7 @@ def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Reco
     network = Network.of(adjust(drifting[0], misalignment()))
     count, last = len(drifting[0]), drifting[0].time.max()
     later = [*further_pointings(network), *returns(network, 1200.0), *list(further_stations(network, 1200.0))[:8]]
-    within = [*other_face(network), *other_order(network), *near_reflectors(network)]
+    within = [*other_ways(network), *near_reflectors(network)]
     for k, remedy in enumerate([*later, *within]):
         grown = remedy.network.recording
         assert grown.time[count:].min() > (last if k < len(later) else grown.time[0])
@@ -97,7 +96,7 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
     more, as the rival is free to fit noise)."""
     space = space_of(adjust(drifting[0], misalignment()))
     first, second = explanation(space, "index-drift"), explanation(space, "station-settling")
-    expected = Question.of(space, [first, second]).now()["station-settling"]
+    expected = Rivals.of(space, first, second).now
     signature = space.project(space.signature(first.effect) @ first.values)[:, None]
     noise = space.project(np.random.default_rng(1).normal(size=(space.size, 400)))
 
@@ -175,11 +174,9 @@ def test_a_longer_recording_never_tells_less_and_its_evidence_is_that_of_all_riv
     adjustment = adjust(recording, misalignment())
     space = space_of(adjustment)
     explanations = [explanation(space, name) for name in ("index-drift", "station-settling")]
-    question = Question.of(space_of(Network.of(adjustment).adjustment), explanations)
-    now = question.now()["station-settling"]
+    rivals = Rivals.of(space_of(Network.of(adjustment).adjustment), *explanations)
     for remedy in list(further_pointings(Network.of(adjustment)))[:3]:
         longer = space_of(remedy.network.adjustment)
-        told = question.evidence(longer)["station-settling"]
-        assert told >= now - 1e-6
-        whole = Question.of(longer, explanations).now()["station-settling"]
+        told, whole = rivals.evidence(longer), Rivals.of(longer, *explanations).now
+        assert told >= rivals.now - 1e-6
         assert told == pytest.approx(whole, rel=0.02, abs=0.1)
