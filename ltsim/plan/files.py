@@ -8,6 +8,7 @@ from typing import Any
 
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
+from ltsim.plan.changes import Change
 from ltsim.plan.detectability import Detectability, detectability
 from ltsim.plan.improvement import Expected
 from ltsim.plan.planner import Evaluated, Option, Plan
@@ -46,6 +47,7 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "reference": None if plan.reference is None else _evaluated_json(plan.reference),
         "fewest_stations": None if few is None else _option_json(few),
         "tradeoff": [_option_json(option) for option in plan.options],
+        "reflector_changes": [_change(change) for change in plan.changes.told],
         "starts": [_number(value) for value in plan.spread],
         "settings": plan.file.model_dump(mode="json"),
         "seed": plan.file.search.seed,
@@ -53,6 +55,19 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
     if found is not None:
         content |= detectability_json(found)
     return PlanResult.model_validate(content)
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {
+        "do": change.what,
+        "reflector": change.reflector,
+        "place": change.place,
+        "position_mm": None if change.position is None else _millimetres(change.position),
+        "gain_um": change.gain_um,
+        "quality": change.quality,
+        "serves": change.serves,
+        "serves_factor": change.serves_factor,
+    }
 
 
 def _evaluated_json(layout: Evaluated) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
@@ -155,6 +157,15 @@ def staying(plan: PlanFile, scenario: Scenario) -> Bools:
     names = scenario.target_names
     if not (plan.reflectors.surfaces or plan.reflectors.places):
         return np.ones(len(names), dtype=bool)
+    return _kept(plan, scenario, names)
+
+
+def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
+    """(T,): targets of a survey that are no matter of choice: those of the gauge and those to keep."""
+    return _kept(plan, scenario, survey.target_names)
+
+
+def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str]) -> Bools:
     kept = {*plan.reflectors.keep, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in kept for name in names], dtype=bool)
 
