@@ -14,15 +14,15 @@ sys.path.insert(0, str(HERE.parent))
 import numpy as np  # noqa: E402
 from common import Row, options, spread_out, tell, write_manifest, write_table  # noqa: E402
 
-from ltsim.cli.plan import open_question  # noqa: E402
 from ltsim.diagnose import Diagnosis, diagnose  # noqa: E402
+from ltsim.diagnose.separate import open_question  # noqa: E402
 from ltsim.geometry.rotations import about_z  # noqa: E402
 from ltsim.model.construction import misalignment  # noqa: E402
 from ltsim.model.measurement import MeasurementModel, State, sightings_of  # noqa: E402
-from ltsim.plan.extensions import Extension  # noqa: E402
-from ltsim.plan.next_measurement import next_measurement  # noqa: E402
 from ltsim.randomness import stream  # noqa: E402
 from ltsim.recording import Recording  # noqa: E402
+from ltsim.remedies.next_measurement import next_measurement  # noqa: E402
+from ltsim.remedies.remedy import Remedy  # noqa: E402
 from ltsim.simulate.scenario import load_scenario  # noqa: E402
 from ltsim.simulate.sections import EffectEntry  # noqa: E402
 from ltsim.simulate.simulator import simulate  # noqa: E402
@@ -30,13 +30,13 @@ from ltsim.simulate.truth import Truth  # noqa: E402
 from ltsim.units import MICROMETRE  # noqa: E402
 
 
-def measured(extension: Extension, before: Recording, truth: Truth, seed: int) -> Recording:
+def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
     """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
-    recording, construction = extension.recording, misalignment()
+    recording, construction = remedy.network.recording, misalignment()
     position, rotation = truth.position, truth.rotation
-    if extension.place is not None and extension.yaw is not None:
-        position = np.vstack([position, extension.place])
-        rotation = np.concatenate([rotation, about_z(extension.yaw)[None]])
+    if remedy.place is not None and remedy.yaw is not None:
+        position = np.vstack([position, remedy.place])
+        rotation = np.concatenate([rotation, about_z(remedy.yaw)[None]])
     order = [truth.targets.index(name) for name in recording.targets]
     values = np.array([[truth.instrument[name] for name in construction.names]])
     state = State(position, rotation, truth.points[order], values)
@@ -81,16 +81,16 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
     first = diagnose(recording, seed=seed)
     row: Row = {"true": case["name"], "recording": number}
     row |= {f"before_{key}": value for key, value in words(first, case["name"], case["stations"]).items()}
-    between = open_question(first)
+    between, beside = open_question(first)
     if not between:
         return row | {"between": "", "proposal": ""}
-    proposals = next_measurement(recording, between=between)
+    proposals = next_measurement(recording, between=between, beside=beside)
     best = proposals.proposals[0]
-    second = diagnose(measured(best.extension, recording, truth, seed + number), seed=seed)
+    second = diagnose(measured(best.remedy, recording, truth, seed + number), seed=seed)
     row |= {
         "between": " ".join(between),
-        "proposal": best.extension.words,
-        "minutes": round(best.extension.seconds / 60, 1),
+        "proposal": best.remedy.words,
+        "minutes": round(best.remedy.seconds / 60, 1),
         "evidence_before": " ".join(f"{value:.1f}" for value in proposals.evidence_now.values()),
         "evidence_after": " ".join(f"{value:.1f}" for value in best.evidence.values()),
         "tells_apart": " ".join(best.tells_apart),

@@ -17,7 +17,7 @@ from ltsim.adjust.reliability import (
     FAMILY_LEVEL,
     critical_tau,
     critical_w,
-    detectable_bias,
+    minimal_detectable_bias,
     normalised,
     redundancy_of,
 )
@@ -164,9 +164,9 @@ class Adjustment(Shown):
         return tau
 
     @property
-    def detectable_bias(self) -> Floats:
-        """Smallest error (n, 3) [m, rad, rad] of each reading found with 80 % at level 0.1 %; inf where unchecked."""
-        return detectable_bias(self.problem, self.redundancy)
+    def minimal_detectable_bias(self) -> Floats:
+        """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked."""
+        return minimal_detectable_bias(self.problem, self.redundancy)
 
     @property
     def lost_targets(self) -> tuple[str, ...]:

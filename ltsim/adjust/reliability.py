@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats
@@ -12,7 +14,9 @@ from ltsim.solve.blocks import Factor
 FAMILY_LEVEL = 0.01
 """Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
 SINGLE_LEVEL = 0.001
+"""Of a test of one thing that was named beforehand."""
 POWER = 0.8
+"""Share of recordings in which what is called detectable is found."""
 UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
@@ -56,17 +60,40 @@ def single_level(count: int, level: float) -> float:
     return float(-np.expm1(np.log1p(-level) / max(count, 1)))
 
 
-def detectable_bias(
-    problem: NetworkProblem, redundancy: Floats, *, level: float = SINGLE_LEVEL, power: float = POWER
-) -> Floats:
-    """Smallest error (n, 3) [m, rad, rad] of each reading that the w-test finds with a power; inf where unchecked.
+@lru_cache
+def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = POWER, hypotheses: int = 1) -> float:
+    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `power`.
+
+    Parameters
+    ----------
+    dof : int
+        Of the test; in one degree of freedom it is the two-sided test of a normal variable.
+    level : float
+        False-alarm rate of all that is tested together.
+    hypotheses : int
+        How many share it (Sidak): who searches more must find more.
 
     References
     ----------
-    Baarda, A testing procedure for use in geodetic networks (1968): sigma (z_(1 - level/2) + z_power) / sqrt(r).
+    Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    distance = float(stats.norm.isf(0.5 * level) + stats.norm.ppf(power))
+    limit = stats.chi2.isf(single_level(hypotheses, level), dof)
+    return float(optimize.brentq(lambda size: stats.ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
+
+
+def minimal_detectable_bias(
+    problem: NetworkProblem, redundancy: Floats, *, level: float = FAMILY_LEVEL, power: float = POWER
+) -> Floats:
+    """Smallest error (n, 3) [m, rad, rad] of each reading that the search for outliers finds with a power.
+
+    The search tests all readings in use together at a level; infinite where nothing checks a reading.
+
+    References
+    ----------
+    Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
+    """
+    needed = noncentrality(level=level, power=power, hypotheses=int(problem.use.sum()))
     bias = np.where(problem.use, np.inf, np.nan)
     checked: Bools = problem.use & (redundancy > UNCHECKED)
-    bias[checked] = distance * problem.sigma[checked] / np.sqrt(redundancy[checked])
+    bias[checked] = np.sqrt(needed / redundancy[checked]) * problem.sigma[checked]
     return bias

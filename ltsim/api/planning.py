@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ltsim.api.files import RecordingSource, recording_of
-from ltsim.plan.next_measurement import NextMeasurement
-from ltsim.plan.next_measurement import next_measurement as proposals_of
 from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.spec import load_plan
+from ltsim.remedies.next_measurement import NextMeasurement
+from ltsim.remedies.next_measurement import next_measurement as proposals_of
 
 
 def plan(
@@ -49,13 +49,13 @@ def plan(
 def next_measurement(
     recording: RecordingSource, *, between: Sequence[str] = (), minutes_per_move: float = 20.0
 ) -> NextMeasurement:
-    """Rank further pointings and further stations after a recording.
+    """Rank further measurements after a recording.
 
     Parameters
     ----------
     recording : Recording, str or Path
     between : sequence of str
-        Names of two or more effects to decide between; none: by the gain on the instrument's parameters.
+        Names of two or more effects to decide between; none: by what is told about the instrument's parameters.
     minutes_per_move : float
         What it costs to move the tripod.
 

@@ -20,8 +20,8 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats
 from ltsim.calibrate.objective import DistanceProblem, Distances, centring, set_pairs
-from ltsim.calibrate.undetermined import DETERMINED, Direction
 from ltsim.errors import NetworkError
+from ltsim.remedies.undetermined import DETERMINED, Direction
 from ltsim.solve.absolute import least_absolute
 
 CAP = 30

@@ -17,10 +17,10 @@ from scipy import linalg, stats
 
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
-from ltsim.calibrate.undetermined import SILENT
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown
+from ltsim.remedies.undetermined import SILENT
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""

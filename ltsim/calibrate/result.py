@@ -12,13 +12,13 @@ from ltsim.adjust.start import reached_network
 from ltsim.adjust.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose, flat_names
-from ltsim.calibrate.cures import cures
-from ltsim.calibrate.undetermined import Direction, undetermined
 from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.remedies.determining import determining
+from ltsim.remedies.undetermined import Direction, undetermined
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
@@ -166,7 +166,7 @@ def undetermined_of(
     """The undetermined combinations of each instrument, named, with their cures (empty unless `advise`)."""
     instruments = adjustment.recording.instruments
     nothing = [[""] * len(own) for own in directions]
-    sentences = cures(adjustment, construction, directions) if advise else nothing
+    sentences = determining(adjustment, construction, directions) if advise else nothing
     found = []
     for i, own in enumerate(directions):
         names = flat_names(construction.names, instruments)[i * construction.size :]

@@ -11,17 +11,17 @@ from ltsim.cli.options import ColumnMap, FormatName, HintList, Jobs, Json, Quiet
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line
 from ltsim.cli.terminal import Terminal, table
-from ltsim.diagnose import Diagnosis
 from ltsim.diagnose import diagnose as diagnosis_of
-from ltsim.effects import NoiseEffect, find_effect
+from ltsim.diagnose.separate import open_question
+from ltsim.effects.signature import Signature
 from ltsim.errors import SetupError
 from ltsim.plan.files import next_csv, next_file, write_plan
-from ltsim.plan.next_measurement import DECISIVE, NextMeasurement, next_measurement
 from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.schema import NEXT, TABLES, NextFile, PlanResult
 from ltsim.plan.spec import load_plan, plan_names, plan_text
 from ltsim.recording import Recording
 from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.remedies.next_measurement import NextMeasurement, next_measurement
 
 PlanSource = Annotated[
     str | None,
@@ -180,17 +180,19 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
     terminal.say(recording_line(recording))
     summary = ""
+    beside: tuple[Signature, ...] = ()
     if not between:
         with terminal.busy("diagnosing"):
             found = diagnosis_of(recording)
         summary = found.summary
         terminal.say(summary)
-        between = open_question(found)
+        between, beside = open_question(found)
     with terminal.progress("trying further measurements", 200) as advance:
         tell: dict[str, Any] = {}
         made = next_measurement(
             recording,
             between=between,
+            beside=beside,
             progress=lambda what, share: tell.setdefault(what, _percent(advance))(what, share),
         )
     content = next_file(made, summary, SourceEntry.of(recording))
@@ -202,34 +204,18 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
         terminal.say(f"\nwritten to {out}")
 
 
-def open_question(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """The explanations that a diagnosis left open: the first such finding and what it cannot exclude."""
-    for finding in diagnosis.findings:
-        others = [name for name, _ in finding.equivalents if name != "unknown" and _shifts(name)]
-        if finding.known and others and _shifts(finding.effect):
-            return (finding.effect, *others)
-    return ()
-
-
-def _shifts(name: str) -> bool:
-    return not issubclass(find_effect(name), NoiseEffect)
 
 
 def show_next(terminal: Terminal, made: NextMeasurement) -> None:
     """The proposals, the best first."""
-    best = made.proposals[0]
     if made.between:
         now = ", ".join(f"{name} {value:.1f}" for name, value in made.evidence_now.items())
         terminal.say(f"\nChi-square between {made.between[0]} and what else it may be, as it is: {now}.")
-    if made.between and not best.tells_apart:
-        terminal.say(f"Nothing that was tried decides ({DECISIVE:g} would); an independent measurement would.")
-    else:
-        apart = f"; that tells {made.between[0]} from {' and '.join(best.tells_apart)}" if made.between else ""
-        terminal.say(f"Next: {best.extension.words}{apart}.")
+    terminal.say(f"Next: {made.advice}.")
     rows = [
         [
-            p.extension.words,
-            f"{p.extension.seconds / 60:.0f}",
+            p.remedy.words,
+            f"{p.remedy.seconds / 60:.0f}",
             f"{100 * (1 - p.sharper):.0f} %",
             f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)",
             " ".join(f"{value:.0f}" for value in p.evidence.values()),

@@ -11,7 +11,7 @@ from ltsim.adjust.adjustment import Adjustment, adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.bank import Bank, Hypothesis
-from ltsim.diagnose.blind import detectable_sizes, undetectable_effects
+from ltsim.diagnose.blind import sight_of
 from ltsim.diagnose.detect import Detection, detect, noise_prior
 from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Finding, Fit
 from ltsim.diagnose.evidence import carried_by
@@ -294,11 +294,9 @@ def _assemble(
         others = searcher.with_members(found.hypotheses[:i] + found.hypotheses[i + 1 :])
         ranking = searcher.rank(others)
         name = member.hypothesis.effect.name
-        rival = next((h for f, h, _ in ranking.entries if h.effect.name != name), None)
-        advice = ""
-        if rival is not None and equivalents_of(ranking, name)[1]:
-            values = fitted.values(i)
-            advice = separating_measurement(baseline, effect, values, rival.effect)
+        rivals = [rival for rival, _ in equivalents_of(ranking, name)[1]]
+        beside = [e for k, e in enumerate(fitted.effects) if k != i]
+        advice = separating_measurement(baseline, name, rivals, beside) if member.hypothesis.known else ""
         told = [
             *_widened(searcher, replace(member.hypothesis, effect=effect), others, fitted, i),
             *_change(searcher, member.hypothesis, others),
@@ -323,6 +321,7 @@ def _assemble(
     if found.members or case.noise:
         after = _fit(fitted.adjustment, baseline.dof - spent, _in_stated_noise(case, fitted))
     verdict = "mismatch" if mismatch or gross else "consistent"
+    detectable, undetectable = sight_of(space, (h.effect for h in searcher.bank.hypotheses))
     return Diagnosis(
         verdict=verdict,
         summary=summarise(verdict, findings, detection.p_value, before, after),
@@ -333,8 +332,8 @@ def _assemble(
         findings=tuple(findings),
         before=before,
         after=after,
-        undetectable=undetectable_effects(space, searcher.bank),
-        detectable=detectable_sizes(space, searcher.bank),
+        undetectable=undetectable,
+        detectable=detectable,
         baseline=baseline,
         adjusted=fitted.adjustment,
     )

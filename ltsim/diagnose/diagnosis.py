@@ -9,6 +9,8 @@ from typing import Any
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.notebook import Columns, Shown, by_entry
+from ltsim.remedies.detectability import MinimalSize
+from ltsim.units import FACTOR
 
 
 @dataclass(frozen=True)
@@ -86,16 +88,6 @@ class Undetectable:
     cure: str
 
 
-@dataclass(frozen=True)
-class Detectable:
-    """Smallest size of an effect that this network would show (power 80 %)."""
-
-    effect: str
-    parameter: str
-    size: float
-    unit: str
-
-
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Shown):
     """The verdict on a recording."""
@@ -110,7 +102,7 @@ class Diagnosis(Shown):
     before: Fit
     after: Fit
     undetectable: tuple[Undetectable, ...]
-    detectable: tuple[Detectable, ...]
+    detectable: tuple[MinimalSize, ...]
     baseline: Adjustment
     adjusted: Adjustment
 
@@ -126,7 +118,7 @@ class Diagnosis(Shown):
         return {
             "findings": self._findings,
             "undetectable": lambda: by_entry(Undetectable, self.undetectable),
-            "detectable": lambda: by_entry(Detectable, self.detectable),
+            "detectable": lambda: by_entry(MinimalSize, self.detectable),
         }
 
     def _findings(self) -> Columns:
@@ -164,7 +156,8 @@ class Diagnosis(Shown):
                 for u in self.undetectable
             ],
             "detectable": [
-                {"effect": d.effect, "parameter": d.parameter, "size": d.size, "unit": d.unit} for d in self.detectable
+                {"effect": d.effect, "parameter": d.parameter, "size": d.typical / FACTOR[d.unit], "unit": d.unit}
+                for d in self.detectable
             ],
         }
 

@@ -109,7 +109,7 @@ class Reducer:
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
         self._gauge = np.flatnonzero(problem.layout.target[:, 0] < problem.layout.kept)
-        self._mesh = np.flatnonzero(problem.layout.target[:, 0] >= problem.layout.kept)
+        self.mesh = np.flatnonzero(problem.layout.target[:, 0] >= problem.layout.kept)
         rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
         other = rows[: rows.shape[0] - self._rank_free].toarray()
         self._other_blocks(other, problem.layout.target, problem.layout.pose, problem.layout.instrument[0])
@@ -120,7 +120,7 @@ class Reducer:
         extra = np.zeros((len(rows), len(self.scale) - len(instrument)))
         front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
         kept = np.hstack([*front, rows[:, instrument] * self.prior_sigma, extra])
-        mesh = rows[:, target[self._mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
+        mesh = rows[:, target[self.mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
         self._other_kept = kept.T @ kept
         self._other_tt = np.einsum("mti,mtj->tij", mesh, mesh)
         self._other_tk = np.einsum("mti,mk->tik", mesh, kept)
@@ -227,13 +227,13 @@ class Reducer:
         targets : bool
             Also the targets' point error.
         """
-        schur, length, inverse, weights = self._eliminated(blocks, chosen)
+        schur, length, inverse, weights = self.eliminated(blocks, chosen)
         information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
         held = blocks.held[chosen].all(axis=1)
         information[held] = self.marginal(schur[held], length[held])
         if targets:
             known = np.isfinite(information).all(axis=(1, 2))
-            rms[known] = self._target_rms(schur[known], inverse[known], weights[known])
+            rms[known] = self.target_rms(schur[known], inverse[known], weights[known], self.mesh)
         return Reduced(information, rms)
 
     def schur(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats]:
@@ -241,7 +241,7 @@ class Reducer:
 
         And the squared lengths (B, K) of the columns before that, by which `marginal` decides rank.
         """
-        return self._eliminated(blocks, chosen)[:2]
+        return self.eliminated(blocks, chosen)[:2]
 
     def marginal(self, schur: Floats, length: Floats) -> Floats:
         """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated.
@@ -255,7 +255,7 @@ class Reducer:
         information: Floats = corner @ np.swapaxes(corner, 1, 2)
         return information
 
-    def _eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+    def eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
 
         That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest.
@@ -296,9 +296,9 @@ class Reducer:
         if self._rank_free:
             datum = self._datum(blocks.position[chosen[:, 0]])
             kept[:, :6, :6] += np.swapaxes(datum, 1, 2) @ datum
-        mesh = tt[:, self._mesh] + self._other_tt
+        mesh = tt[:, self.mesh] + self._other_tt
         unseen = np.einsum("beii->be", mesh) == 0.0
-        return kept, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self._mesh] + self._other_tk
+        return kept, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
 
     def _datum(self, first: Floats) -> Floats:
         """Rows (B, f, 6) that hold the first station against the free rigid motions."""
@@ -307,27 +307,39 @@ class Reducer:
         rows[:, :, :3] += np.cross(rows[:, :, 3:], first[:, None, :])
         return rows / DATUM_SIGMA[: rows.shape[1], None] * POSE_SCALE
 
-    def _target_rms(self, schur: Floats, inverse: Floats, weights: Floats) -> Floats:
+    def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Point error (B,) [m] with inner constraints: trace of the targets' covariance less its rigid part.
 
         Effects are not estimated here, only the instrument's parameters.
+
+        Parameters
+        ----------
+        schur : (B, K, K) float
+        inverse : (B, E, 3, 3), weights : (B, E, 3, K) float
+            Of the eliminated targets that are asked about (`eliminated`).
+        mesh : (E,) or (B, E) int
+            Which targets of the survey these are; those of the gauge are asked about as well.
         """
         layouts, size = len(schur), schur.shape[1] - (len(self.scale) - len(self.prior_sigma))
         covariance = np.linalg.inv(schur[:, :size, :size])
-        mesh, gauge = self._mesh, self._gauge
-        carry = np.zeros((layouts, len(self.survey.points), 3, size))
-        carry[:, mesh] = -weights[..., :size]
-        first = size - len(self.prior_sigma) - 3 * len(gauge)
-        for g, t in enumerate(gauge):
-            carry[:, t, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
-        flat = carry.reshape(layouts, 3 * len(self.survey.points), size)
+        count, gauge = inverse.shape[1], len(self._gauge)
+        carry = np.zeros((layouts, count + gauge, 3, size))
+        carry[:, :count] = -weights[..., :size]
+        first = size - len(self.prior_sigma) - 3 * gauge
+        for g in range(gauge):
+            carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
+        flat = carry.reshape(layouts, 3 * (count + gauge), size)
         total = np.einsum("beii->b", inverse) + np.einsum("bik,bki->b", flat @ covariance, np.swapaxes(flat, 1, 2))
         if self._rank_free:
-            motion = self._motion.reshape(-1, 3, self._rank_free)
-            held = np.linalg.inv(self._motion.T @ self._motion)
-            moved = np.swapaxes(flat, 1, 2) @ self._motion
+            at = np.atleast_2d(mesh)
+            at = np.concatenate([at, np.broadcast_to(self._gauge, (len(at), gauge))], axis=1)
+            motion = self._motion.reshape(-1, 3, self._rank_free)[at]
+            rows = motion.reshape(len(at), -1, self._rank_free)
+            held = np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows)
+            moved = np.swapaxes(flat, 1, 2) @ rows
             shared = np.swapaxes(moved, 1, 2) @ covariance @ moved
-            shared += np.einsum("tif,btij,tjg->bfg", motion[mesh], inverse, motion[mesh], optimize=True)
-            total = total - np.einsum("fg,bgf->b", held, shared)
-        rms: Floats = POSE_SCALE * np.sqrt(total / len(self.survey.points))
+            spread = inverse @ motion[:, :count]
+            shared += np.einsum("btif,btig->bfg", np.broadcast_to(motion[:, :count], spread.shape), spread)
+            total = total - np.einsum("bfg,bgf->b", np.broadcast_to(held, shared.shape), shared)
+        rms: Floats = POSE_SCALE * np.sqrt(total / (count + gauge))
         return rms

@@ -9,9 +9,9 @@ from typing import Any
 
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
+from ltsim.plan.changes import Change
 from ltsim.plan.detectability import Detectability, detectability
 from ltsim.plan.improvement import Expected
-from ltsim.plan.next_measurement import NextMeasurement
 from ltsim.plan.planner import Evaluated, Option, Plan
 from ltsim.plan.reasons import fewest, reasons
 from ltsim.plan.schema import (
@@ -27,6 +27,7 @@ from ltsim.plan.schema import (
 )
 from ltsim.plan.survey import Survey
 from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.simulate.scenario import Scenario, scenario_to_toml
 from ltsim.simulate.sections import Station, Target
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
@@ -47,6 +48,7 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "reference": None if plan.reference is None else _evaluated_json(plan.reference),
         "fewest_stations": None if few is None else _option_json(few),
         "tradeoff": [_option_json(option) for option in plan.options],
+        "reflector_changes": [_change(change) for change in plan.changes.told],
         "starts": [_number(value) for value in plan.spread],
         "settings": plan.file.model_dump(mode="json"),
         "seed": plan.file.search.seed,
@@ -54,6 +56,19 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
     if found is not None:
         content |= detectability_json(found)
     return PlanResult.model_validate(content)
+
+
+def _change(change: Change) -> dict[str, Any]:
+    return {
+        "do": change.what,
+        "reflector": change.reflector,
+        "place": change.place,
+        "position_mm": None if change.position is None else _millimetres(change.position),
+        "gain_um": change.gain_um,
+        "quality": change.quality,
+        "serves": change.serves,
+        "serves_factor": change.serves_factor,
+    }
 
 
 def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
@@ -229,11 +244,12 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
         "diagnosis": summary,
         "between": list(made.between),
         "evidence_now": made.evidence_now,
+        "advice": made.advice,
         "proposals": [
             {
-                "do": p.extension.words,
-                "kind": p.extension.kind,
-                "minutes": round(p.extension.seconds / 60, 2),
+                "do": p.remedy.words,
+                "kind": p.remedy.kind,
+                "minutes": round(p.remedy.seconds / 60, 2),
                 "sharper": p.sharper,
                 "serves": p.serves,
                 "serves_factor": p.serves_factor,
@@ -241,9 +257,9 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
                 "tells_apart": list(p.tells_apart),
                 "decides": p.decides,
                 "position_mm": None
-                if p.extension.place is None
-                else [round(float(v) / MILLIMETRE, 1) for v in p.extension.place],
-                "yaw_deg": None if p.extension.yaw is None else round(p.extension.yaw / DEGREE % 360, 2),
+                if p.remedy.place is None
+                else [round(float(v) / MILLIMETRE, 1) for v in p.remedy.place],
+                "yaw_deg": None if p.remedy.yaw is None else round(p.remedy.yaw / DEGREE % 360, 2),
             }
             for p in made.proposals
         ],

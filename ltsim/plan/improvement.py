@@ -13,11 +13,11 @@ from itertools import combinations
 
 import numpy as np
 
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.errors import unknown_name
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.plan.detectability import ResidualRoom
 from ltsim.plan.information import LayoutInformation
 
 KINDS = {
@@ -145,12 +145,12 @@ def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[t
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
     estimate = adjustment.factor.covariance_columns(_columns(problem.layout.instrument[0], problem.layout.size)).T
     answer = estimate @ design.T
-    room = ResidualRoom.of(adjustment)
+    space = ResidualSpace.of(adjustment)
     errors = np.zeros((design.shape[0], 0))
     group: list[str] = []
     reading = np.zeros((count, 0))
     if left_out:
-        rows = np.hstack([room.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
+        rows = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
         errors, reading = rows, rows[:count]
         group = [e.name for e in left_out for _ in e.parameters]
     used = np.flatnonzero(problem.use.ravel())

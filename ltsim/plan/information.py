@@ -14,14 +14,14 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Floats
-from ltsim.calibrate.cures import cures
-from ltsim.calibrate.undetermined import Direction, gains, undetermined
 from ltsim.errors import NetworkError
 from ltsim.geometry.rigid import holds_pose
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.plan.survey import Survey
 from ltsim.recording.recording import Recording
+from ltsim.remedies.determining import determining
+from ltsim.remedies.undetermined import Direction, gains, undetermined
 from ltsim.solve.blocks import Factor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, Status
 
@@ -137,7 +137,7 @@ class LayoutInformation:
 
     def cures(self) -> list[str]:
         """A sentence for each undetermined combination: what would determine it."""
-        sentences = cures(self.adjustment, self.construction, [self.undetermined])
+        sentences = determining(self.adjustment, self.construction, [self.undetermined])
         return list(sentences[0])
 
     @cached_property

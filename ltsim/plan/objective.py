@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,8 +11,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.plan.criteria import CRITERIA, CriterionName
-from ltsim.plan.detectability import noncentrality
 from ltsim.plan.fast import Reduced
+from ltsim.remedies.detectability import search_noncentrality
 
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
 
@@ -29,11 +30,14 @@ class Objective:
         Of the instrument parameters.
     effects : tuple of Effect
         Those that a diagnosis should see.
+    places : mapping of str to int
+        At how many places and with how many shapes a diagnosis looks for an effect; default those of `effects`.
     """
 
     weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT: 1.0})
     criterion: CriterionName = "D"
     effects: tuple[Effect, ...] = ()
+    places: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def wants_targets(self) -> bool:
@@ -48,7 +52,7 @@ class Objective:
         if self.wants_targets:
             found[TARGETS] = reduced.target_rms
         if self.weights.get(DIAGNOSIS, 0.0) > 0.0:
-            found[DIAGNOSIS] = smallest_sizes(reduced.information, parameters, self.effects)
+            found[DIAGNOSIS] = smallest_sizes(reduced.information, parameters, self.effects, self.places)
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in found.items()}
 
     def values(self, reduced: Reduced, parameters: int) -> Floats:
@@ -67,8 +71,11 @@ class Objective:
         return value
 
 
-def smallest_sizes(information: Floats, parameters: int, effects: Sequence[Effect]) -> Floats:
+def smallest_sizes(
+    information: Floats, parameters: int, effects: Sequence[Effect], places: Mapping[str, int] | None = None
+) -> Floats:
     """Geometric mean (B,) over effects' parameters of minimal detectable over plausible size."""
+    sought = {**Counter(effect.name for effect in effects), **(places or {})}
     own = information[:, :parameters, :parameters]
     value = np.full(len(information), np.inf)
     good = np.isfinite(information).all(axis=(1, 2))
@@ -76,7 +83,9 @@ def smallest_sizes(information: Floats, parameters: int, effects: Sequence[Effec
         return value
     carry = information[good, :parameters, parameters:]
     left = information[good, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(own[good], carry)
-    needed = np.concatenate([[noncentrality(len(e.parameters))] * len(e.parameters) for e in effects])
+    needed = np.concatenate(
+        [[search_noncentrality(len(e.parameters), sought[e.name])] * len(e.parameters) for e in effects]
+    )
     strength = np.maximum(np.einsum("bii->bi", left), 1e-12)
     value[good] = np.exp(0.5 * np.mean(np.log(needed / strength), axis=1))
     return value

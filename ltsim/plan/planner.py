@@ -11,16 +11,18 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown, by_row
+from ltsim.plan.changes import Changes, reflector_changes
 from ltsim.plan.fast import Reducer
 from ltsim.plan.improvement import Expected, Predictor
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import Objective
 from ltsim.plan.reflectors import choose_reflectors
 from ltsim.plan.search import Layout, Searcher
-from ltsim.plan.site import Progress, Site, quiet
+from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile
 from ltsim.plan.survey import Survey
-from ltsim.plan.workshop import objective_of, site_of, staying, survey_of
+from ltsim.plan.workshop import fixed_of, objective_of, site_of, staying, survey_of
+from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulate.physics import planned_construction
 from ltsim.simulate.scenario import Scenario
@@ -98,6 +100,8 @@ class Plan(Shown):
     chosen : Evaluated
     options : tuple of Option
         The curve, cheapest first.
+    changes : Changes
+        Single reflectors of the chosen layout moved, added, left out.
     spread : tuple of float
         Values that the starts of the chosen way ended at, best first.
     """
@@ -110,6 +114,7 @@ class Plan(Shown):
     chosen: Evaluated
     options: tuple[Option, ...]
     spread: tuple[float, ...]
+    changes: Changes
 
     def _lines(self) -> list[str]:
         qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())
@@ -191,6 +196,7 @@ def make_plan(
         chosen=evaluated(site, best.survey, objective, built),
         options=options,
         spread=tuple(sorted(value for value, _, _ in own)),
+        changes=reflector_changes(site, best.survey, fixed_of(file, scenario, best.survey), objective, built),
     )
 
 

@@ -22,7 +22,8 @@ CRITERION_WORDS = {
 def reasons(plan: Plan) -> list[str]:
     """The sentences, the answer first."""
     found = [*_headline(plan), *_against_reference(plan), *_what_each_station_does(plan)]
-    found += [*_yaw(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
+    found += [*_yaw(plan), *_limits(plan), *_curve(plan), *plan.changes.sentences()]
+    found += [*_undetermined(plan), *_search(plan)]
     return found
 
 

@@ -20,8 +20,8 @@ from ltsim.plan.site import Site
 from ltsim.plan.survey import Survey
 from ltsim.scene.visibility import aimed_normals
 
-SWEEPS = 8
-GAIN = 1e-4
+SWEEPS, ENOUGH = 8, 1e-4
+"""Rounds of exchanges at most, and the least improvement, relative, that is worth another one."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,16 @@ class PlaceTable:
         What a reflector at each place would add.
     length : (K,) float
         Squared lengths of the columns before targets are eliminated, with reflectors at all places.
+    inverse : (E, 3, 3), weights : (E, 3, K) float
+        Of every target but the gauge's, those that stay first, then the places (`Reducer.eliminated`).
     """
 
     reducer: Reducer
     base: Floats
     terms: Floats
     length: Floats
+    inverse: Floats
+    weights: Floats
 
     @classmethod
     def of(cls, survey: Survey, stays: Bools, places: Floats, seen: Bools, reducer: Reducer) -> PlaceTable:
@@ -67,13 +71,34 @@ class PlaceTable:
         rows = x.reshape(len(places), -1, size)
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         left = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        return cls(reducer, base, np.swapaxes(left, 1, 2) @ left, length + np.sum(rows**2, axis=(0, 1)))
+        whole = reducer.blocks(survey.position, survey.yaw, slots, seen)
+        _, _, inverse, weights = reducer.eliminated(whole, slots[None])
+        length = length + np.sum(rows**2, axis=(0, 1))
+        return cls(reducer, base, np.swapaxes(left, 1, 2) @ left, length, inverse[0], weights[0])
 
-    def values(self, totals: Floats, objective: Objective) -> Floats:
-        """Objective (B,) of normal matrices (B, K, K)."""
-        length = np.broadcast_to(self.length, totals.shape[:2])
-        reduced = Reduced(self.reducer.marginal(totals, length), np.full(len(totals), np.nan))
-        return objective.values(reduced, self.reducer.construction.size)
+    def total(self, chosen: Ints) -> Floats:
+        """Normal matrix (K, K) with reflectors at the chosen places."""
+        whole: Floats = self.base + self.terms[chosen].sum(axis=0)
+        return whole
+
+    def information(self, totals: Floats) -> Floats:
+        """Information (B, P, P) of the parameters; NaN where a direction is open."""
+        return self.reducer.marginal(totals, np.broadcast_to(self.length, totals.shape[:2]))
+
+    def target_rms(self, totals: Floats, asked: Ints) -> Floats:
+        """Point error (B,) [m] of the targets that stay and of reflectors at the places `asked` (n,) or (B, n)."""
+        stay = len(self.inverse) - len(self.terms)
+        asked = np.broadcast_to(asked, (len(totals), np.shape(asked)[-1]))
+        at = np.concatenate([np.broadcast_to(np.arange(stay), (len(totals), stay)), stay + asked], axis=1)
+        return self.reducer.target_rms(totals, self.inverse[at], self.weights[at], self.reducer.mesh[at])
+
+    def values(self, totals: Floats, chosen: Ints, objective: Objective) -> Floats:
+        """Objective (B,) of normal matrices (B, K, K) with reflectors at the places `chosen` (B, n)."""
+        information = self.information(totals)
+        rms, known = np.full(len(totals), np.nan), np.isfinite(information).all(axis=(1, 2))
+        if objective.wants_targets:
+            rms[known] = self.target_rms(totals[known], chosen[known])
+        return objective.values(Reduced(information, rms), self.reducer.construction.size)
 
 
 def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str, ...], seen: Bools) -> Survey:
@@ -87,6 +112,43 @@ def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str,
         seen=seen,
         rank=rank,
     )
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The places among which movable reflectors are chosen: their own first, then the site's.
+
+    Attributes
+    ----------
+    places : (P, 3) float, [m]
+    names : tuple of str
+    own : int
+        How many of them are reflectors' own.
+    seen : (S, k + P) bool
+        Of the k targets that stay, then the places.
+    table : PlaceTable
+    """
+
+    places: Floats
+    names: tuple[str, ...]
+    own: int
+    seen: Bools
+    table: PlaceTable
+
+    @classmethod
+    def of(cls, site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction) -> Choice:
+        """The places that are in sight; `stays` (T,) are targets that are no matter of choice."""
+        offered = np.zeros((0, 3)) if site.places is None else site.places
+        places = np.concatenate([survey.points[~stays], offered])
+        own = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
+        good = _usable(site, survey, places)
+        good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], offered)]
+        names = tuple(n for n, g in zip((*own, *site.place_names), good, strict=True) if g)
+        places = places[good]
+        seen = site.seen(survey.position, np.concatenate([survey.points[stays], places]))
+        wide = with_targets(survey, stays, places, names, np.ones_like(seen))
+        table = PlaceTable.of(survey, stays, places, seen, Reducer(wide, construction, objective.effects))
+        return cls(places, names, int(good[: len(own)].sum()), seen, table)
 
 
 def choose_reflectors(
@@ -106,25 +168,17 @@ def choose_reflectors(
     """
     if site.places is None:
         return survey
-    places = np.concatenate([survey.points[~stays], site.places])
-    own = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
-    names = (*own, *(n for n in site.place_names))
-    good = _usable(site, survey, places)
-    good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], site.places)]
-    wanted = int((~stays).sum())
-    if good.sum() < wanted:
+    choice, wanted = Choice.of(site, survey, stays, objective, construction), int((~stays).sum())
+    places = choice.places
+    if len(places) < wanted:
         raise SetupError(
-            f"only {int(good.sum())} places for reflectors are in sight of the stations, {wanted} are wanted; "
+            f"only {len(places)} places for reflectors are in sight of the stations, {wanted} are wanted; "
             "add places or ask for fewer"
         )
-    places, names = places[good], tuple(n for n, g in zip(names, good, strict=True) if g)
-    seen = site.seen(survey.position, np.concatenate([survey.points[stays], places]))
-    wide = with_targets(survey, stays, places, names, np.ones_like(seen))
-    table = PlaceTable.of(survey, stays, places, seen, Reducer(wide, construction, objective.effects))
-    start = _start(places, np.arange(len(places)) < good[: len(own)].sum(), wanted, site.reflector_spacing)
-    chosen = _exchange(table, objective, places, start, site.reflector_spacing)
+    start = _start(places, np.arange(len(places)) < choice.own, wanted, site.reflector_spacing)
+    chosen = _exchange(choice.table, objective, places, start, site.reflector_spacing)
     kept = np.r_[0 : stays.sum(), stays.sum() + chosen]
-    return with_targets(survey, stays, places[chosen], tuple(names[i] for i in chosen), seen[:, kept])
+    return with_targets(survey, stays, places[chosen], tuple(choice.names[i] for i in chosen), choice.seen[:, kept])
 
 
 def _usable(site: Site, survey: Survey, places: Floats) -> Bools:
@@ -156,8 +210,8 @@ def _start(places: Floats, own: Bools, wanted: int, spacing: float) -> Ints:
 def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: Ints, spacing: float) -> Ints:
     """Exchange one reflector at a time for the best free place until no exchange helps (Fedorov)."""
     chosen = chosen.copy()
-    total = table.base + table.terms[chosen].sum(axis=0)
-    value = float(table.values(total[None], objective)[0])
+    total = table.total(chosen)
+    value = float(table.values(total[None], chosen[None], objective)[0])
     gap = np.linalg.norm(places[:, None] - places[None], axis=2)
     for _ in range(SWEEPS):
         before = value
@@ -167,11 +221,12 @@ def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: I
             if not len(free):
                 continue
             without = total - table.terms[chosen[i]]
-            values = table.values(without + table.terms[free], objective)
+            tried = np.insert(np.tile(others, (len(free), 1)), i, free, axis=1)
+            values = table.values(without + table.terms[free], tried, objective)
             best = int(np.argmin(values))
             if values[best] < value:
                 chosen[i], value = free[best], float(values[best])
                 total = without + table.terms[chosen[i]]
-        if value > before * (1 - GAIN):
+        if value > before * (1 - ENOUGH):
             break
     return chosen

@@ -174,6 +174,19 @@ class AlikeEntry(Entry):
     share: Finite
 
 
+class ChangeEntry(Entry):
+    """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
+
+    do: str
+    reflector: str = ""
+    place: str = ""
+    position_mm: Vector | None = None
+    gain_um: Finite = Field(description="Fall of the point error of all other targets, root mean square.")
+    quality: Finite
+    serves: str = ""
+    serves_factor: Finite = 1.0
+
+
 class PlanResult(ResultFile, LayoutEntry):
     """`plan.json`: from `plan`."""
 
@@ -187,6 +200,7 @@ class PlanResult(ResultFile, LayoutEntry):
     fewest_stations: OptionEntry | None = None
     tradeoff: tuple[OptionEntry, ...] = ()
     starts: tuple[Known, ...] = ()
+    reflector_changes: tuple[ChangeEntry, ...] = ()
     settings: dict[str, Any] = Field(default_factory=dict)
     seed: int | None = None
     detectable: tuple[DetectableSize, ...] = ()
@@ -218,4 +232,5 @@ class NextFile(ResultFile):
     diagnosis: str = ""
     between: tuple[str, ...] = ()
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
+    advice: str = ""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -136,14 +135,6 @@ def inside(polygon: Floats, points: Floats) -> Bools:
     along = np.einsum("nki,ki->nk", points[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-30)
     foot = start + np.clip(along, 0, 1)[:, :, None] * way
     return crossings | (np.linalg.norm(points[:, None] - foot, axis=2) < 1e-9).any(axis=1)
-
-
-Progress = Callable[[str, float], None]
-"""Told what is being done and which share of it is done."""
-
-
-def quiet(_what: str, _share: float) -> None:
-    """No progress is shown."""
 
 
 def spread(count: int, whole: Ints) -> Ints:

@@ -262,10 +262,6 @@ def _check(made: PlanFile, scenario: Scenario, file: object) -> None:
     count = made.stations.count or len(scenario.stations)
     if isinstance(made.stations.seen_from, int) and made.stations.seen_from > count:
         raise SetupError(f"{file}: stations.seen_from is {made.stations.seen_from}, but there are {count} stations")
-    chosen = made.reflectors.surfaces or made.reflectors.places
-    if chosen and made.goal.instrument + made.goal.diagnosis == 0:
-        message = "reflectors can be chosen for the instrument or for diagnosis, but goal weighs targets only"
-        raise SetupError(f"{file}: {message}")
     own = [p.name for p in made.reflectors.places] + [s.name for s in made.reflectors.surfaces]
     for name in own:
         if own.count(name) > 1 or name in scenario.target_names:

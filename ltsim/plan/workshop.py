@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import sightings_of
 from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile, Surface
@@ -153,6 +157,15 @@ def staying(plan: PlanFile, scenario: Scenario) -> Bools:
     names = scenario.target_names
     if not (plan.reflectors.surfaces or plan.reflectors.places):
         return np.ones(len(names), dtype=bool)
+    return _kept(plan, scenario, names)
+
+
+def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
+    """(T,): targets of a survey that are no matter of choice: those of the gauge and those to keep."""
+    return _kept(plan, scenario, survey.target_names)
+
+
+def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str]) -> Bools:
     kept = {*plan.reflectors.keep, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in kept for name in names], dtype=bool)
 
@@ -171,4 +184,7 @@ def objective_of(plan: PlanFile, survey: Survey) -> Objective:
         else:
             message = "acts on single targets or readings; name effects of all or of a station"
             raise SetupError(f"goal.effects: {name} {message}")
-    return Objective(weights, goal.criterion, tuple(effects))
+    built = misalignment()
+    sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None
+    places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}
+    return Objective(weights, goal.criterion, tuple(effects), places)

@@ -53,9 +53,9 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
 
 def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
-    bias = clean.detectable_bias / clean.problem.sigma
+    bias = clean.minimal_detectable_bias / clean.problem.sigma
     rows = stream(5, "rows").permutation(len(clean.recording))[:120]
-    limit = stats.norm.isf(0.0005)
+    limit = critical_w(int(clean.problem.use.sum()))
     found = 0
     for k, i in enumerate(rows):
         j = k % 3

@@ -7,11 +7,11 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.calibrate import adjust_network, calibrate_network
-from ltsim.calibrate.cures import start_of
-from ltsim.calibrate.undetermined import gains, simple_rotation, undetermined
 from ltsim.errors import ModelError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import dh, misalignment
+from ltsim.remedies.network import Network
+from ltsim.remedies.undetermined import gains, simple_rotation, undetermined
 
 
 def test_without_noise_only_the_priors_pull(make, drawn) -> None:
@@ -55,7 +55,7 @@ def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, dra
 def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> None:
     construction = misalignment()
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
-    covariance, prior = start_of(adjustment, construction).covariance(construction)
+    covariance, prior = Network.of(adjustment).parameter_covariance()
     assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
     assert np.array_equal(prior, adjustment.problem.prior_sigma)
 

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.range_offset import RangeOffset
 from ltsim.effects.station_weather import StationWeather
 from ltsim.errors import NetworkError, SetupError
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import ideal, misalignment
-from ltsim.plan.detectability import ResidualRoom, examine
 from ltsim.plan.fast import Reducer, StationBlocks
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import smallest_sizes
 from ltsim.randomness import stream
 from ltsim.recording.setup import Station
+from ltsim.remedies.detectability import examine
 from tests.plan.fixtures import POSITION, YAW, survey
 
 
@@ -159,11 +160,11 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
     alone = StationBlocks.joined(
         [reducer.blocks(made.position[s : s + 1], made.yaw[s : s + 1], np.array([s])) for s in range(5)]
     )
-    room = ResidualRoom.of(LayoutInformation.of(made).adjustment)
+    space = ResidualSpace.of(LayoutInformation.of(made).adjustment)
     for blocks in (whole, alone):
         information = reducer.reduce(blocks, np.arange(5)[None]).information
         for k, effect in enumerate(effects):
-            seen = examine(room, [effect])
+            seen = examine(space, [effect])
             assert seen is not None
             only = np.delete(
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2

@@ -158,10 +158,6 @@ def test_built_in_plans_load_and_print() -> None:
         ("[floor]\nheight_mm = [2000, 1500]\n", "the lower height_mm first"),
         ("[floor]\ncorners_mm = [[0, 0], [1, 1]]\n", "corners_mm"),
         ('scenario = "paper-workshp"\n', "did you mean paper-workshop"),
-        (
-            '[goal]\ninstrument = 0\ntargets = 1\n[[reflectors.places]]\nname = "P"\nposition_mm = [0, 1, 2]\n',
-            "goal weighs targets only",
-        ),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said_in_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:

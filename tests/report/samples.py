@@ -17,11 +17,11 @@ from ltsim.calibrate.files import history_file, residuals_csv
 from ltsim.calibrate.history import History
 from ltsim.model.construction import misalignment
 from ltsim.plan.files import next_file
-from ltsim.plan.next_measurement import next_measurement
 from ltsim.randomness import stream
 from ltsim.recording import write
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station
+from ltsim.remedies.next_measurement import next_measurement
 from ltsim.simulate.scenario import builtin_text, load_scenario
 from tests.networks import STATIONS, YAWS, drawn, network
 

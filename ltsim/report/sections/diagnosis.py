@@ -186,7 +186,10 @@ def _limits(content: DiagnosisFile) -> list[Block]:
             [d.effect, d.parameter, "–" if d.size is None else f"{style.number(d.size, 2)} {style.unit_text(d.unit)}"]
             for d in content.detectable
         ]
-        note = "Found in 80 % of recordings of this network if it is at least this large."
+        note = (
+            "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
+            "large; to be named it may have to be larger."
+        )
         blocks.append(Table("Smallest size that is found", ["effect", "parameter", "size"], rows, 2, note))
     return blocks
 

@@ -9,7 +9,7 @@ from ltsim.plan.schema import NextFile, ProposalEntry
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Block, Fact, Mood, Note, Section, Table, mood
-from ltsim.report.words import duration, listing
+from ltsim.report.words import duration
 
 SHOWN = 10
 
@@ -50,14 +50,9 @@ def _percent(factor: float) -> str:
 def _answer(content: NextFile) -> str:
     """The first sentence."""
     best = content.proposals[0]
-    if content.between and not best.tells_apart:
-        rivals = listing(content.between[1:])
-        return (
-            f"Nothing that was tried tells {content.between[0]} from {rivals}: only an independent measurement would."
-        )
+    if content.between and content.advice:
+        return f"{content.advice[0].upper()}{content.advice[1:]}."
     begin = f"Measure next: {best.do} ({duration(60 * best.minutes)})"
-    if content.between:
-        return f"{begin}; that tells {content.between[0]} from {listing(best.tells_apart)}."
     return (
         f"{begin}; the instrument's parameters become {_percent(best.sharper)} sharper on average, "
         f"{best.serves} by {_percent(best.serves_factor)}."

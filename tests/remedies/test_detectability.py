@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from ltsim.adjust.reliability import POWER, noncentrality, single_level
+from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.effects.head_sag import HeadSag
 from ltsim.effects.noise_level import NoiseLevel
@@ -13,55 +16,54 @@ from ltsim.effects.range_step import RangeStep
 from ltsim.effects.station_weather import StationWeather
 from ltsim.effects.transit_offset import TransitOffset
 from ltsim.model.construction import misalignment
-from ltsim.plan.detectability import (
-    ALPHA,
-    POWER,
-    ResidualRoom,
-    detectability,
-    examine,
-    likeness,
-    noncentrality,
-)
+from ltsim.plan.detectability import detectability, likeness
 from ltsim.plan.information import LayoutInformation
+from ltsim.remedies.detectability import LEVEL, examine, search_noncentrality
 from tests.plan.fixtures import survey
 
 INFORMATION = LayoutInformation.of(survey())
-ROOM = ResidualRoom.of(INFORMATION.adjustment)
+SPACE = ResidualSpace.of(INFORMATION.adjustment)
+
+SINGLE = single_level(len(CATALOGUE) - len(BASELINE) + 1, LEVEL)
+"""Level of one effect at one place in a search."""
 
 
 def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
-    assert noncentrality(1) == pytest.approx((stats.norm.isf(ALPHA / 2) + stats.norm.ppf(POWER)) ** 2, rel=1e-3)
+    assert noncentrality(1) == pytest.approx((stats.norm.isf(0.0005) + stats.norm.ppf(POWER)) ** 2, rel=1e-3)
+    assert noncentrality(1) == pytest.approx(17.07, abs=0.01)
     assert [noncentrality(q) for q in (1, 2, 6)] == sorted(noncentrality(q) for q in (1, 2, 6))
+    searched = [noncentrality(1, hypotheses=n) for n in (1, 10, 1000)]
+    assert searched == sorted(searched)
 
 
 @pytest.mark.parametrize("effect", [StationWeather(stations=("S2",)), RangeStep(stations=("S4",))])
 def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) -> None:  # type: ignore[no-untyped-def]
-    seen = examine(ROOM, [effect])
+    seen = examine(SPACE, [effect])
     assert seen is not None
-    rows = ROOM.signature(effect)
+    rows = SPACE.signature(effect)
     trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.sizes[0][:, None]
-    fitted = seen.columns[0].T @ ROOM.project(trials)
-    found = (fitted**2).sum(axis=0) > stats.chi2.isf(ALPHA, seen.columns[0].shape[1])
+    fitted = seen.columns[0].T @ SPACE.project(trials)
+    found = (fitted**2).sum(axis=0) > stats.chi2.isf(SINGLE, seen.columns[0].shape[1])
     assert found.mean() == pytest.approx(POWER, abs=0.02)
 
 
 def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> None:
     """Score test of a variance factor, simulated: its statistic is normal only nearly, hence the wide band."""
     effect = NoiseLevel.candidates(INFORMATION.adjustment.sightings)[0]
-    seen = examine(ROOM, [effect])
+    seen = examine(SPACE, [effect])
     assert seen is not None
     problem = INFORMATION.adjustment.problem
     size = np.zeros(len(effect.parameters))
     size[0] = seen.sizes[0][0]
     variance = effect.variance(INFORMATION.adjustment.sightings, problem.sigma, size)
-    factor = np.ones(ROOM.size)
+    factor = np.ones(SPACE.size)
     factor[: int(problem.use.sum())] = (variance / problem.sigma**2)[problem.use]
     rng = np.random.default_rng(2)
     score = []
     for scale in (np.ones(len(factor)), np.sqrt(factor)):
-        left = ROOM.project(rng.normal(size=(len(factor), 3000)) * scale[:, None])
+        left = SPACE.project(rng.normal(size=(len(factor), 3000)) * scale[:, None])
         score.append(((factor - 1.0)[:, None] * left**2).sum(axis=0))
-    level = np.quantile(score[0], 1 - 0.5 * ALPHA)
+    level = np.quantile(score[0], 1 - 0.5 * SINGLE)
     assert np.mean(score[1] > level) > 0.5
     assert np.mean(score[1] < score[0].mean()) < 0.01
 
@@ -69,7 +71,13 @@ def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> 
 def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
     """Two faces, joint: 3-sigma amplitudes of a like network; minimal sizes are 4.13 sigma."""
     found = detectability(INFORMATION.adjustment, [TransitOffset, StationWeather, RangeStep])
-    size = {row.parameter: 3 / np.sqrt(noncentrality(1)) * row.typical for row in found.table()}
+    sightings = INFORMATION.adjustment.sightings
+    needed = {
+        "transit-offset": noncentrality(1),
+        "station-weather": search_noncentrality(1, len(StationWeather.candidates(sightings))),
+        "range-step": search_noncentrality(1, len(RangeStep.candidates(sightings))),
+    }
+    size = {row.parameter: 3 / np.sqrt(needed[row.parameter]) * row.typical for row in found.table()}
     assert size["transit-offset"] == pytest.approx(0.8e-6, rel=0.25)
     assert size["station-weather"] == pytest.approx(0.82e-6, rel=0.25)
     assert size["range-step"] == pytest.approx(3.8e-6, rel=0.25)
@@ -77,14 +85,12 @@ def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
 
 def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     """Sag and the cosine of the elevation circle are one for upright stations."""
-    sag = examine(ROOM, [HeadSag()])
+    sag = examine(SPACE, [HeadSag()])
     assert sag is not None
     assert sag.visible[0] < 1e-3
-    from ltsim.effects import BASELINE
-
     others = misalignment(e for e in BASELINE if not isinstance(e, ElevationEccentricity))
-    room = ResidualRoom.of(LayoutInformation.of(survey(), others).adjustment)
-    first, second = examine(room, [HeadSag()]), examine(room, [ElevationEccentricity()])
+    space = ResidualSpace.of(LayoutInformation.of(survey(), others).adjustment)
+    first, second = examine(space, [HeadSag()]), examine(space, [ElevationEccentricity()])
     assert first is not None
     assert second is not None
     assert likeness(first, second) > 0.999
@@ -92,8 +98,8 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
 
 def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
     sightings = INFORMATION.adjustment.sightings
-    weather = examine(ROOM, StationWeather.candidates(sightings))
-    step = examine(ROOM, [RangeStep(stations=("S1",))])
+    weather = examine(SPACE, StationWeather.candidates(sightings))
+    step = examine(SPACE, [RangeStep(stations=("S1",))])
     assert weather is not None
     assert step is not None
     assert likeness(weather, weather) == pytest.approx(1.0, abs=1e-9)

@@ -1,0 +1,228 @@
+"""How small an effect may be and still be found: the minimal detectable size of every effect in a network.
+
+A test finds what leaves enough: the squared length of what the adjustment leaves of a whitened signature must reach the
+noncentrality that the test needs (`adjust.reliability.noncentrality`). A diagnosis does not test one effect, it looks
+for every effect of the catalogue at all of its places and with all of its shapes, and a single one has to stand out
+among as many. Its false-alarm rate is shared out: the families of effects have even odds, and so have the members of a
+family.
+
+References
+----------
+Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4; Gross and
+Vitells, Trial factors for the look elsewhere effect, Eur. Phys. J. C 70 (2010) 525.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.reliability import noncentrality
+from ltsim.adjust.residual_space import VISIBLE, ResidualSpace
+from ltsim.arrays import Floats
+from ltsim.effects import BASELINE, CATALOGUE
+from ltsim.effects.effect import Effect, NoiseEffect, Parameter
+
+LEVEL = 0.05
+"""False-alarm rate of a whole search."""
+BATCH = 512
+"""Rows projected at once."""
+MOST_PLACES = 150
+"""Places and shapes of one effect that are looked at."""
+
+
+def search_noncentrality(dof: int, places: int) -> float:
+    """Noncentrality that an effect of `dof` parameters, sought at so many `places`, needs to be found by a search.
+
+    It shares the false-alarm rate with all its places and shapes, and with all effects of the catalogue; what is not
+    in the catalogue counts as one effect more.
+    """
+    return noncentrality(dof, level=LEVEL, hypotheses=places * (len(CATALOGUE) - len(BASELINE) + 1))
+
+
+@dataclass(frozen=True)
+class MinimalSize:
+    """How small one parameter of an effect may be and still be found in 80 % of recordings.
+
+    Attributes
+    ----------
+    effect, parameter : str
+    unit : str
+    best, typical, worst : float, [SI]
+        At the best, median and worst of its places and shapes; infinite where it leaves no trace.
+    prior_sigma : float, [SI]
+        A plausible size.
+    visible : float
+        Median share of the signature that the adjustment leaves.
+    worst_place : str
+        Station, target or shape of the worst one.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    best: float
+    typical: float
+    worst: float
+    prior_sigma: float
+    visible: float
+    worst_place: str
+
+
+def thinned(places: Sequence[Effect]) -> list[Effect]:
+    """At most `MOST_PLACES` of the places, evenly spread."""
+    if len(places) <= MOST_PLACES:
+        return list(places)
+    return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MOST_PLACES).round().astype(int))]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One effect in a layout: its places and what is left of each.
+
+    Attributes
+    ----------
+    name : str
+    parameters : tuple of tuple of Parameter
+        Those of each place: an effect with several laws has several sets.
+    places : tuple of str
+    sizes : tuple of (q,) float, [SI]
+        Minimal detectable sizes at each place; infinite where nothing is left.
+    visible : tuple of float
+    columns : tuple of (m, r) float
+        Orthonormal, spanning what is left; empty for noise.
+    """
+
+    name: str
+    parameters: tuple[tuple[Parameter, ...], ...]
+    places: tuple[str, ...]
+    sizes: tuple[Floats, ...]
+    visible: tuple[float, ...]
+    columns: tuple[Floats, ...]
+
+    @property
+    def found_anywhere(self) -> bool:
+        """Some parameter leaves a trace at some place."""
+        return any(bool(np.isfinite(size).any()) for size in self.sizes)
+
+    def table(self) -> list[MinimalSize]:
+        """One row a parameter."""
+        return [row for law in dict.fromkeys(self.parameters) for row in self._law_table(law)]
+
+    def _law_table(self, law: tuple[Parameter, ...]) -> list[MinimalSize]:
+        at = [k for k, own in enumerate(self.parameters) if own == law]
+        visible = float(np.median([self.visible[k] for k in at]))
+        rows = []
+        for j, p in enumerate(law):
+            size = np.array([self.sizes[k][j] for k in at])
+            typical = float(np.quantile(size, 0.5, method="higher"))
+            worst = self.places[at[int(np.argmax(size))]]
+            row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
+            rows.append(MinimalSize(*row, visible, worst))
+        return rows
+
+
+def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
+    """Information (q, q) on the parameters of each noise effect: half the trace of P D_i P D_j.
+
+    P projects off the adjustment; D is the change of the whitened variances per unit, by central differences over a
+    tenth of the plausible size.
+    """
+    problem, sightings = space.adjustment.problem, space.sightings
+    changes = []
+    for effect in places:
+        for i, p in enumerate(effect.parameters):
+            step = np.zeros(len(effect.parameters))
+            step[i] = 0.1 * p.prior_sigma
+            upper = effect.variance(sightings, problem.sigma, step)
+            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step[i]))[problem.use])
+    stack = np.array(changes)
+    count = stack.shape[1]
+    spread = np.empty_like(stack)
+    for low in range(0, count, BATCH):
+        high = min(low + BATCH, count)
+        units = np.zeros((space.size, high - low))
+        units[np.arange(low, high), np.arange(high - low)] = 1.0
+        spread[:, low:high] = stack @ space.project(units)[:count] ** 2
+    edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
+    return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
+
+
+def examine(space: ResidualSpace, places: Sequence[Effect]) -> Seen | None:
+    """What is left of one effect at each of the places where it is sought; None where the network lacks what it needs.
+
+    Parameters
+    ----------
+    places : sequence of Effect
+        All that a search would try; at most `MOST_PLACES` of them are looked at.
+    """
+    some = thinned(places)
+    noises = [effect for effect in some if isinstance(effect, NoiseEffect)]
+    found: list[tuple[Effect, Floats, float, Floats]] = []
+    told = _noise_information(space, noises) if noises else []
+    found += [(effect, own, 1.0, np.zeros((0, 0))) for effect, own in zip(noises, told, strict=True)]
+    for effect in () if noises else some:
+        whole = space.signature(effect)
+        if np.isfinite(whole).all() and whole.any():
+            found.append((effect, *_left(space, whole)))
+    if not found:
+        return None
+    kept, information, visible, columns = zip(*found, strict=True)
+    spent = [len(i) if not c.size else c.shape[1] for i, c in zip(information, columns, strict=True)]
+    needed = [search_noncentrality(max(dof, 1), len(places)) for dof in spent]
+    sizes = tuple(map(_smallest, information, needed))
+    names, laws = tuple(map(_place, kept)), tuple(effect.parameters for effect in kept)
+    return Seen(kept[0].name, laws, names, sizes, visible, columns)
+
+
+def _left(space: ResidualSpace, whole: Floats) -> tuple[Floats, float, Floats]:
+    """Information (q, q), visible share and orthonormal columns of a signature (m, q)."""
+    norm = np.linalg.norm(whole, axis=0)
+    scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
+    basis, singular, _ = np.linalg.svd(scaled, full_matrices=False)
+    share = float(np.mean(np.sum(scaled**2, axis=0)))
+    information = (scaled.T @ scaled) * np.outer(norm, norm)
+    hidden = np.sum(scaled**2, axis=0) < VISIBLE
+    information[hidden] = information[:, hidden] = 0.0
+    return information, share, basis[:, singular**2 > VISIBLE]
+
+
+def _smallest(information: Floats, needed: float) -> Floats:
+    """Minimal detectable size (q,) of each parameter alone; infinite without information."""
+    own = np.diag(information)
+    size = np.full(len(own), np.inf)
+    size[own > 0] = np.sqrt(needed / own[own > 0])
+    return size
+
+
+def _place(effect: Effect) -> str:
+    """Where an instance acts and with which shape, for a person."""
+    parts = [*effect.stations, *effect.targets]
+    for shape in type(effect).shape:
+        value = getattr(effect, shape.name, None)
+        if isinstance(value, float):
+            parts.append(f"{shape.name} {value:.3g}")
+    return " ".join(parts)
+
+
+def baseline_information(adjustment: Adjustment, effect_parameters: Sequence[str]) -> Floats:
+    """Information (q, q) on instrument parameters from the readings alone, all others estimated with their priors."""
+    problem = adjustment.problem
+    at = [adjustment.construction.index(name) for name in effect_parameters]
+    block = adjustment.instrument_covariance[np.ix_(at, at)]
+    information = np.linalg.inv(block) - np.diag(1.0 / problem.prior_sigma[0][at] ** 2)
+    return np.asarray(information, dtype=np.float64)
+
+
+def examine_baseline(adjustment: Adjustment, effect: Effect) -> Seen:
+    """Minimal detectable size of a term of the ordinary calibration, beside the other terms with their priors.
+
+    It is estimated, not tested; this is the size its estimate must have to be told from zero.
+    """
+    information = baseline_information(adjustment, [p.name for p in effect.parameters])
+    sizes = _smallest(information, noncentrality(len(information)))
+    return Seen(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())

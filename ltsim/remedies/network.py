@@ -1,0 +1,159 @@
+"""A network with pointings that nobody has made yet: the one way to extend a recording.
+
+Readings do not enter a covariance: those of a new pointing are what the adjusted network predicts, and everything that
+an adjustment knows of precision is then known of the extended network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.loose import without_loose
+from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.rows import GaugeRows
+from ltsim.arrays import Floats, Ints
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import GaugeDistance
+from ltsim.solve.blocks import Factor
+from ltsim.solve.gauss_newton import Solution, Status
+from ltsim.units import MILLIMETRE
+
+SECONDS = 15.0
+"""Time of a pointing where the recording has no clock."""
+
+
+def planned_adjustment(recording: Recording, state: State, construction: Construction) -> Adjustment:
+    """The adjustment that a recording of `state` would have, as if it had been solved."""
+    problem = without_loose(NetworkProblem.of(MeasurementModel(recording, construction)), state)
+    system = problem.linearise(state)
+    solution = Solution(state, system.cost, 0, Status.CONVERGED, Factor(system), system)
+    return Adjustment(problem, solution, np.zeros(len(recording), dtype=bool))
+
+
+@dataclass(frozen=True)
+class Network:
+    """A recording that may hold pointings nobody made, and the state that predicts them.
+
+    Attributes
+    ----------
+    recording : Recording
+    state : State
+    construction : Construction
+        Whose parameters are estimated.
+    """
+
+    recording: Recording
+    state: State
+    construction: Construction
+
+    @classmethod
+    def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:
+        """The adjusted network as it is, without readings that were left out.
+
+        An adjustment of corrected readings has no parameters: they count as zeros of `construction`.
+        """
+        built, state = construction or adjustment.construction, adjustment.state
+        recording = adjustment.recording
+        values = state.instrument
+        if values.shape[1] != built.size:
+            values = np.zeros((len(recording.instruments), built.size))
+        used = np.where(adjustment.problem.use, recording.readings, np.nan)
+        return cls(recording.with_readings(used), replace(state, instrument=values, extra=np.zeros(0)), built)
+
+    @cached_property
+    def adjustment(self) -> Adjustment:
+        """The adjustment that this network would have.
+
+        Raises
+        ------
+        SingularSystemError
+            When the pointings leave a pose undetermined.
+        """
+        return planned_adjustment(self.recording, self.state, self.construction)
+
+    def parameter_covariance(self) -> tuple[Floats, Floats]:
+        """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""
+        problem = self.adjustment.problem
+        return self.adjustment.covariance_of(problem.layout.instrument), problem.prior_sigma
+
+    @property
+    def seconds_per_pointing(self) -> float:
+        """[s] usual time between pointings."""
+        recording = self.recording
+        if not recording.has_clock or len(recording) < 2:
+            return SECONDS
+        return float(np.median(np.diff(np.sort(recording.time)))) or SECONDS
+
+    def with_pointings(
+        self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
+    ) -> Network:
+        """Further pointings at `target` (k,), all later than the rest.
+
+        Parameters
+        ----------
+        time : float or (k,) float, optional, [s]
+            Of the first of them, or of each; default right after the last one made.
+        """
+        recording, count, step = self.recording, len(target), self.seconds_per_pointing
+        when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
+        when = when if when.ndim else when + step * np.arange(count)
+        last = int(np.argmax(recording.time))
+
+        def joined(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
+            return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
+
+        whole = recording.replace(
+            station=joined(recording.station, station),
+            target=joined(recording.target, target),
+            face=joined(recording.face, face),
+            repeat=joined(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
+            time=joined(recording.time, when),
+            readings=joined(recording.readings, np.nan),
+            covariates={key: joined(column, column[last]) for key, column in recording.covariates.items()},
+            labels={key: (*column, *([""] * count)) for key, column in recording.labels.items()},
+        )
+        predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
+        return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
+
+    def with_station(self, name: str, like: int, position: Floats, rotation: Floats) -> Network:
+        """A further set-up at `position` (3,), `rotation` (3, 3), with the instrument and level of set-up `like`."""
+        recording, state = self.recording, self.state
+        known = recording.station_setup(recording.stations[like])
+        fresh = known.model_copy(update={"position_mm": None, "yaw_deg": None, "over": None})
+        setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
+        grown = replace(
+            state,
+            position=np.vstack([state.position, position]),
+            rotation=np.concatenate([state.rotation, rotation[None]]),
+        )
+        return replace(
+            self, recording=recording.replace(setup=setup, stations=(*recording.stations, name)), state=grown
+        )
+
+    def with_targets(self, names: Sequence[str], points: Floats) -> Network:
+        """Further reflectors at `points` (k, 3), not measured yet."""
+        recording = self.recording.replace(targets=(*self.recording.targets, *names))
+        return replace(
+            self, recording=recording, state=replace(self.state, points=np.vstack([self.state.points, points]))
+        )
+
+    def with_length(self, first: int, second: int, sigma_mm: float) -> Network:
+        """The distance between two targets calibrated; the same network where it is known already."""
+        recording, rows = self.recording, GaugeRows.of(self.recording)
+        known = {frozenset(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)}
+        if {first, second} in known:
+            return self
+        length = float(np.linalg.norm(self.state.points[first] - self.state.points[second])) / MILLIMETRE
+        # `from` is a keyword: the alias goes in through a mapping.
+        ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
+        added = GaugeDistance(**ends, sigma_mm=sigma_mm)
+        gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, added)})
+        return replace(self, recording=recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))

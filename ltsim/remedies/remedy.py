@@ -1,0 +1,277 @@
+"""The list of further measurements: pointings, set-ups, another way of working, a known length, near reflectors.
+
+Calibration asks which of them determines a combination, diagnosis and planning which of them decides between
+explanations; all choose from this list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Limits
+from ltsim.remedies.network import Network
+from ltsim.remedies.words import advice, listed
+from ltsim.scene.visibility import SightLimits, visibility
+from ltsim.units import DEGREE, MILLIMETRE
+
+Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
+EFFORT: tuple[Kind, ...] = get_args(Kind)
+"""Kinds of remedies, the one that asks least of a person first."""
+
+CLOSING = 3
+"""Targets measured again before leaving a station."""
+ROUNDS, AGAIN = 4, 3
+"""Further rounds at the last station, and pointings at a target worth another look."""
+TURN = 90.0 * DEGREE
+"""Turn of the base at a place where an instrument has stood already."""
+RETURNS = 12
+"""Set-ups that are tried once more; of many, some evenly spread."""
+GRID, TURNS = 5, 4
+"""Places along each side of the floor, and turns at each, that are tried for a further station."""
+CROWDED = 30
+"""Set-ups from which a further place for one more is not looked for: it is one among many."""
+CLEARANCE = 0.8
+"""[m] how near to another station, and to a target, a further one is not put."""
+KNOWN_LENGTH, KNOWN_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
+"""[m] a length that a workshop can have calibrated, how well, and the time it takes [s]."""
+NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
+"""Range [m], azimuth, elevation [rad] of near reflectors."""
+NEST = 300.0
+"""[s] to mount a nest."""
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A measurement that could be added.
+
+    Attributes
+    ----------
+    kind : Kind
+    words : str
+        What to do, for a person.
+    seconds : float, [s]
+    network : Network
+        With it, as the adjusted network predicts it.
+    """
+
+    kind: Kind
+    words: str
+    seconds: float
+    network: Network
+
+    @property
+    def place(self) -> Floats | None:
+        """(3,) [m] of a further set-up, on the floor plan."""
+        return self._plan.place(self.network.state.position[-1]) if self._sets_up else None
+
+    @property
+    def yaw(self) -> float | None:
+        """[rad] of a further set-up, on the floor plan."""
+        return self._plan.yaw(self.network.state.rotation[-1]) if self._sets_up else None
+
+    @property
+    def _sets_up(self) -> bool:
+        return self.kind in ("return", "station")
+
+    @property
+    def _plan(self) -> FloorPlan:
+        return FloorPlan.of(self.network.recording, self.network.state)
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """From the network's frame to the floor plan's; the identity where no plan is known.
+
+    Attributes
+    ----------
+    rotation : (3, 3), translation : (3,) float
+    known : bool
+    """
+
+    rotation: Floats
+    translation: Floats
+    known: bool
+
+    @classmethod
+    def of(cls, recording: Recording, state: State) -> FloorPlan:
+        """By at least three stations whose places on the plan the set-up states."""
+        stated = [recording.station_setup(name).position_mm for name in recording.stations]
+        known = [i for i, place in enumerate(stated) if place is not None]
+        try:
+            goal = np.array([stated[i] for i in known], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+            rotation, translation = align(state.position[known], goal)
+        except NetworkError:
+            return cls(np.eye(3), np.zeros(3), known=False)
+        return cls(rotation, translation, known=True)
+
+    def place(self, position: Floats) -> Floats:
+        """Positions (..., 3) on the plan."""
+        moved: Floats = position @ self.rotation.T + self.translation
+        return moved
+
+    def yaw(self, rotation: Floats) -> float:
+        """Turn [rad] on the plan of an instrument's rotation (3, 3)."""
+        turned = self.rotation @ rotation
+        return float(np.arctan2(turned[1, 0], turned[0, 0]))
+
+
+def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterator[Remedy]:
+    """What can be done from the last station before it is left; `suspects` are targets worth another look."""
+    recording = network.recording
+    last = int(recording.station[np.argmax(recording.time)])
+    station, here = recording.stations[last], _visit(recording, last)
+    order = _first_visits(recording.target[here])
+    usual = int(recording.face[here[0]])
+
+    def remedy(key: str, target: Ints, face: int = usual, **values: object) -> Remedy:
+        seconds = len(target) * network.seconds_per_pointing
+        words = advice(key, station=station, **values)
+        return Remedy("pointings", words, seconds, network.with_pointings(last, target, face))
+
+    if len(np.unique(recording.face[here])) == 1:
+        yield remedy("other face here", order[::-1], 3 - usual)
+    yield remedy("close here", order[:CLOSING], count=min(CLOSING, len(order)))
+    yield remedy("reverse here", order[::-1])
+    again = [t for t in order.tolist() if recording.targets[t] in set(suspects)]
+    if again:
+        names = listed([recording.targets[t] for t in again])
+        yield remedy("look again", np.tile(np.array(again, dtype=np.int64), AGAIN), targets=names, count=AGAIN)
+    yield remedy("to and fro", np.tile(np.r_[order[::-1], order], ROUNDS // 2), count=ROUNDS)
+    unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
+    if len(unseen):
+        yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
+
+
+def returns(network: Network, seconds_per_move: float, stations: Iterable[int] | None = None) -> Iterator[Remedy]:
+    """Each place of an instrument once more, its base turned, for the targets that it saw."""
+    recording, state = network.recording, network.state
+    count = len(recording.stations)
+    some = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
+    for s in some if stations is None else stations:
+        target = _first_visits(recording.target[_visit(recording, s)])
+        if len(target):
+            words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
+            grown = network.with_station(_fresh(recording), s, state.position[s], state.rotation[s] @ about_z(TURN))
+            yield _set_up("return", words, grown, target, seconds_per_move)
+
+
+def further_stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
+    """A further station on a grid between and around the others, with some turns, for the targets in sight."""
+    recording, state = network.recording, network.state
+    if len(recording.stations) >= CROWDED:
+        return
+    plan, name = FloorPlan.of(recording, state), _fresh(recording)
+    frame = "floor plan" if plan.known else f"frame of {recording.stations[0]}"
+    travel = recording.instrument_of(recording.stations[0]).limits or Limits()
+    limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
+    low, high = state.position.min(axis=0), state.position.max(axis=0)
+    margin = 0.2 * (high - low) + 0.2
+    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2))
+    places = np.array([(a, b, state.position[:, 2].mean()) for a in x for b in y])
+    taken = np.concatenate([state.position, state.points])
+    seen = visibility(places, state.points, limits).visible
+    for position, sights in zip(places, seen, strict=True):
+        if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < CLEARANCE:
+            continue
+        for turn in range(TURNS):
+            rotation = state.rotation[0] @ about_z(turn * 2 * np.pi / TURNS)
+            place, yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
+            words = advice("new station", station=name, place=place, yaw=yaw, frame=frame)
+            grown = network.with_station(name, 0, position, rotation)
+            yield _set_up("station", words, grown, np.flatnonzero(sights), seconds_per_move)
+
+
+def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_move: float) -> Remedy:
+    """Targets measured from a further set-up, the last of a network."""
+    recording, faces = grown.recording, np.unique(grown.recording.face)
+    targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
+    start = float(recording.time.max()) + seconds_per_move
+    seconds = seconds_per_move + len(targets) * grown.seconds_per_pointing
+    return Remedy(kind, words, seconds, grown.with_pointings(len(recording.stations) - 1, targets, face, start))
+
+
+def other_ways(network: Network) -> Iterator[Remedy]:
+    """The whole work with something more at each station: both faces first, where one is used, then another order."""
+    recording = network.recording
+    target, face = recording.target, recording.face
+
+    def other_face(rows: Ints) -> list[tuple[int, int]]:
+        seen = set(zip(target[rows].tolist(), face[rows].tolist(), strict=True))
+        return sorted((t, 3 - f) for t, f in seen if (t, 3 - f) not in seen)
+
+    def closing(rows: Ints) -> list[tuple[int, int]]:
+        return [(t, int(face[rows[0]])) for t in _first_visits(target[rows])[:CLOSING].tolist()]
+
+    def reverse(rows: Ints) -> list[tuple[int, int]]:
+        return list(zip(target[rows[::-1]].tolist(), face[rows[::-1]].tolist(), strict=True))
+
+    step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
+    for key, more in (("other face", other_face), ("close", closing), ("reverse", reverse)):
+        made = []
+        for s in np.unique(recording.station):
+            rows = _visit(recording, s)
+            made += [(s, t, f, recording.time[rows[-1]] + step * (i + 1)) for i, (t, f) in enumerate(more(rows))]
+        if made:
+            station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
+            grown = network.with_pointings(station, targets, faces, time)
+            yield Remedy("survey", advice(key, count=CLOSING), work + len(made) * step, grown)
+
+
+def other_face(network: Network) -> Remedy | None:
+    """Both faces at each station; None where they are used already."""
+    first = next(other_ways(network), None)
+    return first if first and first.words == advice("other face") else None
+
+
+def known_length(network: Network) -> Iterator[Remedy]:
+    """The pair of targets nearest to 2 m apart, with that length known."""
+    points, names = network.state.points, network.recording.targets
+    if len(points) < 2:
+        return
+    first, second = np.triu_indices(len(points), k=1)
+    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - KNOWN_LENGTH)))
+    i, j = int(first[best]), int(second[best])
+    words = advice("length", length=KNOWN_LENGTH, targets=listed([names[i], names[j]]))
+    yield Remedy("length", words, CALIBRATION, network.with_length(i, j, KNOWN_SIGMA_MM))
+
+
+def near_reflectors(network: Network) -> Iterator[Remedy]:
+    """Four reflectors near each of the first two stations, seen from all stations; with the other face as well."""
+    both = other_face(network)
+    for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
+        recording, state = start.recording, start.state
+        points = np.concatenate([centre + from_polar(NEAR) for centre in state.position[:2]])
+        axes = np.arange(len(recording.stations)), len(state.points) + np.arange(len(points)), np.unique(recording.face)
+        station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        wider = start.with_targets([f"near-{i + 1}" for i in range(len(points))], points)
+        grown = wider.with_pointings(station, target, face)
+        added = len(grown.recording) - len(network.recording)
+        seconds = NEST * len(points) + float(np.ptp(recording.time)) + added * start.seconds_per_pointing
+        yield Remedy("reflectors", advice(key), seconds, grown)
+
+
+def _visit(recording: Recording, station: int) -> Ints:
+    """Rows of one set-up in the order of time."""
+    here = np.flatnonzero(recording.station == station)
+    return here[np.argsort(recording.time[here], kind="stable")]
+
+
+def _first_visits(target: Ints) -> Ints:
+    """Each target once, in the order in which they come."""
+    return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
+
+
+def _fresh(recording: Recording) -> str:
+    """A name that no set-up has."""
+    return next(f"S{i}" for i in range(1, len(recording.stations) + 2) if f"S{i}" not in recording.stations)
