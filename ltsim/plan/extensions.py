@@ -13,7 +13,6 @@ from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import about_z
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.plan.information import nominal_adjustment
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Station
 from ltsim.scene.visibility import SightLimits, visibility
@@ -58,7 +57,7 @@ class Extension:
 
     def adjustment(self, like: Adjustment) -> Adjustment:
         """The adjustment that the extended recording would have."""
-        return nominal_adjustment(self.recording, self.state, like.construction)
+        return Adjustment.planned(self.recording, self.state, like.construction)
 
 
 @dataclass(frozen=True)
