@@ -14,6 +14,8 @@ from ltsim.plan.detectability import noncentrality
 from ltsim.plan.fast import Reduced
 
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
+LEAST_IMPROVEMENT = 1e-4
+"""Relative improvement under which a sweep of exchanges counts as none."""
 
 
 @dataclass(frozen=True)
