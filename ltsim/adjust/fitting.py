@@ -1,7 +1,7 @@
 """One pose or one point from whatever was read: small fits from many starts at once, the best is taken.
 
-Used only for approximate coordinates, where a station or a target cannot be had in closed form: bearings without ranges, ranges
-without bearings, a level, a known mark.
+Used only for approximate coordinates, where a station or a target cannot be had in closed form: bearings without
+ranges, ranges without bearings, a level, a known mark.
 """
 
 from __future__ import annotations
