@@ -27,7 +27,7 @@ from benchmarks.peers import (
     scipy_analytic,
     scipy_differences,
 )
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.arrays import Floats
 from ltsim.campaign.distance import BatchDistance
 from ltsim.campaign.engine import Bench, Engine, recording_of

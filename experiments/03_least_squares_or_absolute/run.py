@@ -30,7 +30,7 @@ from common import (  # noqa: E402
     write_table,
 )
 
-from ltsim.adjust.adjustment import Adjustment, adjust  # noqa: E402
+from ltsim.adjust import Adjustment, adjust  # noqa: E402
 from ltsim.arrays import Floats, Ints  # noqa: E402
 from ltsim.campaign.calibrators import calibrator_of  # noqa: E402
 from ltsim.campaign.cell import truth_of  # noqa: E402

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Bools, Floats
 from ltsim.evaluate.two_face import TwoFace
 from ltsim.geometry.polar import from_polar

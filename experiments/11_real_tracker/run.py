@@ -31,7 +31,7 @@ from desy import (
     variance_factors,
 )
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
 from ltsim.calibrate.files import history_file
 from ltsim.calibrate.history import History

@@ -1,4 +1,4 @@
-"""Network adjustment of a recording: the call, and everything that is known afterwards."""
+"""Everything that is known of a network after its adjustment."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from ltsim.adjust.components import Component, Grouping, estimated_components
-from ltsim.adjust.datum import InnerDatum, moved_to_datum, stated_datum
-from ltsim.adjust.loose import without_loose
-from ltsim.adjust.problem import WEAK, NetworkProblem
+from ltsim.adjust.components import Component
+from ltsim.adjust.datum import InnerDatum
+from ltsim.adjust.loose import poseless, without_loose
+from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.reliability import (
     FAMILY_LEVEL,
     critical_tau,
@@ -21,24 +21,17 @@ from ltsim.adjust.reliability import (
     normalised,
     redundancy_of,
 )
-from ltsim.adjust.screening import screened
-from ltsim.adjust.snooping import snooped
-from ltsim.adjust.start import reached_network
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.signature import Signature
-from ltsim.errors import ModelError
+from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.notebook import Shown
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.blocks import Factor
-from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.gauss_newton import Solution, planned
 from ltsim.solve.projection import Projection, projection_of
-from ltsim.solve.threads import in_one_thread
-
-TURNED = 1e-7
-"""[rad] A network turned by more is linearised anew."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +77,42 @@ class Adjustment(Shown):
             f"chi2/dof {self.chi2:.1f}/{self.dof}, sigma0 {self.sigma0:.3f}; "
             f"{int(self.rejected.sum())} readings left out",
         ]
+
+    @classmethod
+    def planned(
+        cls,
+        recording: Recording,
+        state: State,
+        construction: Construction | None = None,
+        effects: Sequence[Signature] = (),
+    ) -> Adjustment:
+        """The adjustment that pointings will have when they are made: precision does not depend on readings.
+
+        Parameters
+        ----------
+        recording : Recording
+            The pointings; their readings only say which observables are measured.
+        state : State
+            Where stations and targets will be, and the instrument's parameters.
+        construction, effects
+            Whose parameters are to be estimated; default an ideal tracker without any.
+
+        Raises
+        ------
+        NetworkError
+            When the pointings do not determine the poses and the targets that they reach.
+        """
+        model = MeasurementModel(recording, construction or ideal(), tuple(effects))
+        problem = without_loose(NetworkProblem.of(model), state)
+        lost = poseless(problem, state)
+        if lost:
+            raise NetworkError(lost)
+        try:
+            solution = planned(problem, state)
+        except SingularSystemError:
+            message = "the pointings do not determine all poses and targets; let stations share more targets"
+            raise NetworkError(message) from None
+        return cls(problem, solution, np.zeros(len(recording), dtype=bool))
 
     @property
     def recording(self) -> Recording:
@@ -254,118 +283,6 @@ class Adjustment(Shown):
         every = [name for name in self.recording.targets if name not in self.lost_targets]
         datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
         return replace(self, datum=datum)
-
-
-@in_one_thread
-def adjust(
-    recording: Recording,
-    construction: Construction | None = None,
-    *,
-    effects: Sequence[Signature] = (),
-    sigma: Floats | None = None,
-    use: Bools | None = None,
-    start: State | None = None,
-    datum: Sequence[str] | None = None,
-    robust: bool = False,
-    variance_components: Grouping | None = None,
-    held_to: float = WEAK,
-) -> Adjustment:
-    """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
-
-    Parameters
-    ----------
-    recording : Recording
-    construction : Construction, optional
-        Default: an ideal tracker without parameters.
-    effects : sequence of Signature
-        Further effects to estimate, free but for `held_to`.
-    sigma : (n, 3) float, optional, [m, rad, rad]
-        Standard deviations of the readings; default the stated noise.
-    use : (n, 3) bool, optional
-        Readings to use; default all.
-    start : State, optional
-        Where to start; default from the recording alone. With a start no pointing is screened out.
-    datum : sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
-    robust : bool
-        Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
-    variance_components : str, optional
-        Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
-    held_to : float
-        Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
-        readings hardly determine from wandering off.
-
-    Returns
-    -------
-    Adjustment
-        In the frame of the first station unless control points, levels or a datum define another. Targets that the
-        readings in use do not determine are left out (`lost_targets`). Its solution
-        carries a status; an adjustment that did not converge is returned, not raised.
-
-    Raises
-    ------
-    NetworkError
-        When the readings do not tie a station to the rest.
-    ModelError
-        When `datum` names a target that does not exist, or too few.
-    """
-    built = construction or ideal()
-    model = MeasurementModel(recording, built, tuple(effects))
-    gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
-    if start is None:
-        reached, lost = reached_network(recording)
-        tied = ~lost[recording.target]
-        usable = recording.with_readings(np.where(tied[:, None], recording.readings, np.nan))
-        (position, rotation, points), gross = screened(usable, *reached)
-        parameters = np.zeros((len(recording.instruments), built.size))
-        start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
-    elif len(start.extra) != model.extra_size:
-        start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
-    keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
-    chosen = keep if use is None else keep & use
-    find = snooped if robust else _solved
-    whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to)
-    start = replace(start, position=whole.marks.on_marks(start.position, start.points))
-    whole = without_loose(whole, start)
-    problem, solution = find(whole, start)
-    components: tuple[Component, ...] = ()
-    if variance_components is not None:
-        given = problem, solution, variance_components
-        problem, solution, components = estimated_components(*given, find, whole.use)
-    untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
-    found = Adjustment(problem, solution, gross & ~problem.use.any(axis=1), components=components, untied=untied)
-    names = _datum_names(found, datum)
-    if not names or solution.factor is None or not problem.free.shape[1]:
-        return found
-    return _in_datum(found, names)
-
-
-def _datum_names(adjustment: Adjustment, chosen: Sequence[str] | None) -> tuple[str, ...]:
-    """The targets that were chosen for the datum, or those of the set-up that the readings determine."""
-    lost = adjustment.lost_targets
-    if chosen is None:
-        return tuple(name for name in stated_datum(adjustment.problem) if name not in lost)
-    for name in chosen:
-        if name in lost:
-            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
-    return tuple(chosen)
-
-
-def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:
-    return problem, solve(problem, start)
-
-
-def _in_datum(adjustment: Adjustment, names: Sequence[str]) -> Adjustment:
-    """The adjustment with state and covariances in the datum of these targets."""
-    problem, solution = adjustment.problem, adjustment.solution
-    state, turned = moved_to_datum(problem, solution.x, names)
-    solution = replace(solution, x=state)
-    if turned > TURNED:  # The factor belongs to the frame it was computed in.
-        again = solve(problem, state)
-        solution = replace(again, iterations=solution.iterations, status=solution.status)
-    if solution.factor is None:
-        return replace(adjustment, solution=solution)
-    return replace(adjustment, solution=solution, datum=InnerDatum.of(problem, state, solution.factor, names))
 
 
 def observable_name(column: int) -> str:

@@ -1,7 +1,7 @@
 """One pose or one point from whatever was read: small fits from many starts at once, the best is taken.
 
-Used only for start values, where a station or a target cannot be had in closed form: bearings without ranges, ranges
-without bearings, a level, a known mark.
+Used only for approximate coordinates, where a station or a target cannot be had in closed form: bearings without
+ranges, ranges without bearings, a level, a known mark.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SAME = 1e-3
 CLEARLY = 4.0
 """A solution is clear when the next best one is this many times worse (in standard deviations, squared)."""
 WORST = 300.0
-"""[standard deviations, rms]: start values that fit worse than this are none."""
+"""[standard deviations, rms]: approximate coordinates that fit worse than this are none."""
 FLOOR = 1e-4
 """[share of the range, rad] taken for the standard deviation of everything: neighbours are only roughly placed yet."""
 BEST = 150

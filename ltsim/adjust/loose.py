@@ -1,4 +1,4 @@
-"""Targets that the readings in use do not place: they are left out, and the rest of the network is adjusted."""
+"""What the readings in use do not place: such targets are left out, such a station is named."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools
+from ltsim.geometry.rigid import holds_pose
 from ltsim.model.measurement import State
 from ltsim.solve.rank import FORMED
 
@@ -24,11 +25,8 @@ def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
         idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
         if not loose.any() and not idle.any():
             return problem
-        problem = replace(
-            problem,
-            use=problem.use & ~loose[problem.model.recording.target][:, None],
-            gauge=replace(gauge, sigma=np.where(idle, np.inf, gauge.sigma)),
-        )
+        problem = replace(problem, gauge=replace(gauge, sigma=np.where(idle, np.inf, gauge.sigma)))
+        problem = problem.using(problem.use & ~loose[problem.model.recording.target][:, None])
 
 
 def loose_targets(problem: NetworkProblem, state: State) -> Bools:
@@ -52,3 +50,23 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     spread = np.linalg.eigvalsh(normal)
     loose: Bools = doubtful & (spread[:, 0] <= FORMED * spread[:, 2])
     return loose
+
+
+def poseless(problem: NetworkProblem, state: State) -> str:
+    """A sentence: a station whose targets leave its pose open, as geometry alone decides; empty where there is none.
+
+    Set-ups over marks and stations without readings are not asked.
+    """
+    recording, marks = problem.model.recording, problem.marks
+    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    used = problem.use.any(axis=1)
+    seen[recording.station[used], recording.target[used]] = True
+    vertical = np.full((len(seen), 3), np.nan)
+    vertical[problem.levels.station] = problem.levels.vertical
+    free = np.array([not name for name in marks.names]) & seen.any(axis=1)
+    few = np.flatnonzero(free & ~holds_pose(state.points, seen, vertical))
+    if not len(few):
+        return ""
+    levelled = few[0] in problem.levels.station
+    what = "two targets that are not above one another" if levelled else "three targets off one line"
+    return f"station {recording.stations[few[0]]} sees fewer than {what}; a pose needs them"

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
-from ltsim.effects.signature import parameter_names
 
 
 @dataclass(frozen=True)
@@ -45,27 +43,3 @@ def correlation(covariance: Floats) -> Floats:
     matrix: Floats = np.clip(covariance * np.outer(unit, unit), -1.0, 1.0)
     np.fill_diagonal(matrix, 1.0)
     return matrix
-
-
-@dataclass(frozen=True)
-class Correlated:
-    """Two parameters and their correlation."""
-
-    first: str
-    second: str
-    value: float
-
-
-def parameter_correlations(adjustment: Adjustment, least: float = 0.0) -> tuple[Correlated, ...]:
-    """Correlations of all instrument and effect parameters that are at least so large, the largest first."""
-    names, layout = [], adjustment.problem.layout
-    several = len(adjustment.recording.instruments) > 1
-    for instrument in adjustment.recording.instruments:
-        names += [name + (f"@{instrument}" if several else "") for name in adjustment.construction.names]
-    names += parameter_names(adjustment.effects)
-    columns = np.concatenate([layout.instrument.ravel(), layout.extra])
-    matrix = correlation(adjustment.covariance_of(columns[None])[0])
-    first, second = np.triu_indices(len(names), 1)
-    size = np.abs(matrix[first, second])
-    chosen = [k for k in np.argsort(-size, kind="stable") if size[k] >= least]
-    return tuple(Correlated(names[first[k]], names[second[k]], float(matrix[first[k], second[k]])) for k in chosen)

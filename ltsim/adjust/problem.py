@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,8 @@ import scipy.sparse as sp
 
 from ltsim.adjust.layout import Layout
 from ltsim.adjust.marks import Marks
-from ltsim.adjust.rows import VERTICAL, ControlRows, GaugeRows, LevelRows, free_motions
+from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
+from ltsim.adjust.structure import Structure
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
@@ -23,27 +24,6 @@ DATUM_SIGMA = np.full(6, 1e-8)
 station's frame wants one far below the sigmas of the network, the numbers one not too far."""
 WEAK = 300.0
 """Prior sigmas to which further effects are held: far beyond any plausible size."""
-
-
-@dataclass(frozen=True)
-class Undetermined:
-    """Unknowns that no reading in use says anything about: they stay where they are.
-
-    Attributes
-    ----------
-    yaw, tilt : int arrays
-        Stations without azimuths, and those without any angle or level.
-    height : int array
-        Levelled stations that only read azimuths.
-    place, target : int arrays
-        Stations and targets without any reading.
-    """
-
-    yaw: Ints
-    tilt: Ints
-    height: Ints
-    place: Ints
-    target: Ints
 
 
 @dataclass(frozen=True)
@@ -67,6 +47,8 @@ class NetworkProblem:
         Rigid motions that only the datum holds.
     use : (n, 3) bool
         Readings in use.
+    structure : Structure
+        What these and the set-up fix.
     """
 
     model: MeasurementModel
@@ -80,6 +62,7 @@ class NetworkProblem:
     levels: LevelRows
     marks: Marks
     known_marks: ControlRows
+    structure: Structure
 
     @classmethod
     def of(
@@ -93,27 +76,42 @@ class NetworkProblem:
         """The problem of a model; `use` (n, 3) leaves readings out, further effects are `held_to` so many priors."""
         recording = model.recording
         marks = Marks.of(recording)
-        control, levels = ControlRows.of(recording), LevelRows.of(recording)
+        gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording)
         known_marks = ControlRows.of_stations(recording, marks)
+        used = recording.measured if use is None else recording.measured & use
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior_sigma=prior_sigmas(recording, model.construction),
             extra_sigma=held_to * _plausible_sizes(model),
             free=free_motions(control, known_marks, levels),
-            use=recording.measured if use is None else recording.measured & use,
-            gauge=GaugeRows.of(recording),
+            use=used,
+            gauge=gauge,
             control=control,
             levels=levels,
             marks=marks,
             known_marks=known_marks,
+            structure=Structure.of(model, used, gauge, control, levels, marks, known_marks),
         )
 
-    @cached_property
+    def using(self, use: Bools) -> NetworkProblem:
+        """The problem with other readings (n, 3) in use."""
+        rows = self.gauge, self.control, self.levels, self.marks, self.known_marks
+        return replace(self, use=use, structure=Structure.of(self.model, use, *rows, layout=self.layout))
+
+    def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
+        """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
+        return replace(self, model=model, sigma=model.recording.sigma())
+
+    @property
     def layout(self) -> Layout:
         """Places of the unknowns."""
-        kept = set(self.gauge.first.tolist()) | set(self.gauge.second.tolist())
-        return Layout.of(self.model, kept, self.marks)
+        return self.structure.layout
+
+    @property
+    def unseen_targets(self) -> Bools:
+        """(T,) True where no reading to a target is in use and no set-up stands on it."""
+        return self.structure.unseen
 
     def residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
@@ -132,7 +130,7 @@ class NetworkProblem:
         control = self.control.residual(state.points)
         marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
-        held = np.zeros(len(self._held_columns))
+        held = np.zeros(self.structure.held)
         prior = -(state.instrument / self.prior_sigma)[np.isfinite(self.prior_sigma)]
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
@@ -144,7 +142,10 @@ class NetworkProblem:
 
     def linearise(self, state: State) -> BlockSystem:
         """The whitened system at a state."""
-        prediction = self.model.linearised(state)
+        return self.system(state, self.model.linearised(state))
+
+    def system(self, state: State, prediction: Prediction) -> BlockSystem:
+        """The whitened system at a state whose readings are predicted already."""
         data = np.concatenate([values.ravel() for values in self._values(state, prediction)])
         indices, pointers = self._pattern
         design = sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, self.layout.size))
@@ -170,14 +171,14 @@ class NetworkProblem:
         pointings = np.repeat(np.concatenate([*at, everywhere], axis=1)[:, None, :], 3, axis=1)[self.use]
         ends = [layout.target[self.gauge.first], layout.target[self.gauge.second]]
         gauge = np.concatenate([*ends, np.broadcast_to(layout.extra, (len(self.gauge), len(layout.extra)))], axis=1)
-        anchors = layout.pose[self._anchors[0]].ravel()
+        anchors = layout.pose[self.structure.anchors].ravel()
         return [
             pointings,
             gauge,
             layout.target[self.control.target][self.control.axes][:, None],
             layout.pose[self.known_marks.target, :3][self.known_marks.axes][:, None],
             np.repeat(layout.pose[self.levels.station, 3:], 2, axis=0),
-            self._held_columns,
+            self.structure.held_columns,
             layout.instrument[np.isfinite(self.prior_sigma)][:, None],
             layout.extra[np.isfinite(self.extra_sigma)][:, None],
             np.broadcast_to(anchors, (self.free.shape[1], len(anchors))),
@@ -195,7 +196,7 @@ class NetworkProblem:
             self.control.weights(),
             self.known_marks.weights(),
             self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
-            self._held_values(state),
+            self.structure.held_directions(state) / DATUM_SIGMA[0],
             1.0 / self.prior_sigma[np.isfinite(self.prior_sigma)],
             1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
             self._datum_values(state),
@@ -207,60 +208,9 @@ class NetworkProblem:
         columns = [effect.gauge_design(*ends, state.points) for effect in self.model.effects]
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
-    @cached_property
-    def unseen_targets(self) -> Bools:
-        """(T,) True where no reading to a target is in use and no set-up stands on it."""
-        seen = np.bincount(self.model.recording.target, self.use.any(axis=1), len(self.model.recording.targets))
-        seen[self.control.target] += 1
-        seen[self.marks.target[self.marks.target >= 0]] += 1
-        return seen == 0
-
-    @cached_property
-    def _undetermined(self) -> Undetermined:
-        """What the readings of single stations and targets leave open, by counting."""
-        station, count = self.model.recording.station, len(self.model.recording.stations)
-        range_, azimuth, elevation = (np.bincount(station, self.use[:, i], count) > 0 for i in range(3))
-        level, alone = np.zeros(count, dtype=bool), self.marks.first == np.arange(count)
-        level[self.levels.station] = True
-        alone &= self.marks.target < 0
-        alone[self.known_marks.target] = False
-        return Undetermined(
-            yaw=np.flatnonzero(~azimuth),
-            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
-            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
-            target=np.flatnonzero(self.unseen_targets),
-        )
-
-    @cached_property
-    def _held_columns(self) -> Ints:
-        """Columns (h, 3) of what no reading determines."""
-        layout, open_ = self.layout, self._undetermined
-        single = [layout.target[open_.target], layout.pose[open_.place, :3], layout.pose[open_.height, 2:3]]
-        rows = [layout.pose[open_.yaw, 3:], np.repeat(layout.pose[open_.tilt, 3:], 2, axis=0)]
-        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
-
-    def _held_values(self, state: State) -> Floats:
-        yaw = state.rotation[self._undetermined.yaw] @ VERTICAL
-        tilt = np.swapaxes(state.rotation[self._undetermined.tilt], 1, 2)[:, :2].reshape(-1, 3)
-        single = np.zeros((len(self._held_columns) - len(yaw) - len(tilt), 3))
-        single[:, 0] = 1.0
-        rows: Floats = np.concatenate([yaw, tilt, single]) / DATUM_SIGMA[0]
-        return rows
-
-    @cached_property
-    def _anchors(self) -> tuple[Ints, bool]:
-        """Stations that the datum rows hold, and whether their turns too.
-
-        The first whose yaw is known; where no station has any (distances alone), the positions of all.
-        """
-        everywhere = np.arange(len(self.model.recording.stations))
-        turned = np.setdiff1d(everywhere, self._undetermined.yaw)
-        return (turned[:1], True) if len(turned) else (everywhere, False)
-
     def _datum_values(self, state: State) -> Floats:
         """Rows (f, 6 a) that hold the anchors against the free rigid motions."""
-        anchors, turned = self._anchors
+        anchors, turned = self.structure.anchors, self.structure.anchors_turn
         motion = self.free / np.linalg.norm(self.free, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
         shift = motion[:3].T[:, None, :] + np.cross(turn, state.position[anchors][None])
@@ -279,7 +229,7 @@ class NetworkProblem:
         priors = int(np.isfinite(self.prior_sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
-        unknown = self.layout.size - self.free.shape[1] - len(self._held_columns)
+        unknown = self.layout.size - self.free.shape[1] - self.structure.held
         return int(self.use.sum()) + known - unknown
 
 

@@ -50,7 +50,7 @@ def snooped(
     rejected = _doubtful(problem, state, factor, limit)
     seen: set[bytes] = set()
     while True:
-        kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
+        kept = without_loose(problem.using(problem.use & ~rejected), state)
         solution = solve(kept, state)
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             rejected = _half(problem, state, rejected)
@@ -61,7 +61,7 @@ def snooped(
         if np.array_equal(new, rejected):
             return kept, solution
         if new.tobytes() in seen or len(seen) == ROUNDS:  # On the edge: what is out in either stays out.
-            last = without_loose(replace(problem, use=problem.use & ~(new | rejected)), state)
+            last = without_loose(problem.using(problem.use & ~(new | rejected)), state)
             ended = solve(last, state)
             return (kept, solution) if ended.factor is None else (last, ended)
         rejected = new

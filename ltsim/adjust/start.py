@@ -1,4 +1,4 @@
-"""Start values from the recording alone: stations joined one by one, in closed form wherever that is possible."""
+"""Approximate coordinates from the recording alone: stations joined one by one, in closed form where possible."""
 
 from __future__ import annotations
 

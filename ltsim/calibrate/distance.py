@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.problem import prior_sigmas
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, flat_names
 from ltsim.calibrate.correct import corrected_readings

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.result import (

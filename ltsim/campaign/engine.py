@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaign.judge import Columns, Judge

@@ -17,7 +17,7 @@ REACHED = 1e-9
 STEPS = 8
 
 
-Chain = tuple[Ints, Ints, Floats, Ints, Floats, Ints, Ints, Ints, Floats, Floats]
+ChainArrays = tuple[Ints, Ints, Floats, Ints, Floats, Ints, Ints, Ints, Floats, Floats]
 """`ChainProgram.arrays`."""
 
 
@@ -45,7 +45,7 @@ def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tupl
 
 
 @compiled
-def _amounts(i: int, chain: Chain, deviation: Floats, values: Floats, out: Floats) -> None:
+def _amounts(i: int, chain: ChainArrays, deviation: Floats, values: Floats, out: Floats) -> None:
     """Deviation (M, B) of each motion's amount at pointing i for reading deviations (3, B) and values (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     trials = out.shape[1]
@@ -76,7 +76,7 @@ def _amounts(i: int, chain: Chain, deviation: Floats, values: Floats, out: Float
 
 
 @compiled
-def _walk(i: int, chain: Chain, moved: Floats, path: Floats) -> None:
+def _walk(i: int, chain: ChainArrays, moved: Floats, path: Floats) -> None:
     """Carry the point from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
     turns, axis, _, _, amount, _, _, _, _, _ = chain
     trials = moved.shape[1]
@@ -108,7 +108,7 @@ def _walk(i: int, chain: Chain, moved: Floats, path: Floats) -> None:
 @compiled
 def _pull_back(
     i: int,
-    chain: Chain,
+    chain: ChainArrays,
     deviation: Floats,
     moved: Floats,
     path: Floats,
@@ -155,7 +155,7 @@ def _pull_back(
 
 @compiled
 def points_of(
-    chain: Chain,
+    chain: ChainArrays,
     instrument: Ints,
     deviation: Floats,
     values: Floats,
@@ -175,7 +175,7 @@ def points_of(
 
 @compiled
 def readings_of(
-    chain: Chain,
+    chain: ChainArrays,
     instrument: Ints,
     local: Floats,
     by_point: Floats,
@@ -209,7 +209,7 @@ def readings_of(
 
 @compiled
 def pull_points(
-    chain: Chain,
+    chain: ChainArrays,
     instrument: Ints,
     owner: Ints,
     target: Ints,
@@ -238,7 +238,7 @@ def pull_points(
 
 @compiled
 def network_gradient(
-    chain: Chain,
+    chain: ChainArrays,
     instrument: Ints,
     station: Ints,
     target: Ints,

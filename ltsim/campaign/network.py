@@ -11,7 +11,7 @@ the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -30,8 +30,6 @@ from ltsim.solve.chain import inverse_of
 from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 CAP = 8
-STRUCTURE = ("layout", "_undetermined", "_held_columns", "_anchors", "unseen_targets")
-"""What of a problem depends on the set-up and on which pointings there are, not on where things stand."""
 TOLERANCE = 1e-4
 """A trial has converged when its step is shorter than this many standard deviations (all unknowns together)."""
 
@@ -120,10 +118,7 @@ class BatchNetwork:
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.known is None:
             return NetworkProblem.of(model)
-        other = self.known.network.problem
-        problem = replace(other, model=model, sigma=self.recording.sigma())
-        vars(problem).update({name: getattr(other, name) for name in STRUCTURE})
-        return problem
+        return self.known.network.problem.elsewhere(model)
 
     @cached_property
     def nominal(self) -> State:
@@ -147,9 +142,10 @@ class BatchNetwork:
         return pose, targets, values, values + layout.extra.size
 
     @cached_property
-    def _order(self) -> Ints:
+    def order(self) -> Ints:
+        """Columns (K,) of the problem's design in the order of this class: poses, targets, parameters, effects."""
         if self.known is not None:
-            return self.known.network._order
+            return self.known.network.order
         layout = self.problem.layout
         parts = (layout.pose, layout.target, layout.instrument, layout.extra)
         order = np.concatenate([part.ravel() for part in parts])
@@ -160,27 +156,11 @@ class BatchNetwork:
     @cached_property
     def _design(self) -> tuple[Floats, Floats, Floats]:
         """Whitened design of all rows (m, K), of the rows beyond the readings, and their nominal residuals."""
-        count = int(self.problem.use.sum())
-        if self.known is None:
-            system = self.problem.linearise(self.nominal)
-            dense, residual = system.design.toarray()[:, self._order], system.residual
-        else:
-            prediction = self._prediction(self.known)
-            dense = np.zeros((len(self.problem._pattern[1]) - 1, self.sizes[-1]))
-            values = self.problem._values(self.nominal, prediction)
-            dense.ravel()[self._entries] = np.concatenate([v.ravel() for v in values])
-            residual = self.problem._residual_rows(self.nominal, prediction.readings)
-        return dense, np.ascontiguousarray(dense[count:]), residual[count:]
-
-    @cached_property
-    def _entries(self) -> Ints:
-        """Place of every value of the design's pattern in the dense one."""
-        columns, pointers = self.problem._pattern
-        place = np.empty_like(self._order)
-        place[self._order] = np.arange(len(place))
-        rows = np.repeat(np.arange(len(pointers) - 1), np.diff(pointers))
-        entries: Ints = rows * len(place) + place[columns]
-        return entries
+        problem, count = self.problem, int(self.problem.use.sum())
+        known = problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
+        system = problem.system(self.nominal, known)
+        dense = system.design.toarray()[:, self.order]
+        return dense, np.ascontiguousarray(dense[count:]), system.residual[count:]
 
     def _prediction(self, known: Known) -> Prediction:
         """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""

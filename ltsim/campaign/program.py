@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaign.kernels import Chain
+from ltsim.campaign.kernels import ChainArrays
 from ltsim.kinematics.chain import Motion, Turn
 from ltsim.model.construction import Construction
 
@@ -58,7 +58,7 @@ class ChainProgram:
     slope: Floats
 
     @property
-    def arrays(self) -> Chain:
+    def arrays(self) -> ChainArrays:
         """What a kernel takes, in its order."""
         return (
             self.turns,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.calibrate import calibrate_distance
 from ltsim.campaign.engine import CONVERGED, FAILED, STATUSES, Calibrated, determined_points, recording_of

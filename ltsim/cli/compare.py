@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Robust, Source, names_of, recording_of
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.bank import Bank, Hypothesis

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.diagnosis import Estimate
 from ltsim.effects.signature import Parameter, Signature, Tunable

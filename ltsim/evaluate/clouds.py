@@ -76,28 +76,24 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
     """
     placed = np.full_like(clouds, np.nan)
     placed[0] = clouds[0]
-    waiting = list(range(1, len(clouds)))
     seen = np.isfinite(clouds[:, :, 0])
-    while waiting:
-        direct = [int(np.sum(seen[s] & seen[0])) for s in waiting]
-        best = int(np.argmax(direct))
+    total, count = np.where(seen[0][:, None], clouds[0], 0.0), seen[0].astype(np.int64)
+    direct, known = seen @ seen[0].astype(np.int64), seen @ seen[0].astype(np.int64)
+    waiting = np.arange(len(clouds)) > 0
+    while waiting.any():
+        station = int(np.argmax(np.where(waiting, direct, -1)))
         goal = clouds[0]
-        if direct[best] < 3:
-            goal = _mean_of(placed)
-            known = np.isfinite(goal[:, 0])
-            best = int(np.argmax([np.sum(seen[s] & known) for s in waiting]))
-        station = waiting.pop(best)
+        if direct[station] < 3:
+            station = int(np.argmax(np.where(waiting, known, -1)))
+            goal = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
+        waiting[station] = False
         try:
             placed[station] = on_points(clouds[station], goal)
         except NetworkError as problem:
             message = f"station {names[station]} cannot be joined to the others: {problem}"
             raise NetworkError(message) from None
+        new = seen[station] & (count == 0)
+        known += seen[:, new].sum(axis=1)
+        total[seen[station]] += placed[station, seen[station]]
+        count += seen[station]
     return placed
-
-
-def _mean_of(placed: Floats) -> Floats:
-    have = np.isfinite(placed)
-    count = have.sum(axis=0)
-    total = np.where(have, placed, 0.0).sum(axis=0)
-    mean: Floats = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    return mean

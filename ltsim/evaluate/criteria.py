@@ -8,20 +8,23 @@ the mean-based one behind the paper's Table 3, `distance_to_first` the other.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.evaluate.clouds import in_first_frame, measured_points, station_means
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
+
+AT_ONCE = 2_000_000
+"""Sights of pairs of targets that are held in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +129,46 @@ def pair_distances(cloud: Floats) -> Floats:
     return lengths
 
 
-def _pairs(count: int) -> np.ndarray:
-    return np.stack(np.triu_indices(count, k=1), axis=1)
+@dataclass(frozen=True)
+class Sights:
+    """Some pairs (p, 2) of points, and every observer's distance (q,) [m] between two of them that it sees.
+
+    place (q,) is the pair, observer (q,) who sees it, in ascending order.
+    """
+
+    pairs: Ints
+    place: Ints
+    observer: Ints
+    length: Floats
+
+    def sum(self, values: Floats, which: Bools) -> tuple[Floats, Ints]:
+        """Sum (p,) and number (p,) of some of the values (q,), pair by pair."""
+        place, size = self.place[which], len(self.pairs)
+        return np.bincount(place, values[which], size), np.bincount(place, minlength=size)
+
+
+def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
+    """All pairs of points that some observer sees, block by block: memory follows what is seen, not all pairs.
+
+    `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen; pairs come in the order of `np.triu_indices`.
+    """
+    seen = np.isfinite(clouds[:, :, 0])
+    later = seen[:, ::-1].cumsum(axis=1)[:, ::-1] - seen
+    edges = np.searchsorted(np.cumsum((seen * later).sum(axis=0)), np.arange(0, (seen * later).sum() + 1, AT_ONCE))
+    for low, high in pairwise([*np.unique(edges).tolist(), seen.shape[1]]):
+        first, second, observer = [], [], []
+        for s in np.flatnonzero(seen[:, low:high].any(axis=1)):
+            own = np.flatnonzero(seen[s, low:])
+            rows, columns = np.nonzero(own[None] > own[own < high - low][:, None])
+            first.append(low + own[rows])
+            second.append(low + own[columns])
+            observer.append(np.full(len(rows), s))
+        if not first:
+            continue
+        a, b, s = (np.concatenate(part) for part in (first, second, observer))
+        pairs, place = np.unique(a * seen.shape[1] + b, return_inverse=True)
+        length = np.linalg.norm(clouds[s, a] - clouds[s, b], axis=1)
+        yield Sights(np.stack(np.divmod(pairs, seen.shape[1]), axis=1), place, s, length)
 
 
 def distance_differences(clouds: Floats) -> Differences:
@@ -138,25 +179,31 @@ def distance_differences(clouds: Floats) -> Differences:
     clouds : (S, T, 3) float, [m]
         Each station's targets in its own frame; NaN where not seen. Pairs seen by one station are left out.
     """
-    lengths = pair_distances(clouds)
-    have = np.isfinite(lengths)
-    count = have.sum(axis=0)
-    shared = count >= 2
-    lengths, have, count = lengths[:, shared], have[:, shared], count[shared]
-    mean = np.where(have, lengths, 0.0).sum(axis=0) / count
-    values = np.where(have, np.abs(lengths - mean), 0.0).sum(axis=0) / count
-    return Differences(_pairs(clouds.shape[1])[shared], values)
+    found = []
+    for sights in sights_of_pairs(clouds):
+        everywhere = np.ones(len(sights.place), dtype=bool)
+        total, count = sights.sum(sights.length, everywhere)
+        off, _ = sights.sum(np.abs(sights.length - (total / count)[sights.place]), everywhere)
+        found.append((sights.pairs[count >= 2], (off / count)[count >= 2]))
+    return _joined(found)
 
 
 def distance_differences_to_first(clouds: Floats) -> Differences:
     """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
-    lengths = pair_distances(clouds)
-    gap = np.abs(lengths[1:] - lengths[0])
-    have = np.isfinite(gap)
-    count = have.sum(axis=0)
-    shared = count >= 1
-    values = np.where(have, gap, 0.0).sum(axis=0)[shared] / count[shared]
-    return Differences(_pairs(clouds.shape[1])[shared], values)
+    found = []
+    for sights in sights_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])]):
+        others = sights.observer > 0
+        own = np.zeros(len(sights.pairs))
+        own[sights.place[~others]] = sights.length[~others]
+        total, count = sights.sum(np.abs(sights.length - own[sights.place]), others)
+        found.append((sights.pairs[count >= 1], total[count >= 1] / count[count >= 1]))
+    pairs = _joined(found)
+    return Differences(np.flatnonzero(np.isfinite(clouds[0, :, 0]))[pairs.items], pairs.values)
+
+
+def _joined(found: list[tuple[Ints, Floats]]) -> Differences:
+    items = [np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)]
+    return Differences(np.concatenate(items), np.concatenate([np.zeros(0), *(values for _, values in found)]))
 
 
 def coordinate_differences(placed: Floats) -> Differences:
@@ -167,13 +214,12 @@ def coordinate_differences(placed: Floats) -> Differences:
     placed : (S, T, 3) float, [m]
         All stations' targets in one frame; NaN where not seen.
     """
-    gaps = [np.linalg.norm(placed[m] - placed[n], axis=1) for m, n in combinations(range(len(placed)), 2)]
-    gap = np.stack(gaps) if gaps else np.full((1, placed.shape[1]), np.nan)
-    have = np.isfinite(gap)
-    count = have.sum(axis=0)
+    total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
+    for sights in sights_of_pairs(np.swapaxes(placed, 0, 1)):
+        total += np.bincount(sights.observer, sights.length, len(total))
+        count += np.bincount(sights.observer, minlength=len(total))
     shared = count >= 1
-    values = np.where(have, gap, 0.0).sum(axis=0)[shared] / count[shared]
-    return Differences(np.flatnonzero(shared)[:, None], values)
+    return Differences(np.flatnonzero(shared)[:, None], total[shared] / count[shared])
 
 
 def evaluate(

@@ -67,11 +67,6 @@ class TwoFaceComparison:
         """(3,) one minus the ratio of the rms: 1 when nothing is left, negative when parameters do harm."""
         return 1.0 - self.after.rms / self.before.rms
 
-    @property
-    def median_share_removed(self) -> Floats:
-        """The same of the medians of the absolute half differences."""
-        return 1.0 - self.after.median / self.before.median
-
     def only(self, pairs: Bools) -> TwoFaceComparison:
         """The comparison over some of the pairs, (m,) bool."""
         return TwoFaceComparison(self.before.only(pairs), self.after.only(pairs))

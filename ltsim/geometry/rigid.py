@@ -17,7 +17,7 @@ def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def holds_pose(points: Floats, seen: Bools, levelled: Bools | bool = False) -> Bools:
+def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None) -> Bools:
     """Whether (...) the targets that each station sees hold its six motions, as geometry alone decides.
 
     Three targets off one line do; a levelled station needs two that are not above one another.
@@ -27,15 +27,17 @@ def holds_pose(points: Floats, seen: Bools, levelled: Bools | bool = False) -> B
     points : (T, 3) float, [m]
     seen : (..., T) bool
         Targets that each station measures whole.
-    levelled : (...) bool
-        Stations whose vertical axis is held by a level; z is up.
+    vertical : (..., 3) float, optional
+        Unit vector of the plumb line that a level holds at each station, NaN without a level.
     """
     count = np.maximum(seen.sum(axis=-1), 1)
     centre = (seen @ points) / count[..., None]
     arms = (points - centre[..., None, :]) * seen[..., None]
     scatter = np.swapaxes(arms, -1, -2) @ arms
     spread = np.linalg.eigvalsh(scatter)
-    across, extent = scatter[..., 0, 0] + scatter[..., 1, 1], spread.sum(axis=-1)
-    upright = np.asarray(levelled) & (across > ON_A_LINE**2 * extent)
-    held: Bools = upright | (spread[..., 1] > ON_A_LINE**2 * spread[..., 2])
+    held: Bools = spread[..., 1] > ON_A_LINE**2 * spread[..., 2]
+    if vertical is not None:
+        extent = spread.sum(axis=-1)
+        across = extent - np.einsum("...i,...ij,...j->...", vertical, scatter, vertical)
+        held |= across > ON_A_LINE**2 * extent
     return held

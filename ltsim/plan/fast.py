@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.problem import DATUM_SIGMA
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
@@ -22,7 +23,6 @@ from ltsim.effects.noise import white_noise_sigma
 from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction, misalignment
-from ltsim.plan.information import nominal_adjustment
 from ltsim.plan.survey import Survey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
@@ -99,12 +99,12 @@ class Reducer:
         self.survey, self.effects = survey, tuple(effects)
         self.construction = construction or misalignment()
         whole = survey.replace(seen=np.ones_like(survey.seen))
-        adjustment = nominal_adjustment(
-            whole.recording(self.construction), whole.state(self.construction), self.construction
-        )
+        pointings, state = whole.recording(self.construction), whole.state(self.construction)
+        adjustment = Adjustment.planned(pointings, state, self.construction)
         problem = adjustment.problem
         self._rank_free, self._free = problem.free.shape[1], problem.free
-        self._levelled = np.isin(np.arange(self.stations), problem.levels.station)
+        self._vertical = np.full((self.stations, 3), np.nan)
+        self._vertical[problem.levels.station] = problem.levels.vertical
         self.prior_sigma = problem.prior_sigma[0]
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
@@ -216,7 +216,7 @@ class Reducer:
         x = np.concatenate([-t, turned, v], axis=3)
         flat = x.reshape(count, -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
-        held = holds_pose(self.survey.points, seen, self._levelled[at])
+        held = holds_pose(self.survey.points, seen, self._vertical[at])
         return StationBlocks(position, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:

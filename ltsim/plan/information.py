@@ -12,54 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
-from ltsim.geometry.rigid import holds_pose
 from ltsim.model.construction import Construction, misalignment
-from ltsim.model.measurement import MeasurementModel, State
 from ltsim.plan.survey import Survey
-from ltsim.recording.recording import Recording
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, gains, undetermined
-from ltsim.solve.blocks import Factor, SingularSystemError
-from ltsim.solve.gauss_newton import Solution, Status
-
-
-def nominal_adjustment(recording: Recording, state: State, construction: Construction) -> Adjustment:
-    """The adjustment that a recording of `state` would have, as if it had been solved.
-
-    Raises
-    ------
-    NetworkError
-        When the pointings do not determine poses and targets.
-    """
-    problem = NetworkProblem.of(MeasurementModel(recording, construction))
-    lost = _lost(problem, state)
-    if lost:
-        raise NetworkError(lost)
-    system = problem.linearise(state)
-    try:
-        factor = Factor(system)
-    except SingularSystemError:
-        message = "the pointings do not determine all poses and targets; let stations share more targets"
-        raise NetworkError(message) from None
-    solution = Solution(state, system.cost, 0, Status.CONVERGED, factor, system)
-    return Adjustment(problem, solution, np.zeros(len(recording), dtype=bool))
-
-
-def _lost(problem: NetworkProblem, state: State) -> str:
-    """A sentence: what geometry alone finds missing in a network; empty where nothing is."""
-    recording = problem.model.recording
-    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-    seen[recording.station, recording.target] = True
-    levelled = np.isin(np.arange(len(seen)), problem.levels.station)
-    few = np.flatnonzero(~holds_pose(state.points, seen, levelled))
-    if len(few):
-        name, need = recording.stations[few[0]], "two that are not above one another" if levelled[few[0]] else "three"
-        return f"station {name} sees fewer than {need} targets off one line; a pose needs at least {need}"
-    unseen = np.flatnonzero(~seen.any(axis=0))
-    return f"target {recording.targets[unseen[0]]} is seen from no station" if len(unseen) else ""
 
 
 @dataclass(frozen=True)
@@ -86,7 +44,10 @@ class LayoutInformation:
             When the survey does not determine its poses and targets.
         """
         built = construction or misalignment()
-        return cls(survey, nominal_adjustment(survey.recording(built), survey.state(built), built))
+        unseen = np.flatnonzero(~survey.seen.any(axis=0))
+        if len(unseen):
+            raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")
+        return cls(survey, Adjustment.planned(survey.recording(built), survey.state(built), built))
 
     @property
     def construction(self) -> Construction:

@@ -15,6 +15,8 @@ from ltsim.plan.fast import Reduced
 from ltsim.remedies.detectability import search_noncentrality
 
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
+LEAST_IMPROVEMENT = 1e-4
+"""Relative improvement under which a sweep of exchanges counts as none."""
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,13 @@ from ltsim.errors import SetupError
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction
 from ltsim.plan.fast import Reduced, Reducer
-from ltsim.plan.objective import Objective
+from ltsim.plan.objective import LEAST_IMPROVEMENT, Objective
 from ltsim.plan.site import Site
 from ltsim.plan.survey import Survey
 from ltsim.scene.visibility import aimed_normals
 
-SWEEPS, ENOUGH = 8, 1e-4
-"""Rounds of exchanges at most, and the least improvement, relative, that is worth another one."""
+SWEEPS = 8
+"""Rounds of exchanges at most."""
 
 
 @dataclass(frozen=True)
@@ -227,6 +227,6 @@ def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: I
             if values[best] < value:
                 chosen[i], value = free[best], float(values[best])
                 total = without + table.terms[chosen[i]]
-        if value > before * (1 - ENOUGH):
+        if value > before * (1 - LEAST_IMPROVEMENT):
             break
     return chosen

@@ -15,14 +15,12 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction, misalignment
 from ltsim.plan.fast import Reducer, StationBlocks
-from ltsim.plan.objective import Objective
+from ltsim.plan.objective import LEAST_IMPROVEMENT, Objective
 from ltsim.plan.site import Site
 from ltsim.randomness import stream
 
 CHUNK = 64
 SWEEPS = 12
-GAIN = 1e-4
-"""Relative gain under which a sweep counts as none."""
 TRIES = 200
 DRAWS = 24
 
@@ -191,7 +189,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
-            if value > before * (1 - GAIN):
+            if value > before * (1 - LEAST_IMPROVEMENT):
                 break
         return layout, value
 
@@ -207,7 +205,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
-            if value > before * (1 - GAIN):
+            if value > before * (1 - LEAST_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import Remedy, known_length, near_reflectors, other_face, returns
 from ltsim.remedies.undetermined import DETERMINED, Direction
 from ltsim.remedies.words import advice
-from ltsim.solve.blocks import SingularSystemError
 
 MATERIAL = 0.05
 """Least rise of a gain that is worth a measurement."""
@@ -55,7 +55,7 @@ def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) ->
     """Gain along each direction of each instrument in a network; none in one too poor to be solved."""
     try:
         covariance, prior = network.parameter_covariance()
-    except SingularSystemError:
+    except NetworkError:
         return [[0.0 for _ in own] for own in directions]
     return [
         [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in own]

@@ -14,28 +14,16 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.loose import without_loose
-from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.rows import GaugeRows
 from ltsim.arrays import Floats, Ints
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import GaugeDistance
-from ltsim.solve.blocks import Factor
-from ltsim.solve.gauss_newton import Solution, Status
 from ltsim.units import MILLIMETRE
 
 SECONDS = 15.0
 """Time of a pointing where the recording has no clock."""
-
-
-def planned_adjustment(recording: Recording, state: State, construction: Construction) -> Adjustment:
-    """The adjustment that a recording of `state` would have, as if it had been solved."""
-    problem = without_loose(NetworkProblem.of(MeasurementModel(recording, construction)), state)
-    system = problem.linearise(state)
-    solution = Solution(state, system.cost, 0, Status.CONVERGED, Factor(system), system)
-    return Adjustment(problem, solution, np.zeros(len(recording), dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -74,10 +62,10 @@ class Network:
 
         Raises
         ------
-        SingularSystemError
+        NetworkError
             When the pointings leave a pose undetermined.
         """
-        return planned_adjustment(self.recording, self.state, self.construction)
+        return Adjustment.planned(self.recording, self.state, self.construction)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import stated_construction

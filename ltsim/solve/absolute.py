@@ -52,7 +52,7 @@ def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) 
 
 
 def _descended(design: Floats, goal: Floats, near: Floats) -> Ints:
-    """Rows (k,) that are met at the vertex that no edge improves; on the way the edge that gains most."""
+    """Rows (k,) that are met at the vertex that no edge improves; on the way the steepest edge."""
     met = _first_vertex(design, goal, near)
     for _ in range(MOST_EDGES):
         inverse = np.linalg.inv(design[met])
@@ -60,12 +60,12 @@ def _descended(design: Floats, goal: Floats, near: Floats) -> Ints:
         residual[met] = 0.0
         pull = (np.sign(residual) @ design) @ inverse
         leaving = int(np.argmax(np.abs(pull)))
-        gain = abs(float(pull[leaving])) - 1.0
-        if gain <= ROUNDING:
+        slope = abs(float(pull[leaving])) - 1.0
+        if slope <= ROUNDING:
             return met
         along = design @ (np.sign(pull[leaving]) * inverse[:, leaving])
         along[met] = 0.0
-        met[leaving] = _where_it_turns(residual, along, gain)
+        met[leaving] = _where_it_turns(residual, along, slope)
     raise NetworkError(f"least absolute deviations: no best vertex after {MOST_EDGES} edges; check the readings")
 
 
@@ -79,9 +79,9 @@ def _first_vertex(design: Floats, goal: Floats, near: Floats) -> Ints:
     return met
 
 
-def _where_it_turns(residual: Floats, along: Floats, gain: float) -> int:
+def _where_it_turns(residual: Floats, along: Floats, slope: float) -> int:
     """The row that is met where the sum stops falling along an edge: a weighted median."""
     ahead = np.flatnonzero(residual * along > 0.0)
     order = ahead[np.argsort(residual[ahead] / along[ahead])]
     risen = np.cumsum(2.0 * np.abs(along[order]))
-    return int(order[min(int(np.searchsorted(risen, gain)), len(order) - 1)])
+    return int(order[min(int(np.searchsorted(risen, slope)), len(order) - 1)])

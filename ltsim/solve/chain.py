@@ -55,7 +55,7 @@ class Window:
     inverse: Floats
 
 
-class Chain:
+class BlockChain:
     """Factor of a positive definite sparse matrix.
 
     Parameters

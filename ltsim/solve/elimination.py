@@ -16,7 +16,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
-from ltsim.solve.chain import Chain, Window, inverse_of
+from ltsim.solve.chain import BlockChain, Window, inverse_of
 
 
 class Elimination(Protocol):
@@ -121,7 +121,7 @@ class SparseElimination:
         schur = normal[:kept, :kept] - self._carry @ across.T
         if damping:
             schur = schur + damping * sp.eye_array(kept)
-        self._chain = Chain(sp.csr_array(schur))
+        self._chain = BlockChain(sp.csr_array(schur))
 
     @property
     def smallest_pivot(self) -> float:

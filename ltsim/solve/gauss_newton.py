@@ -42,6 +42,7 @@ class Status(Enum):
     STALLED = "no step, however damped, lowers the sum of squares further"
     CAPPED = "the cap on iterations was reached before the steps became small"
     SINGULAR = "some unknowns are not determined by the observations at all"
+    PLANNED = "nothing was solved: the state is where the observations are planned"
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,26 @@ class Solution(Generic[X]):
 
     @property
     def converged(self) -> bool:
-        """True when the optimum was reached."""
-        return self.status is Status.CONVERGED
+        """True when x is the optimum: it was reached, or the observations are planned there."""
+        return self.status in (Status.CONVERGED, Status.PLANNED)
 
     def require_success(self) -> Solution[X]:
         """Itself, or `ConvergenceError` with the status sentence."""
         if not self.converged:
             raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
         return self
+
+
+def planned(problem: Problem[X], x: X) -> Solution[X]:
+    """The solution of observations that are to be made at x: all that is known of precision, nothing of readings.
+
+    Raises
+    ------
+    SingularSystemError
+        When they would leave a direction undetermined.
+    """
+    system = problem.linearise(x)
+    return Solution(x, system.cost, 0, Status.PLANNED, Factor(system), system)
 
 
 def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e-8) -> Solution[X]:

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
@@ -129,7 +129,7 @@ def observed_rows(adjustment: Adjustment) -> list[tuple[str, Ints]]:
     observable = np.nonzero(problem.use)[1]
     groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
     at = len(observable)
-    held = len(problem._held_columns)
+    held = problem.structure.held
     for name, count in (
         (LENGTHS, len(problem.gauge)),
         (CONTROL, problem.control.count + problem.known_marks.count),

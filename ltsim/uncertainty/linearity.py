@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.arrays import Floats
 from ltsim.randomness import stream
 from ltsim.uncertainty.inputs import Inputs

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.campaign.cell import truth_of as cell_truth
 from ltsim.campaign.engine import FAILED, FULL, STATUSES, Bench, Engine, recording_of
 from ltsim.campaign.truth import BLOCK, TrueEffect, Truth

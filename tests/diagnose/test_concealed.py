@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Signature, on_readings

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from ltsim.errors import NetworkError, RecordError
-from ltsim.evaluate import evaluate, read_nominal, share_removed, verify
+from ltsim.evaluate import criteria, evaluate, read_nominal, share_removed, verify
 from ltsim.evaluate.criteria import (
     coordinate_differences,
     distance_differences,
@@ -152,3 +153,32 @@ def test_share_of_the_correctable_error() -> None:
     half = share_removed(recording, TARGETS, construction, calibrated=values / 2, true_parameters=values)
     assert 0.4 < half.share < 0.6
     assert half.raw > half.calibrated > half.true_parameters > 0
+
+
+def test_blocks_of_pairs_change_nothing(monkeypatch) -> None:
+    rng = np.random.default_rng(2)
+    clouds = rng.normal(0, 4, (30, 3)) + rng.normal(0, 1e-5, (6, 30, 3))
+    clouds[rng.random((6, 30)) < 0.3] = np.nan
+    measures = (distance_differences, distance_differences_to_first, coordinate_differences)
+    whole = [measure(clouds) for measure in measures]
+    monkeypatch.setattr(criteria, "AT_ONCE", 100)
+    for measure, once in zip(measures, whole, strict=True):
+        found = measure(clouds)
+        np.testing.assert_array_equal(found.items, once.items)
+        np.testing.assert_allclose(found.values, once.values, rtol=1e-12)
+
+
+def test_memory_follows_what_is_seen_and_not_all_pairs() -> None:
+    """A tunnel of 100 set-ups: all pairs from all of them would be 2.5 GB."""
+    count, rng = 100, np.random.default_rng(3)
+    base = rng.normal(0, 4, (25 * (count + 1), 3))
+    clouds = np.full((count, len(base), 3), np.nan)
+    for s in range(count):
+        clouds[s, 25 * s : 25 * s + 50] = base[25 * s : 25 * s + 50] + rng.normal(0, 1e-5, (50, 3))
+    tracemalloc.start()
+    pairs, places = distance_differences(clouds), coordinate_differences(clouds)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(pairs.values) == 99 * 25 * 24 / 2
+    assert len(places.values) == 99 * 25
+    assert most < 60e6

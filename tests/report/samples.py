@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet as pq
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.calibrate import Calibration, calibrate_network, write_calibration
 from ltsim.calibrate.files import history_file, residuals_csv
 from ltsim.calibrate.history import History

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.randomness import stream
-from ltsim.solve.chain import SMALL, Chain, arrange
+from ltsim.solve.chain import SMALL, BlockChain, arrange
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
@@ -71,7 +71,7 @@ def test_a_matrix_without_a_narrow_order_is_one_block():
     size = SMALL + 60
     root = rng.standard_normal((size, size)) + size * np.eye(size)
     matrix = root @ root.T
-    chain = Chain(sp.csr_array(matrix))
+    chain = BlockChain(sp.csr_array(matrix))
     assert chain.count == 1
     np.testing.assert_allclose(chain.inverse(), np.linalg.inv(matrix), rtol=1e-8, atol=1e-12)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.errors import LtsimError
 from ltsim.model.construction import misalignment

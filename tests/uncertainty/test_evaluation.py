@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import misalignment

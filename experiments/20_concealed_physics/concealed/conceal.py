@@ -13,7 +13,7 @@ import numpy as np
 from concealed.hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
 from concealed.plan import Case
 from concealed.workshop import GAUGE_SIGMA, Scene, draw_scene
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.diagnose.bank import Bank

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment, adjust
+from ltsim.adjust import Adjustment, adjust
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.model.construction import stated_construction
 from ltsim.recording import Recording, read
