@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
+from ltsim.adjust.doubt import require_result
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.result import (
     criteria_of,
@@ -52,7 +53,8 @@ def calibrate_network(
     Raises
     ------
     NetworkError
-        When stations share too few targets, or control points leave nothing to a datum that was asked for.
+        When stations share too few targets, most pointings or the known points contradict the rest, or control points
+        leave nothing to a datum that was asked for.
     ModelError
         When the datum names a target that does not exist, or too few.
     ConvergenceError
@@ -81,6 +83,7 @@ def _adjusted(
     grouping: Grouping | None = "instrument" if noise_from_data else None
     found = adjust(recording, construction, robust=robust, variance_components=grouping, datum=datum)
     found.solution.require_success()
+    require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return found
