@@ -205,6 +205,12 @@ class Adjustment(Shown):
         return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
 
     @property
+    def lost_stations(self) -> tuple[str, ...]:
+        """Stations of whose pose the readings in use leave something open: it stays where the start had it."""
+        held = np.flatnonzero(self.problem.structure.held_poses.any(axis=1))
+        return tuple(self.recording.stations[s] for s in held)
+
+    @property
     def rejected(self) -> Bools:
         """(n, 3) bool: measured readings that were not used."""
         return self.recording.measured & ~self.problem.use
@@ -255,8 +261,14 @@ class Adjustment(Shown):
 
     @property
     def pose_covariance(self) -> Floats:
-        """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame."""
-        return self.covariance_of(self.problem.layout.pose)
+        """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame.
+
+        NaN for what no reading in use determines and the adjustment holds.
+        """
+        covariance = self.covariance_of(self.problem.layout.pose)
+        held = self.problem.structure.held_poses
+        covariance[held[:, :, None] | held[:, None, :]] = np.nan
+        return covariance
 
     @cached_property
     def target_covariance(self) -> Floats:

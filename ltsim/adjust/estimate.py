@@ -11,13 +11,14 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.components import Component, Grouping, estimated_components
 from ltsim.adjust.datum import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.loose import without_loose
+from ltsim.adjust.marks import Marks
 from ltsim.adjust.problem import WEAK, NetworkProblem
 from ltsim.adjust.screening import screened
 from ltsim.adjust.snooping import snooped
 from ltsim.adjust.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
@@ -77,12 +78,13 @@ def adjust(
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest.
+        When the readings do not tie a station to the rest, or a station measures the target that it stands on.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
     built = construction or ideal()
     model = MeasurementModel(recording, built, tuple(effects))
+    _check_marks(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     if start is None:
         reached, lost = reached_network(recording)
@@ -110,6 +112,20 @@ def adjust(
     if not names or solution.factor is None or not problem.free.shape[1]:
         return found
     return _in_datum(found, names)
+
+
+def _check_marks(recording: Recording) -> None:
+    """NetworkError where a set-up measures the mark under its own head: at range zero there is no direction."""
+    marks = Marks.of(recording)
+    height = np.linalg.norm(marks.offset, axis=1)
+    own = marks.target[recording.station] == recording.target
+    rows = np.flatnonzero(own & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
+    if len(rows):
+        station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
+        raise NetworkError(
+            f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
+            "state its instrument height or take the row out"
+        )
 
 
 def _datum_names(adjustment: Adjustment, chosen: Sequence[str] | None) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.rigid import holds_pose
 from ltsim.model.measurement import lift_of
 from ltsim.recording.recording import Recording
 
@@ -339,10 +340,17 @@ class Growth:
         recording = self._recording
         if not self._joined.all():
             lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~self._joined))
-            most = int(np.max(np.sum(self._seen & self._have, axis=1)[~self._joined]))
+            shared = self._seen & self._have
+            nearest = int(np.argmax(np.where(self._joined, -1, shared.sum(axis=1))))
+            most = int(shared[nearest].sum())
+            known = np.flatnonzero(shared[nearest])
+            if most >= 3 and not holds_pose(self._known()[known], np.ones(most, dtype=bool)):
+                what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
+            else:
+                what = f"shares only {most} targets with the rest of the network; at least three"
             raise NetworkError(
-                f"station {lost}: shares only {most} targets with the rest of the network; "
-                "at least three are needed (two between levelled stations, more where ranges or angles are missing)"
+                f"station {lost}: {what} are needed "
+                "(two between levelled stations, more where ranges or angles are missing)"
             )
         if not self._have.any():
             self.require_targets()

@@ -10,7 +10,7 @@ from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools
 from ltsim.geometry.rigid import holds_pose
 from ltsim.model.measurement import State
-from ltsim.solve.rank import FORMED
+from ltsim.solve.rank import POINT
 
 
 def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
@@ -48,7 +48,7 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     at, axis = np.nonzero(control.axes)
     np.add.at(normal, (control.target[at], axis, axis), control.weights()[:, 0] ** 2)
     spread = np.linalg.eigvalsh(normal)
-    loose: Bools = doubtful & (spread[:, 0] <= FORMED * spread[:, 2])
+    loose: Bools = doubtful & (spread[:, 0] <= POINT * spread[:, 2])
     return loose
 
 

@@ -87,6 +87,16 @@ class Structure:
         return np.concatenate([yaw, tilt, single])
 
     @property
+    def held_poses(self) -> Bools:
+        """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
+        held = np.zeros(self.layout.pose.shape, dtype=bool)
+        held[self.yaw, 3:] = True
+        held[self.tilt, 3:] = True
+        held[self.height, 2] = True
+        held[self.place, :3] = True
+        return held
+
+    @property
     def held(self) -> int:
         """Number h of held unknowns."""
         counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place)

@@ -1,14 +1,15 @@
-"""Which verdict to trust where the global test, data snooping and the two values of sigma0 disagree."""
+"""What is in doubt, and which verdict to trust where the global test, snooping and the two sigma0 disagree."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from scipy import stats
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.doubt import doubts
 from ltsim.adjust.reliability import FAMILY_LEVEL
 
 LEVEL = 0.05
@@ -27,6 +28,7 @@ class Case(Enum):
     LARGER_NOISE = "larger noise or a systematic effect"
     SMALLER_NOISE = "smaller noise"
     UNCHECKED = "nothing to test"
+    IN_DOUBT = "in doubt"
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,15 @@ def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY
     family : float
         Of all tests of single readings together.
     """
+    judged, open_ = _by_tests(adjustment, level, family), doubts(adjustment)
+    if not open_:
+        return judged
+    sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
+    case = Case.IN_DOUBT if judged.case is Case.CLEAN else judged.case
+    return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
+
+
+def _by_tests(adjustment: Adjustment, level: float, family: float) -> Verdict:
     dof, sigma0 = adjustment.dof, adjustment.sigma0
     if dof <= 0:
         return Verdict(

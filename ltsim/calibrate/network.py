@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
+from ltsim.adjust.doubt import require_result
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.result import (
     criteria_of,
@@ -56,7 +57,8 @@ def calibrate_network(
     Raises
     ------
     NetworkError
-        When stations share too few targets, or control points leave nothing to a datum that was asked for.
+        When stations share too few targets, most pointings or the known points contradict the rest, or control points
+        leave nothing to a datum that was asked for.
     ModelError
         When the datum names a target that does not exist, or too few.
     ConvergenceError
@@ -86,6 +88,7 @@ def _adjusted(
     modes = [RangeMode()] if construction.size and MODE_COLUMN in recording.circumstances else []
     found = adjust(recording, construction, effects=modes, robust=robust, variance_components=grouping, datum=datum)
     found.solution.require_success()
+    require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return found

@@ -72,6 +72,8 @@ def fit_line(calibration: Calibration) -> str:
         return f"construction {calibration.construction.name}: {ended}; no redundancy to test it with"
     verb = "agree" if fit.p_value >= AGREES else "do not agree"
     verdict = f"readings, model and stated noise {verb}"
+    if fit.p_value > 1.0 - AGREES:
+        verdict = "the readings scatter less than the stated noise says"
     if calibration.noise_estimated:
         verdict = "no test, the noise was estimated from the same readings"
     return (

@@ -144,7 +144,9 @@ class Sights:
     def sum(self, values: Floats, which: Bools) -> tuple[Floats, Ints]:
         """Sum (p,) and number (p,) of some of the values (q,), pair by pair."""
         place, size = self.place[which], len(self.pairs)
-        return np.bincount(place, values[which], size), np.bincount(place, minlength=size)
+        total = np.bincount(place, values[which], size).astype(np.float64)
+        count: Ints = np.bincount(place, minlength=size)
+        return total, count
 
 
 def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
@@ -157,12 +159,12 @@ def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
     edges = np.searchsorted(np.cumsum((seen * later).sum(axis=0)), np.arange(0, (seen * later).sum() + 1, AT_ONCE))
     for low, high in pairwise([*np.unique(edges).tolist(), seen.shape[1]]):
         first, second, observer = [], [], []
-        for s in np.flatnonzero(seen[:, low:high].any(axis=1)):
-            own = np.flatnonzero(seen[s, low:])
+        for station in np.flatnonzero(seen[:, low:high].any(axis=1)).tolist():
+            own = np.flatnonzero(seen[station, low:])
             rows, columns = np.nonzero(own[None] > own[own < high - low][:, None])
             first.append(low + own[rows])
             second.append(low + own[columns])
-            observer.append(np.full(len(rows), s))
+            observer.append(np.full(len(rows), station))
         if not first:
             continue
         a, b, s = (np.concatenate(part) for part in (first, second, observer))

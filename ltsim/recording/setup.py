@@ -7,15 +7,27 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+
+def _some_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not max(abs(component) for component in vector) > SHORT:
+        raise ValueError("a direction should not have length zero")
+    return vector
+
+
+SHORT = 1e-6
+"""Length below which a vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+Sigma = Annotated[float, Field(ge=1e-6, le=1e9, allow_inf_nan=False)]
+"""A standard deviation [mm, arcsec]: below a nanometre nothing is known, and numbers lose their digits."""
 Vector = tuple[Finite, Finite, Finite]
+Direction = Annotated[Vector, AfterValidator(_some_length)]
 EXACT_LEVEL_ARCSEC = 1e-3
 """Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
 
@@ -136,7 +148,7 @@ class Station(Section):
     """Height of the head above its mark."""
     over: str | None = None
     """Target whose mark the instrument stands over."""
-    vertical: Vector | None = None
+    vertical: Direction | None = None
     """Direction of plumb here, in the network's frame; z where it is not given."""
 
 
@@ -147,7 +159,7 @@ class Target(Section):
     weight; where `datum` is set, all such targets together define the frame by inner constraints.
     """
 
-    nest_normal: Vector | None = None
+    nest_normal: Direction | None = None
     """Where the open face of a fixed reflector looks, on the floor plan."""
     reflector: str | None = None
     """Name of the ball; targets that share one share its errors."""
@@ -155,7 +167,7 @@ class Target(Section):
     """Turned toward the station before each pointing."""
     known_mm: Vector | None = None
     """Coordinates of a control point: a condition with weight."""
-    known_sigma_mm: Positive = 0.01
+    known_sigma_mm: Sigma = 0.01
     """Standard deviation of each known coordinate."""
     known_axes: Axes = "xyz"
     """Which of the coordinates are known."""

@@ -17,11 +17,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
+from ltsim.errors import NetworkError
 from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
 from ltsim.solve.rank import DOUBTFUL, RANK
 from ltsim.solve.threads import in_one_thread
 
-UNDETERMINED = "the observations leave a direction undetermined"
+UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
 DENSE = 600_000
 """Designs with fewer entries are worked on as dense ones: sparse bookkeeping would cost more than the zeros."""
 
@@ -50,7 +51,7 @@ class BlockSystem:
         return float(self.residual @ self.residual)
 
 
-class SingularSystemError(Exception):
+class SingularSystemError(NetworkError):
     """The rows leave a direction of the unknowns undetermined (`ltsim.solve.rank`)."""
 
 

@@ -21,6 +21,10 @@ Fifty times the rounding of a Cholesky factorisation; a chain of 2,000 set-ups b
 FORMED = 1e-12
 """The same for a normal matrix that eliminations left, whose design is not at hand: its eigenvalues carry 1e-15."""
 
+POINT = 1e-10
+"""Least over largest eigenvalue of a point's normal matrix, below which a direction of the point is open: it is known
+100,000 times worse than the others."""
+
 
 def unit_diagonal(matrices: Floats, size: Floats) -> tuple[Floats, Floats]:
     """Symmetric matrices (..., k, k) scaled by the columns' squared lengths `size` (..., k), and the scale (..., k)."""

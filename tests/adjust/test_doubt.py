@@ -1,0 +1,120 @@
+"""A result that is none is refused with what would be right; what is in doubt is said first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.adjust.doubt import doubts
+from ltsim.adjust.verdict import Case, verdict
+from ltsim.calibrate import adjust_network
+from ltsim.errors import NetworkError
+from ltsim.geometry.polar import to_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Station, Target
+from tests.campaign.workshop import workshop
+
+
+def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:
+    """The workshop with its stated noise, from some of its stations."""
+    recording, _ = workshop()
+    keep = recording.station < stations
+    rows = {n: getattr(recording, n)[keep] for n in ("station", "target", "face", "repeat", "time", "readings")}
+    recording = recording.replace(**rows, stations=recording.stations[:stations])
+    noise = stream(seed, "doubt").standard_normal(recording.readings.shape) * recording.sigma()
+    return recording.with_readings(recording.readings + noise)
+
+
+def with_known(recording: Recording, points: np.ndarray) -> Recording:
+    """The recording with known coordinates of its first targets."""
+    named = zip(recording.targets, points, strict=False)
+    known = {name: Target(known_mm=tuple(1e3 * point), known_sigma_mm=0.01) for name, point in named}
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": known}))
+
+
+def test_a_sound_recording_has_no_doubts() -> None:
+    found = adjust(noisy())
+    assert doubts(found) == ()
+    assert verdict(found).case is Case.CLEAN
+    adjust_network(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
+
+
+def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
+    recording = noisy()
+    with pytest.raises(NetworkError, match=r"contradict each other .* they fit if the angles are in gon"):
+        adjust_network(recording.with_readings(recording.readings * [1.0, 200 / 180, 200 / 180]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda x: x * [1.0, -1.0, 1.0], "fit mirrored"),
+        (lambda x: 2.0 * x, "fit scaled by 0.5"),
+        (lambda x: 0.0 * x, "at one place"),
+        (lambda x: x[[1, 0, 2, 3, 5, 4, 6, 7]], "coordinates and names"),
+    ],
+)
+def test_known_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
+    with pytest.raises(NetworkError, match=rf"known points contradict the readings.*{words}"):
+        adjust_network(with_known(noisy(), change(workshop()[1].points[:8])))
+
+
+def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right() -> None:
+    recording = noisy(stations=2)
+    target = recording.target.copy()
+    first, second = (np.flatnonzero((recording.station == 1) & (target == t))[0] for t in (3, 17))
+    target[[first, second]] = target[[second, first]]
+    judged = verdict(adjust(recording.replace(target=target)))
+    assert judged.case is Case.IN_DOUBT
+    assert judged.sentence.startswith(f"{recording.targets[3]}, {recording.targets[17]}: two stations disagree")
+
+
+def test_a_station_with_clockwise_azimuths_is_doubted_aloud() -> None:
+    recording = noisy()
+    readings = recording.readings.copy()
+    readings[recording.station == 3, 1] *= -1
+    judged = verdict(adjust(recording.with_readings(readings)))
+    assert judged.case is not Case.CLEAN
+    assert "station S4" in judged.sentence or "Station S4" in judged.sentence
+
+
+def test_a_station_without_readings_left_has_no_standard_deviation() -> None:
+    """Names rotated at one station: nothing of it fits, and what is held is not known."""
+    recording = noisy()
+    own = recording.station == 2
+    target = recording.target.copy()
+    target[own] = np.roll(target[own], 5)
+    found = adjust(recording.replace(target=target), robust=True)
+    kept = found.problem.use[own].any()
+    sigma = np.sqrt(np.einsum("sii->si", found.pose_covariance))
+    assert np.isfinite(sigma[[0, 1, 3, 4]]).all()
+    if kept:
+        assert verdict(found).sentence.startswith("Station S3 keeps")
+    else:
+        assert np.isnan(sigma[2]).all()
+        assert found.lost_stations == ("S3",)
+        assert "station S3: it has no standard deviation" in verdict(found).sentence
+
+
+def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() -> None:
+    recording = noisy()
+    setup = recording.setup.model_copy(update={"stations": {"S2": Station(over="T03")}})
+    with pytest.raises(NetworkError, match=r"row 31: station S2 stands over target T03 and measures it"):
+        adjust(recording.replace(setup=setup))
+
+
+def test_targets_on_one_line_are_said_to_be_on_one_line() -> None:
+    recording, state = workshop()
+    line = state.points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
+    points = state.points.copy()
+    points[:10] = line
+    local = np.einsum(
+        "nji,nj->ni", state.rotation[recording.station], points[recording.target] - state.position[recording.station]
+    )
+    readings = to_polar(local)
+    readings[(recording.station == 4) & (recording.target >= 10)] = np.nan
+    with pytest.raises(NetworkError, match=r"S5: the 10 targets that it shares .* lie on one line"):
+        adjust(recording.with_readings(readings))
