@@ -8,6 +8,7 @@ from ltsim.cli.options import (
     ColumnMap,
     Datum,
     FormatName,
+    FrameFile,
     HintList,
     Json,
     NoiseFromData,
@@ -33,6 +34,7 @@ def adjust(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -43,7 +45,7 @@ def adjust(
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("adjusting"):

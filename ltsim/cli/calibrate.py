@@ -14,6 +14,7 @@ from ltsim.cli.options import (
     ColumnMap,
     Datum,
     FormatName,
+    FrameFile,
     HintList,
     Json,
     NoiseFromData,
@@ -67,6 +68,7 @@ def calibrate(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -80,7 +82,7 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": names_of(datum)}
     if method is not Method.NETWORK and any(options.values()):
         raise SetupError(f"--robust, --noise-from-data and --datum go with --method network, not {method.value}")
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("calibrating"):

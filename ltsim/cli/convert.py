@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Quiet, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Quiet, recording_of
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import FORMATS, write
@@ -26,6 +26,7 @@ def convert(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -38,7 +39,7 @@ def convert(
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     write(recording, destination, to)
     terminal.answer({"pointings": len(recording), "notes": list(recording.notes)})

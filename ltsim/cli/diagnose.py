@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Seed, Source, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Out, Quiet, Seed, Source, recording_of
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 from ltsim.diagnose import Diagnosis
@@ -32,6 +32,7 @@ def diagnose(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -42,7 +43,7 @@ def diagnose(
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     terminal = Terminal(quiet, as_json)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("diagnosing"):

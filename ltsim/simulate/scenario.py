@@ -72,9 +72,7 @@ class Scenario(Section, Shown):
         title = f"{self.title}: " if self.title else ""
         faces = "two faces" if self.work.faces == 2 else "one face"
         effects = ", ".join(entry.name for entry in self.effects) or "no effects"
-        return [
-            f"Scenario: {title}{len(self.stations)} stations, {len(self.target_names)} targets, {faces}, {effects}"
-        ]
+        return [f"Scenario: {title}{len(self.stations)} stations, {len(self.target_names)} targets, {faces}, {effects}"]
 
     __repr__ = Shown.__repr__
 
