@@ -258,7 +258,7 @@ def score(found: Calibration, truth: Truth) -> Trial:
 
 
 def _network_scores(found: Calibration, truth: Truth) -> tuple[float, float]:
-    """Mean square of error over sigma of targets and of poses, where the first station is held; NaN in another frame."""
+    """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame."""
     adjustment = found.adjustment
     if adjustment is None or adjustment.problem.free.shape[1] < 6:
         return float("nan"), float("nan")
