@@ -281,6 +281,8 @@ class Adjustment(Shown):
         covariance[~kept] = blocks[(layout.target[~kept][:, 0] - layout.kept) // 3]
         if self.datum is not None:
             covariance = self.datum.transformed(covariance, layout.target)
+            own = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
+            covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
         covariance[self.problem.unseen_targets] = np.nan
         return covariance
 

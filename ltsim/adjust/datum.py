@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjust.problem import NetworkProblem
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import ModelError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
@@ -35,12 +35,15 @@ class Tied:
     places : (k, 3) float, [m]
         Where they are.
     stated : (k, 3) float, [m]
-        Approximate coordinates, NaN where none are stated.
+        Approximate coordinates, NaN where none are stated and along axes that do not count.
+    counts : (k, 3) bool
+        Coordinates that the datum is tied to.
     """
 
     columns: Ints
     places: Floats
     stated: Floats
+    counts: Bools
 
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
@@ -48,7 +51,7 @@ class Tied:
         recording, layout, marks = problem.model.recording, problem.layout, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
         stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
-        columns, places, stated = [], [], []
+        columns, places, stated, axes = [], [], [], []
         for name in names:
             if name in targets:
                 columns.append(layout.target[targets[name]])
@@ -60,7 +63,10 @@ class Tied:
                 raise unknown_name("target of the datum", name, [*targets, *stations])
             setup = recording.target_setup(name)
             stated.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
-        return cls(np.array(columns), np.array(places), np.array(stated) * MILLIMETRE)
+            axes.append([axis in setup.datum_axes for axis in "xyz"])
+        counts = np.array(axes)
+        goal = np.where(counts, np.array(stated) * MILLIMETRE, np.nan)
+        return cls(np.array(columns), np.array(places), goal, counts)
 
 
 def stated_datum(problem: NetworkProblem) -> tuple[str, ...]:
@@ -75,13 +81,13 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
     turned = 0.0
     for _ in range(PASSES):
         tied = Tied.of(problem, state, names)
-        known = np.isfinite(tied.stated).all(axis=1)
+        known = np.isfinite(tied.stated)
         if not known.any():
             break
-        centre = tied.places[known].mean(axis=0)
+        centre = tied.places[known.any(axis=1)].mean(axis=0)
         free = _about(problem.free, centre)
-        motion = rigid_motion(tied.places[known], centre) @ free
-        gap = (tied.stated - tied.places)[known].ravel()
+        motion = (rigid_motion(tied.places, centre) @ free)[known.ravel()]
+        gap = (tied.stated - tied.places)[known]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
         shift, turn = (free @ amount).reshape(2, 3)
         state = _moved(state, from_rotation_vector(turn), centre, shift)
@@ -163,7 +169,7 @@ class InnerDatum:
         motion[layout.target.ravel()] = rigid_motion(state.points, centre) @ free
         motion[layout.pose[:, 3:].ravel()] = np.tile(free[3:], (len(layout.pose), 1))
         motion[layout.pose[:, :3].ravel()] = rigid_motion(state.position, centre) @ free
-        return replace(cls.tied_to(motion, tied.columns, factor.covariance_columns), names=tuple(names))
+        return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
 
     def transformed(self, covariance: Floats, columns: Ints) -> Floats:
         """Covariances (c, k, k) of sets of unknowns (c, k), moved to this datum from that of `spread`."""

@@ -12,9 +12,11 @@ from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import about_z, from_rotation_vector
 from ltsim.recording.recording import Recording
-from ltsim.units import MILLIMETRE
+from ltsim.units import DEGREE, MILLIMETRE
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+ROUGH_PLACE = 0.5
+"""[m] How far a station may stand from its place on a floor plan."""
 
 
 @dataclass(frozen=True)
@@ -29,23 +31,32 @@ class Frame:
         The same for instruments over marks that are no targets.
     level : (S,) bool
     marks : Marks
+    plan : (S, 3) float, [m]
+        Rough places of the stations on a floor plan, NaN where none is stated.
+    yaw : (S,) float, [rad]
+        Where the zero of each circle points on that plan, NaN where it is not stated.
     """
 
     points: Floats
     stations: Floats
     level: Bools
     marks: Marks
+    plan: Floats
+    yaw: Floats
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:
         """The frame of a recording."""
         marks = Marks.of(recording)
+        setups = [recording.station_setup(name) for name in recording.stations]
         alone = [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)]
         return cls(
             np.array([_stated(recording, name) for name in recording.targets]).reshape(-1, 3),
             np.array([_stated(recording, name) for name in alone]).reshape(-1, 3) + marks.offset,
-            np.array([recording.station_setup(name).levelled for name in recording.stations], dtype=bool),
+            np.array([s.levelled for s in setups], dtype=bool),
             marks,
+            np.array([s.position_mm or (np.nan,) * 3 for s in setups], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
+            np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
         )
 
     @property
@@ -73,6 +84,34 @@ class Frame:
             return upright_alignment(here @ turn.T, there, turn)
         except NetworkError:
             return None
+
+    def plan_motion(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
+        """Turn about the vertical and translation of a free network onto the floor plan; None where it has none.
+
+        The rough places of two stations and more say it, or the place and yaw of one. Places that the network misses by
+        more than `ROUGH_PLACE` belong to another frame and say nothing.
+        """
+        known = np.flatnonzero(np.isfinite(self.plan).all(axis=1) & np.isfinite(position).all(axis=1))
+        if len(known) > 1:
+            try:
+                turn, shift = upright_alignment(position[known], self.plan[known])
+            except NetworkError:
+                return None
+            miss = np.linalg.norm(position[known] @ turn.T + shift - self.plan[known], axis=1)
+            return (turn, shift) if miss.max() < ROUGH_PLACE else None
+        if not len(known) or not np.isfinite(self.yaw[known[0]]):
+            return None
+        ahead = rotation[known[0], :, 0]
+        turn = about_z(float(self.yaw[known[0]] - np.arctan2(ahead[1], ahead[0])))
+        return turn, self.plan[known[0]] - turn @ position[known[0]]
+
+    def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
+        """Whether a network stands on the floor plan already, as well as the plan knows places."""
+        motion = self.plan_motion(position, rotation)
+        if motion is None:
+            return False
+        moved = position @ motion[0].T + motion[1] - position
+        return bool(np.linalg.norm(moved, axis=1).max() < ROUGH_PLACE)
 
     def upright(self, rotation: Floats, joined: Bools) -> Floats:
         """The smallest turn (3, 3) that brings the axes of levelled stations to their plumb lines."""

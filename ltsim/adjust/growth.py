@@ -256,6 +256,10 @@ class Growth:
         here, there = self._frame.common(self._position, self._known())
         if len(here):
             self._move(np.eye(3), (there - here).mean(axis=0))
+            return
+        motion = None if self._frame.is_stated else self._frame.plan_motion(self._position, self._rotation)
+        if motion is not None:
+            self._move(*motion)
 
     def _rescale(self) -> bool:
         """Bring a network of beams to scale by ranges, known lengths or known points; ranges count from then on."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment, observable_name
+from ltsim.adjust.frame import Frame
 from ltsim.adjust.screening import gross_pointings
 from ltsim.adjust.start import reached_network
 from ltsim.adjust.verdict import Case, Verdict, verdict
@@ -132,7 +133,7 @@ def frame_of(adjustment: Adjustment) -> str:
     levelled = [recording.stations[i] for i in problem.levels.station]
     if free == 0:
         return f"the frame of the control points {named(control)}"
-    rest = f"is the frame of station {first}" + _inner(adjustment)
+    rest = f"is {_free_axes(adjustment, first)}" + _inner(adjustment)
     if free == 6:
         return rest.removeprefix("is ")
     if not control:
@@ -141,17 +142,28 @@ def frame_of(adjustment: Adjustment) -> str:
     return f"{held}; what these leave free {rest}"
 
 
+def _free_axes(adjustment: Adjustment, first: str) -> str:
+    """What stands for the motions that no observation determines."""
+    state, frame = adjustment.state, Frame.of(adjustment.recording)
+    if adjustment.datum is not None and _stated(adjustment):
+        return "the axes in which coordinates of the datum's targets are stated"
+    if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
+        return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
+    return f"the frame of station {first}"
+
+
 def _inner(adjustment: Adjustment) -> str:
     """How inner constraints define the datum, if they do."""
     if adjustment.datum is None:
         return ""
-    setups = [adjustment.recording.target_setup(name) for name in adjustment.datum.names]
-    moved = (
-        " moved to the approximate coordinates of the datum's targets"
-        if any(s.approximate_mm or s.known_mm for s in setups)
-        else ""
-    )
-    return f"{moved}, standard deviations by inner constraints over {named(adjustment.datum.names)}"
+    return f", standard deviations by inner constraints over {named(adjustment.datum.names)}"
+
+
+def _stated(adjustment: Adjustment) -> bool:
+    """Whether places are stated for targets of the datum."""
+    names = adjustment.datum.names if adjustment.datum is not None else ()
+    setups = [adjustment.recording.target_setup(name) for name in names]
+    return any(s.approximate_mm or s.known_mm for s in setups)
 
 
 def named(names: Sequence[str]) -> str:

@@ -255,17 +255,20 @@ def score(found: Calibration, truth: Truth) -> Trial:
 
 
 def _network_scores(found: Calibration, truth: Truth) -> tuple[float, float]:
-    """Mean square of error over sigma of targets and of poses, in the first station's frame; NaN in another frame."""
+    """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame."""
     adjustment = found.adjustment
     if adjustment is None or adjustment.problem.free.shape[1] < 6:
         return float("nan"), float("nan")
-    origin, turn = truth.position[0], truth.rotation[0]
-    points = (truth.points - origin) @ turn
+    # The truth moved to where the first station is held.
+    held, origin = adjustment.state, truth.position[0]
+    turn = truth.rotation[0] @ held.rotation[0].T
+    points = (truth.points - origin) @ turn + held.position[0]
     sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
     targets = float(np.mean(((found.points - points) / sigma) ** 2))
     squares = []
     for i, station in enumerate(found.stations[1:], start=1):
-        moved = (station.position - (truth.position[i] - origin) @ turn) / station.sigma_position
+        there = (truth.position[i] - origin) @ turn + held.position[0]
+        moved = (station.position - there) / station.sigma_position
         apart = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
         squares += [moved**2, (apart.as_rotvec() / station.sigma_rotation) ** 2]
     return targets, float(np.mean(squares)) if squares else float("nan")

@@ -8,6 +8,7 @@ from ltsim.cli.options import (
     ColumnMap,
     Datum,
     FormatName,
+    FrameFile,
     HintList,
     Json,
     NoiseFromData,
@@ -35,6 +36,7 @@ def adjust(
     hint: HintList = None,
     columns: ColumnMap = None,
     force: Force = False,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -46,7 +48,7 @@ def adjust(
     """
     terminal = Terminal(quiet, as_json)
     claim_results(out, points, adjusted=True, force=force)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("adjusting"):

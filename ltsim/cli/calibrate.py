@@ -15,6 +15,7 @@ from ltsim.cli.options import (
     ColumnMap,
     Datum,
     FormatName,
+    FrameFile,
     HintList,
     Json,
     NoiseFromData,
@@ -76,6 +77,7 @@ def calibrate(
     hint: HintList = None,
     columns: ColumnMap = None,
     force: Force = False,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -90,7 +92,7 @@ def calibrate(
     if method is not Method.NETWORK and any(options.values()):
         raise SetupError(f"--robust, --noise-from-data and --datum go with --method network, not {method.value}")
     claim_results(out, points, adjusted=False, force=force)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     built = construction_called(construction.value) if construction else stated_construction(recording)

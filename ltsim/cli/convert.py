@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Quiet, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Quiet, recording_of
 from ltsim.cli.places import Force, claim_file, claim_recording
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
@@ -28,6 +28,7 @@ def convert(
     hint: HintList = None,
     columns: ColumnMap = None,
     force: Force = False,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -44,7 +45,7 @@ def convert(
         claim_recording(destination, force=force)
     else:
         claim_file(destination, force=force)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     write(recording, destination, to)
     terminal.answer({"pointings": len(recording), "notes": list(recording.notes)})

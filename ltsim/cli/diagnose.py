@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Seed, Source, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Out, Quiet, Seed, Source, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
@@ -34,6 +34,7 @@ def diagnose(
     hint: HintList = None,
     columns: ColumnMap = None,
     force: Force = False,
+    frame: FrameFile = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -45,7 +46,7 @@ def diagnose(
     """
     terminal = Terminal(quiet, as_json)
     claim(out, DiagnosisFile, COMPANIONS, force=force)
-    recording = recording_of(source, format_name, hint, columns)
+    recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("diagnosing"):

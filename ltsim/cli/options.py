@@ -51,6 +51,15 @@ ColumnMap = Annotated[
         help='What the columns of a table hold, e.g. "target=Name,azimuth=Hz[gon],zenith=V[gon],distance=D[m]".',
     ),
 ]
+FrameFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--frame",
+        metavar="FILE",
+        help="Axes of the results: coordinates of some targets (targets.csv or a list of points), a scenario, or a "
+        'TOML file with three targets: origin = "T01", x_axis = "T02", xy_plane = "T03".',
+    ),
+]
 Robust = Annotated[
     bool, typer.Option("--robust", help="Leave out readings that do not belong; each is tested again at the end.")
 ]
@@ -102,9 +111,38 @@ def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
 
 
 def recording_of(
-    path: Path, format_name: str | None = None, hints: list[str] | None = None, columns: str | None = None
+    path: Path,
+    format_name: str | None = None,
+    hints: list[str] | None = None,
+    columns: str | None = None,
+    frame: Path | None = None,
 ) -> Recording:
-    """The recording behind the argument REC of a verb; raises RecordError."""
+    """The recording behind the argument REC of a verb, in the axes of `frame` if given; raises RecordError."""
     from ltsim.recording import read
 
-    return read(path, format=format_name, hints=hints_of(hints, columns))
+    found = read(path, format=format_name, hints=hints_of(hints, columns))
+    return found if frame is None else in_axes(found, frame)
+
+
+def in_axes(recording: Recording, frame: Path) -> Recording:
+    """The recording with its datum in the axes that a file names.
+
+    Raises
+    ------
+    RecordError, SetupError
+        When the file is malformed or does not fit the recording.
+    """
+    from ltsim.adjust.axes import in_axes_of_points, in_axes_of_three, read_axes
+
+    if frame.suffix.lower() != ".toml":
+        return in_axes_of_points(recording, read_axes(frame), str(frame))
+    from ltsim.recording.settings import read_toml
+
+    named = read_toml(frame, "frame")
+    if {"origin", "x_axis", "xy_plane"} <= named.keys():
+        return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
+    from ltsim.simulate.scenario import load_scenario
+    from ltsim.simulate.workshop import planned
+
+    layout = planned(load_scenario(str(frame)))
+    return in_axes_of_points(recording, dict(zip(layout.targets, layout.points, strict=True)), str(frame))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Quiet, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Quiet, recording_of
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import RecordError
@@ -55,6 +55,7 @@ def view(
     hint: HintList = None,
     columns: ColumnMap = None,
     force: Force = False,
+    frame: FrameFile = None,
     quiet: Quiet = False,
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
@@ -74,7 +75,7 @@ def view(
     for file in (png, html):
         claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
-        shown = workshop_of(place, format_name, hint, columns).coloured(colour.value)
+        shown = workshop_of(place, format_name, hint, columns, frame).coloured(colour.value)
         shown = shown if cad is None else with_cad(shown, cad, cad_unit.value)
         if png is not None:
             write_text(png, scene3d.picture(shown))
@@ -88,7 +89,11 @@ def view(
 
 
 def workshop_of(
-    place: str, format_name: str | None = None, hints: list[str] | None = None, columns: str | None = None
+    place: str,
+    format_name: str | None = None,
+    hints: list[str] | None = None,
+    columns: str | None = None,
+    frame: Path | None = None,
 ) -> Workshop:
     """The workshop of a scenario by name or file, or of a recording.
 
@@ -104,7 +109,7 @@ def workshop_of(
     path = Path(place)
     if place in builtin_names() or (path.suffix == ".toml" and path.is_file()) or not path.exists():
         return from_scenario(load_scenario(place))
-    return from_recording(recording_of(path, format_name, hints, columns))
+    return from_recording(recording_of(path, format_name, hints, columns, frame))
 
 
 def _has_screen() -> bool:

@@ -156,7 +156,8 @@ class Target(Section):
     """What is known about one reflector position.
 
     `known_mm` holds with `known_sigma_mm` along `known_axes`. `approximate_mm` is a start value without
-    weight; where `datum` is set, all such targets together define the frame by inner constraints.
+    weight; where `datum` is set, all such targets together define the frame by inner constraints, each along its
+    `datum_axes` (three targets with "xyz", "yz" and "z" span axes by the 3-2-1 rule).
     """
 
     nest_normal: Direction | None = None
@@ -174,6 +175,7 @@ class Target(Section):
     approximate_mm: Vector | None = None
     """A start value without weight."""
     datum: bool = False
+    datum_axes: Axes = "xyz"
     """Takes part in the inner constraints that define the frame."""
     height_mm: Height = 0.0
     """Height of the reflector above the mark that the name stands for."""

@@ -85,7 +85,7 @@ def test_calibrate_says_what_was_found_and_what_was_not(workplace: Path, capsys)
     assert "beam-tilt" in text
     assert "not determined by this recording" in text
     assert "cure: measure every target in both faces" in text
-    assert "coordinates in the frame of station S1" in text
+    assert "coordinates in the frame of the floor plan" in text
 
 
 @pytest.mark.parametrize("method", ["network", "distance", "distance-l1"])
