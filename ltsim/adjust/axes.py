@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust.estimate import adjust
 from ltsim.adjust.growth import robust_align
 from ltsim.adjust.start import reached_network
 from ltsim.arrays import Floats

@@ -9,11 +9,12 @@ import numpy as np
 import typer
 
 from ltsim.adjust import Adjustment, adjust
-from ltsim.cli.options import FormatName, HintList, Json, Out, Quiet, Robust, Source, names_of, recording_of
+from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Robust, Source, names_of, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 from ltsim.model.construction import ideal, misalignment
-from ltsim.uncertainty.comparison import ComparisonFile, comparison_file, write_comparison
+from ltsim.uncertainty.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
 from ltsim.uncertainty.epochs import compare as compared
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
@@ -42,6 +43,8 @@ def compare(
     out: Out = None,
     format_name: FormatName = None,
     hint: HintList = None,
+    columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -52,9 +55,10 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, ComparisonFile, (DISPLACEMENTS.file,), force=force)
     epochs: list[Adjustment] = []
     for path in (source, second):
-        recording = recording_of(path, format_name, hint)
+        recording = recording_of(path, format_name, hint, columns)
         show_notes(terminal, recording)
         terminal.say(recording_line(recording))
         epochs.append(adjust(recording, misalignment() if calibrate else ideal(), robust=robust))

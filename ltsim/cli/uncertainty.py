@@ -9,6 +9,7 @@ import typer
 
 from ltsim.calibrate.result import frame_of
 from ltsim.cli.options import Json, Out, Quiet, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import SetupError
@@ -17,7 +18,7 @@ from ltsim.recording.result_file import read_result
 from ltsim.simulate.scenario import builtin_names, load_scenario
 from ltsim.simulate.simulator import simulate
 from ltsim.uncertainty.evaluation import evaluate_tasks
-from ltsim.uncertainty.files import UncertaintyFile, compared, told, write_uncertainty
+from ltsim.uncertainty.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
 from ltsim.uncertainty.spec import Tasks, load_tasks
 
 TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
@@ -37,6 +38,7 @@ def uncertainty(
     seed: TaskSeed = None,
     against: Against = None,
     out: Out = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -47,6 +49,7 @@ def uncertainty(
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
     terminal = Terminal(quiet, as_json)
+    claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
     tasks = load_tasks(file)
     if seed is not None:
         tasks = tasks.model_copy(update={"monte_carlo": tasks.monte_carlo.model_copy(update={"seed": seed})})
