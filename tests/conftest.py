@@ -35,3 +35,11 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("there is no folder 'shared' beside the checkout: real recordings are not at hand")
     return folder
+
+
+@pytest.fixture(autouse=True)
+def no_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a verb says after ten seconds depends on the clock: tests that look at it shorten the wait themselves."""
+    from ltsim.cli import terminal
+
+    monkeypatch.setattr(terminal, "SILENCE", 3600.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust import adjust
 from ltsim.adjust.axes import in_axes_of_points, in_axes_of_three, read_axes
 from ltsim.calibrate import adjust_network
 from ltsim.errors import RecordError
