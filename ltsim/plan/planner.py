@@ -18,6 +18,7 @@ from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import Objective
 from ltsim.plan.reflectors import choose_reflectors
 from ltsim.plan.search import Layout, Searcher
+from ltsim.plan.sights import with_reachable_sights
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile
 from ltsim.plan.survey import Survey
@@ -170,6 +171,7 @@ def make_plan(
     built = construction or planned_construction(scenario)
     count = file.stations.count or len(scenario.stations)
     faces = scenario.work.faces
+    file = with_reachable_sights(file, site_of(file, scenario, stations=count, faces=faces))
     ways = [(n, f) for f in sorted({*file.budget.faces, faces}) for n in sorted({*file.stations.tries, count})]
     tasks = [(n, f, start) for n, f in ways for start in range(_starts(file, n, f, count, faces))]
     found: dict[tuple[int, int], list[tuple[float, int, Survey]]] = {}

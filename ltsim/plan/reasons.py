@@ -174,6 +174,8 @@ def _limits(plan: Plan) -> list[str]:
     if edge:
         verb = "stands" if len(edge) == 1 else "stand"
         sentences.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
+    if site.least < len(survey.position):
+        sentences.append(f"Every reflector is seen from at least {survey.seen.sum(axis=0).min()} stations.")
     if not survey.seen.all():
         missing = int((~survey.seen).sum())
         lost = plan.chosen.table.lost(survey.station_names, survey.target_names)

@@ -56,7 +56,7 @@ class Stations(Section):
     play_mm: NonNegative = 50.0
     """How far off its place an instrument may stand without losing a sight."""
     seen_from: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
-    """How many stations must see each reflector."""
+    """How many stations must see each reflector; without it all of them, or as many as some layout allows."""
 
 
 class Surface(Section):

@@ -1,0 +1,43 @@
+"""Asking for more sights than there are is answered before the search, with what can be had."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.errors import SetupError
+from ltsim.plan.sights import most_sights, with_reachable_sights
+from ltsim.plan.site import Site
+from ltsim.plan.spec import PlanFile, Stations
+from ltsim.scene.visibility import SightLimits
+from tests.plan.test_search import site
+
+
+def short_sighted(least: int) -> Site:
+    """Three stations whose instrument reaches 5 m: no place sees the whole mesh."""
+    return site(limits=SightLimits(range_max=5.0), least=least)
+
+
+def test_what_can_be_had_is_had() -> None:
+    """The number is reached by the layout it stands for, and all are seen from everywhere where that is possible."""
+    assert most_sights(site(), 0.5, 2)[0] == 3
+    found, limiting = most_sights(short_sighted(3), 0.5, 2)
+    assert 1 <= found < 3
+    position, _ = short_sighted(3).grid(0.5, 1, 2)
+    share = short_sighted(3).seen(position).mean(axis=0)
+    assert limiting == short_sighted(3).survey.target_names[int(np.argmin(share))]
+
+
+def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
+    found, limiting = most_sights(short_sighted(3), 0.5, 2)
+    asked = PlanFile(stations=Stations(seen_from="all"))
+    with pytest.raises(SetupError, match=rf"set stations\.seen_from = {found}, move {limiting}, or widen the floor"):
+        with_reachable_sights(asked, short_sighted(3))
+    assert with_reachable_sights(asked, site()) is asked
+
+
+def test_the_default_is_found() -> None:
+    found, _ = most_sights(short_sighted(3), 0.5, 2)
+    settled = with_reachable_sights(PlanFile(), short_sighted(3))
+    assert settled.stations.seen_from == found
+    assert with_reachable_sights(PlanFile(), site()).stations.seen_from == "all"

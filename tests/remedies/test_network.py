@@ -1,0 +1,67 @@
+"""A network with pointings nobody made, and what would determine a combination."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim.remedies
+from ltsim.adjust import adjust
+from ltsim.calibrate import calibrate_network
+from ltsim.model.construction import misalignment
+from ltsim.remedies.network import Network
+from ltsim.remedies.remedy import known_length, near_reflectors, other_ways, returns
+from ltsim.remedies.words import ADVICE
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def measured() -> Network:
+    recording, _ = network(values=drawn(misalignment(), 1), seed=1, stations=3)
+    return Network.of(adjust(recording, misalignment()))
+
+
+def test_a_planned_network_knows_what_a_measured_one_knows(measured: Network) -> None:
+    """Everything once more in the same order, planned and then solved with its predicted readings."""
+    recording = measured.recording
+    twice = measured.with_pointings(recording.station, recording.target, recording.face)
+    assert len(twice.recording) == 2 * len(recording)
+    again = adjust(twice.recording, misalignment()).instrument_covariance
+    assert twice.adjustment.instrument_covariance == pytest.approx(again, rel=1e-3)
+    assert twice.recording.time[len(recording) :].min() > recording.time.max()
+
+
+def test_a_longer_network_never_knows_less(measured: Network) -> None:
+    before = measured.adjustment.instrument_covariance
+    for remedy in [
+        *other_ways(measured), *known_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+    ]:  # fmt: skip
+        after = remedy.network.adjustment.instrument_covariance
+        scale = np.sqrt(np.outer(np.diag(before), np.diag(before)))
+        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, remedy.words
+
+
+def test_a_length_that_is_known_is_not_calibrated_again(measured: Network) -> None:
+    assert measured.with_length(24, 25, 0.002) is measured
+    grown = measured.with_length(0, 25, 0.002)
+    assert len(grown.recording.gauge.distance) == len(measured.recording.gauge.distance) + 1
+
+
+def test_the_smallest_recordings_get_advice_and_no_traceback() -> None:
+    """One pointing, one target from one station in both faces, two targets from one station."""
+    recording, _ = network(seed=1, faces=2)
+    for rows in (recording.target == 0, recording.target < 2):
+        one = recording.select(rows & (recording.station == 0))
+        found = calibrate_network(one)
+        assert all(c.cure for c in found.undetermined)
+    first = recording.select(np.arange(len(recording)) == 0)
+    assert "none of the measurements" in calibrate_network(first).undetermined[0].cure
+
+
+def test_every_sentence_of_the_table_is_said_somewhere() -> None:
+    source = "\n".join(path.read_text() for path in Path(ltsim.remedies.__file__).parents[1].rglob("*.py"))
+    for key in ADVICE:
+        assert len(re.findall(f'"{key}"', source)) > 1, key
