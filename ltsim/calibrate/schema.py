@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ltsim.evaluate.schema import CriterionEntry
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable, numbers, texts
 
 NotNegative = Annotated[Finite, Field(ge=0)]
+Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
+"""A standard deviation; null for what has none."""
 Positive = Annotated[Finite, Field(gt=0)]
 
 COORDINATES = (
@@ -53,7 +55,7 @@ class ParameterEntry(Entry):
 
     name: str
     value: Finite
-    sigma: NotNegative | None = None
+    sigma: Sigma = None
     unit: str
     prior_sigma: Positive | None = None
     instrument: str = Field("", description="Where there are several.")
@@ -64,7 +66,7 @@ class HarmonicEntry(Entry):
 
     name: str
     amplitude: Finite
-    sigma: NotNegative
+    sigma: Sigma
     unit: str
     phase_deg: Known = None
     sigma_phase_deg: Known = None

@@ -99,8 +99,8 @@ def run(arguments: Sequence[str]) -> int:
         return _interrupted(str(stop))
     except LtsimError as problem:
         return _refuse(str(problem))
-    except BrokenPipeError:
-        # The reader of the pipe has gone (`| head`).
+    except (BrokenPipeError, SystemExit):
+        # The reader of the pipe has gone (`| head`); Typer leaves for that reason only.
         _drop_output()
         return 0
     except (KeyboardInterrupt, typer.Abort):

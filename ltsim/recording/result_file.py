@@ -26,12 +26,13 @@ OFFSET = 1.0 / np.pi
 """Of the rounding, in steps: decimal readings lie off its limits."""
 
 
-def _known(value: Any) -> Any:
+def known(value: Any) -> Any:
+    """A value itself, None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 Finite = FiniteFloat
-Known = Annotated[FiniteFloat | None, BeforeValidator(_known)]
+Known = Annotated[FiniteFloat | None, BeforeValidator(known)]
 """A number, or null where there is none: JSON has neither NaN nor infinities."""
 Vector = tuple[Finite, Finite, Finite]
 

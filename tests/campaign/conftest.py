@@ -13,6 +13,7 @@ from ltsim.campaign.truth import TrueEffect, Truth
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.units import ARCSECOND
+from tests.campaign.small import FILE
 
 
 def _load(name: str) -> ModuleType:
@@ -62,3 +63,11 @@ def make_truth() -> Callable[..., Truth]:
 @pytest.fixture(scope="session")
 def engine() -> Engine:
     return Engine(truth_of(), misalignment())
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """The file of the small campaign."""
+    path = tmp_path / "noise.toml"
+    path.write_text(FILE)
+    return path

@@ -24,26 +24,7 @@ from ltsim.campaign.statistics import LEVELS, Results
 from ltsim.campaign.store import Store, table_of
 from ltsim.errors import NetworkError, SetupError
 from ltsim.simulate.scenario import load_scenario, scenario_to_toml
-
-FILE = """
-format = "ltsim-campaign/1"
-title = "for the tests"
-scenario = "paper-workshop"
-seed = 5
-trials = 600
-shard = 256
-verify = 1
-
-[grid]
-"instrument.noise_factor" = [1.0, 2.0]
-"""
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    path = tmp_path / "noise.toml"
-    path.write_text(FILE)
-    return path
+from tests.campaign.small import FILE
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -15,25 +15,7 @@ from ltsim.errors import SetupError
 from ltsim.randomness import stream
 from ltsim.simulate.scenario import load_scenario, scenario_to_toml
 from ltsim.simulate.sections import Obstacle
-
-FILE = """
-format = "ltsim-campaign/1"
-scenario = "paper-workshop"
-seed = 5
-trials = 600
-shard = 256
-verify = 1
-
-[grid]
-"instrument.noise_factor" = [1.0, 2.0]
-"""
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    path = tmp_path / "noise.toml"
-    path.write_text(FILE)
-    return path
+from tests.campaign.small import FILE
 
 
 def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:

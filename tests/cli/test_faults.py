@@ -105,6 +105,14 @@ def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
         assert lines == [] if quiet else lines[0].startswith("trials: 7 of 200 (")
 
 
+def test_a_reader_that_has_gone_is_no_failed_check(tmp_path: Path) -> None:
+    assert run(["simulate", "paper-workshop", "--out", str(tmp_path / "rec"), "-q"]) == 0
+    for verb in ("effects", f"adjust {tmp_path / 'rec'}"):
+        command = f"set -o pipefail; {sys.executable} -c '{START}' {verb} | head -1"
+        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

@@ -10,6 +10,7 @@ import pytest
 from matplotlib import image
 
 from ltsim.report import planned, scene3d, workshop
+from ltsim.report.document import POLICY
 from ltsim.report.figures.floor_plan import floor_plan
 from ltsim.report.scene_page import scene_page
 from ltsim.simulate.scenario import load_scenario
@@ -75,6 +76,11 @@ def test_page_escapes_the_title_and_names_no_server(scene: workshop.Workshop) ->
     assert "&lt;script&gt;" in html
     assert "kitware.github.io/vtk-js/icon" not in html
     assert "enlarged" in html
+
+
+def test_page_has_the_policy_of_the_report(scene: workshop.Workshop) -> None:
+    head = scene_page(scene).partition("</head>")[0]
+    assert f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">' in head
 
 
 def test_station_names_may_be_long_or_foreign(scene: workshop.Workshop) -> None:
