@@ -17,6 +17,7 @@ from ltsim.calibrate.result import (
     criteria_of,
     frame_of,
     gross_rows,
+    notes_on_modes,
     outliers_of,
     stations_of,
     tied_readings,
@@ -92,6 +93,7 @@ def calibrate_distance(
         outliers=outliers_of(adjustment),
         lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
         recording=source,
+        notes=notes_on_modes(adjustment),
         adjustment=adjustment,
     )
 

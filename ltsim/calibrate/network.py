@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.adjust.doubt import require_result
@@ -16,6 +14,7 @@ from ltsim.calibrate.result import (
     fit_of,
     frame_of,
     noise_of,
+    notes_on_modes,
     outliers_of,
     stations_of,
     undetermined_of,
@@ -26,7 +25,6 @@ from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.recording import MODE_COLUMN, Recording
 from ltsim.recording.result_file import SourceEntry
-from ltsim.units import MICROMETRE
 
 
 def calibrate_network(
@@ -121,17 +119,6 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         noise=noise_of(adjustment),
         lost_targets=adjustment.lost_targets,
         recording=SourceEntry.of(source),
-        notes=_of_modes(adjustment),
+        notes=notes_on_modes(adjustment),
         adjustment=adjustment,
-    )
-
-
-def _of_modes(adjustment: Adjustment) -> tuple[str, ...]:
-    """What was found beside the instrument's parameters where both distance meters were used."""
-    if not adjustment.effects:
-        return ()
-    value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
-    zero = f"{value / MICROMETRE:.1f} +- {sigma / MICROMETRE:.1f} um"
-    return (
-        f"the interferometer's range zero less the absolute meter's: {zero} (range-mode), estimated beside the rest",
     )

@@ -17,10 +17,10 @@ from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, undetermined
-from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
@@ -208,3 +208,16 @@ def criteria_of(
         return evaluate(recording, construction, applied, use=use)
     except NetworkError:
         return None
+
+
+def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
+    """What is to be said of the range zeros where both distance meters were used."""
+    if MODE_COLUMN not in adjustment.recording.circumstances:
+        return ()
+    if not adjustment.effects:
+        return ("two distance meters were used; one range zero was assumed for both (method network tells them apart)",)
+    value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
+    zero = f"{value / MICROMETRE:.1f} +- {sigma / MICROMETRE:.1f} um"
+    return (
+        f"the interferometer's range zero less the absolute meter's, estimated beside the rest: {zero} (range-mode)",
+    )

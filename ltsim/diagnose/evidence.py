@@ -3,9 +3,8 @@
 Mean shifts: with T the drop in chi2 of a signature of r visible directions, the marginal likelihood ratio against no
 effect, under Zellner's g-prior (a size that gives a noncentrality of about g r), is
     exp(T/2 * g / (1 + g)) (1 + g)^(-r/2),
-averaged over g, because nobody knows how strong an effect is. Places and shapes are averaged as well: whoever
-tries more of
-them pays for it (the look-elsewhere effect). Changes of the noise are averaged over a grid of sizes.
+averaged over g, because nobody knows how strong an effect is. Places and shapes are averaged as well: whoever tries
+more of them pays for it (the look-elsewhere effect). Changes of the noise are averaged over a grid of sizes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Error on observations that the fit did not see, by leaving out and predicting: exact, without refitting.
 
-With H the hat matrix and F a fold, the prediction error of the fold is (I - H_FF)^-1 r_F and its covariance (I -
-H_FF)^-1, in
-whitened units; the normalised square is r_F' (I - H_FF)^-1 r_F. It is 1 per reading where model and noise hold.
+With H the hat matrix and F a fold, the prediction error of the fold is (I - H_FF)^-1 r_F and its covariance
+(I - H_FF)^-1, in whitened units; the normalised square is r_F' (I - H_FF)^-1 r_F. It is 1 per reading where model and
+noise hold.
 """
 
 from __future__ import annotations

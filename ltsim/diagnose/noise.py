@@ -2,9 +2,8 @@
 
 With r a whitened residual of redundancy k, a variance factor s raises the log likelihood by
     (r^2 (1 - 1/s) - k log s) / 2,
-summed over readings: the diagonal form of the restricted likelihood (residuals' correlations are second order
-here). Sizes are
-averaged over a grid, so these hypotheses compete with mean shifts by the same evidence.
+summed over readings: the diagonal form of the restricted likelihood (residuals' correlations are second order here).
+Sizes are averaged over a grid, so these hypotheses compete with mean shifts by the same evidence.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Search for the effects that explain a mismatch: several at once, whole sets compared by their evidence.
 
 The score of a set is the log marginal likelihood of all its signatures together, less what each member's place and
-shape
-cost among the alternatives of its family, less what an implausible size costs. A beam of sets grows by one member at a
-time; then every member is examined again beside the others, and replaced or dropped where that scores better.
+shape cost among the alternatives of its family, less what an implausible size costs. A beam of sets grows by one member
+at a time; then every member is examined again beside the others, and replaced or dropped where that scores better.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """Layered room: a warm layer lies under the roof.
 
 T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the station,
-s = 0 to d,
-(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
+(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds, s = 0 to d.
 Only the curvature of the profile is seen: targets in the layer are read too near and too high.
 
 Size: 2 to 6 K across the layer; it shows from 12 K on in one face, from 4.5 K on in two.
 Like: elevation-second-order sine (0.59); a drift, where the ceiling row is measured first.
 Separate by: a temperature profile; another time of day; stations at different heights.
-Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's
-z axis.
+Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
+axis.
 Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
 doi:10.1364/AO.35.001566 (index).
 Status: first order validated against the integrated ray.

@@ -120,8 +120,19 @@ class Mistake(Effect):
     """A blunder at the work: something else was measured, or a finished reading was written down wrongly.
 
     The simulator makes it by doing the wrong thing (`done`, `written`), so that the instrument's errors and the noise
-    are those of what was really done; `design` says what it does to an ideal reading.
+    are those of what was really done; `design` says what it does to an ideal reading. A mistake of its size is mended
+    before an adjustment, so a search has no candidates.
     """
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """None: `possible` lists the mistakes."""
+        return []
+
+    @classmethod
+    def possible(cls, sightings: Sightings) -> list[Self]:
+        """Every such mistake that can have happened."""
+        raise NotImplementedError
 
     def done(self, sightings: Sightings) -> Sightings:
         """What was really measured."""

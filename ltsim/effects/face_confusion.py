@@ -38,11 +38,6 @@ class FaceConfusion(Mistake):
     parameters = (Parameter("confused", "", "1 where the faces are confused", 1.0),)
 
     @classmethod
-    def candidates(cls, sightings: Sightings) -> list[Self]:
-        """None: see the card."""
-        return []
-
-    @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
         """Either face of every station."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]

@@ -36,11 +36,6 @@ class TargetSwap(Mistake):
     parameters = (Parameter("swapped", "", "1 where the two are exchanged", 1.0),)
 
     @classmethod
-    def candidates(cls, sightings: Sightings) -> list[Self]:
-        """None: see the card."""
-        return []
-
-    @classmethod
     def possible(cls, sightings: Sightings) -> list[Self]:
         """Every pair at every station."""
         pairs = list(combinations(sightings.target_names, 2))

@@ -51,11 +51,6 @@ class WrongUnit(Mistake):
         return SLIPS[self.mistake]
 
     @classmethod
-    def candidates(cls, sightings: Sightings) -> list[Self]:
-        """None: see the card."""
-        return []
-
-    @classmethod
     def at(cls, station: str) -> list[Self]:
         """Every slip at a station."""
         return [cls((station,), mistake=name) for name in SLIPS]

@@ -6,6 +6,8 @@ other draw.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ltsim.arrays import Floats
@@ -133,8 +135,20 @@ def _recording(work: Fieldwork, readings: Floats, values: tuple[Floats, ...], se
         time=s.time,
         readings=readings,
         covariates=s.covariates,
-        notes=work.notes,
+        notes=(*work.notes, *_idle_effects(work)),
     )
+
+
+def _idle_effects(work: Fieldwork) -> Iterator[str]:
+    """A note on every effect that finds nothing to act on: a column, a time, a nest that is not there."""
+    frame = frame_of(work.scenario.gauge) if work.scenario.gauge is not None else None
+    for effect in work.effects:
+        if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
+            continue
+        if frame is not None and np.any(effect.gauge_design(frame.first, frame.second, frame.points)):
+            continue
+        left = np.any(effect.shift(work.sightings, np.zeros(len(effect.parameters))))
+        yield f"{effect.name} {'adds one constant to every range' if left else 'changes nothing'} here"
 
 
 def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Setup:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ltsim.calibrate.calibration import Calibration
+from ltsim.calibrate.distance import calibrate_distance
 from ltsim.calibrate.files import write_calibration
-from ltsim.calibrate.network import calibrate_network
+from ltsim.calibrate.network import adjust_network, calibrate_network
 from ltsim.diagnose import diagnose
 from ltsim.recording.native import read_recording, write_recording
 from ltsim.recording.recording import Recording
@@ -46,3 +50,8 @@ def test_one_mode_has_one_zero() -> None:
     recording, _ = network(seed=2)
     one = recording.replace(labels={"distance_mode": ("ifm",) * len(recording)})
     assert "distance_mode" not in one.circumstances
+
+
+@pytest.mark.parametrize("calibrate", [adjust_network, partial(calibrate_distance, advise=False)])
+def test_what_assumes_one_zero_for_both_says_so(calibrate: Callable[[Recording], Calibration]) -> None:
+    assert "one range zero was assumed for both" in calibrate(with_modes(8)).notes[0]

@@ -8,11 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
-from ltsim.effects.effect import Effect
-from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.effect import Effect, Mistake
 from ltsim.effects.motions import station_design
-from ltsim.effects.target_swap import TargetSwap
-from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.randomness import stream
 from ltsim.scene.sightings import Sightings
 from tests.networks import STATIONS, YAWS, mesh, normals
@@ -82,7 +79,7 @@ def corrections(effect: Effect, sightings: Sightings) -> Floats:
 
 def all_candidates(kind: type[Effect], sightings: Sightings) -> list[Effect]:
     """What a diagnosis tries, and what it mends beforehand."""
-    if issubclass(kind, (TargetSwap, WrongUnit, FaceConfusion)):
+    if issubclass(kind, Mistake):
         return list(kind.possible(sightings))
     return list(kind.candidates(sightings))
 

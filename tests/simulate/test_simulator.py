@@ -298,3 +298,14 @@ def test_recordings_survive_being_written(tmp_path: Any) -> None:
     assert again.stations == recording.stations and np.array_equal(again.face, recording.face)
     text = (tmp_path / "rec" / "setup.toml").read_text() + (tmp_path / "rec" / "observations.csv").read_text()
     assert "truth" not in text and "seed" not in text
+
+
+def test_an_effect_without_anything_to_act_on_is_told() -> None:
+    """No thermometer in the recording, and reflectors that face the beam: one constant of their table is left."""
+    smr = PAPER.smr.model_copy(update={"nests": "re-aimed", "incidence_error": True})
+    entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]
+    recording, _ = simulate(with_(PAPER, effects=entries).model_copy(update={"smr": smr}), 1)
+    assert recording.notes[-2:] == (
+        "dead-path changes nothing here",
+        "smr-incidence adds one constant to every range here",
+    )
