@@ -60,6 +60,8 @@ class Adjustment(Shown):
         Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it.
     untied : tuple of str
         Targets that the whole recording does not place, amid the others in the state.
+    copies : int
+        Rows that repeat others to the last digit: their readings are not counted again.
     """
 
     problem: NetworkProblem
@@ -68,6 +70,7 @@ class Adjustment(Shown):
     datum: InnerDatum | None = None
     components: tuple[Component, ...] = ()
     untied: tuple[str, ...] = ()
+    copies: int = 0
 
     def _lines(self) -> list[str]:
         return [

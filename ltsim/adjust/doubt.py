@@ -62,7 +62,8 @@ def _require_known_points(adjustment: Adjustment) -> None:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, stations that lost most of their readings, sigmas that state nothing."""
-    return (*_undecided(adjustment), *_thin_stations(adjustment), *_held(adjustment), *_contradiction(adjustment))
+    kinds = _undecided, _thin_stations, _held, _contradiction, _copies
+    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
 def _left_out(adjustment: Adjustment) -> Bools:
@@ -174,6 +175,11 @@ def _contradiction(adjustment: Adjustment) -> Iterator[str]:
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
             "standard deviations state nothing"
         )
+
+
+def _copies(adjustment: Adjustment) -> Iterator[str]:
+    if adjustment.copies:
+        yield f"{adjustment.copies} rows repeat others to the last digit: these copies count once"
 
 
 def _named(names: list[str] | tuple[str, ...]) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.components import Component, Grouping, estimated_components
+from ltsim.adjust.copies import copied_rows
 from ltsim.adjust.datum import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.loose import without_loose
 from ltsim.adjust.marks import Marks
@@ -82,7 +83,9 @@ def adjust(
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
-    built = construction or ideal()
+    built, copied = construction or ideal(), copied_rows(recording)
+    if copied.any():
+        recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
     model = MeasurementModel(recording, built, tuple(effects))
     _check_marks(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
@@ -107,7 +110,8 @@ def adjust(
         given = problem, solution, variance_components
         problem, solution, components = estimated_components(*given, find, whole.use)
     untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
-    found = Adjustment(problem, solution, gross & ~problem.use.any(axis=1), components=components, untied=untied)
+    gross &= ~problem.use.any(axis=1)
+    found = Adjustment(problem, solution, gross, components=components, untied=untied, copies=int(copied.sum()))
     names = _datum_names(found, datum)
     if not names or solution.factor is None or not problem.free.shape[1]:
         return found

@@ -24,8 +24,9 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
-Sigma = Annotated[float, Field(ge=1e-6, le=1e9, allow_inf_nan=False)]
-"""A standard deviation [mm, arcsec]: below a nanometre nothing is known, and numbers lose their digits."""
+LEAST_SIGMA = 1e-6
+"""[mm, arcsec, ppm] Nobody knows anything better, and numbers lose their digits."""
+Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Direction = Annotated[Vector, AfterValidator(_some_length)]
 EXACT_LEVEL_ARCSEC = 1e-3
@@ -45,14 +46,14 @@ class Noise(Section):
     """The part of a range's sigma that does not grow with the range."""
     distance_ppm: NonNegative = 0.3
     """The part that grows with it: sigma = distance_mm + distance_ppm * range."""
-    azimuth_arcsec: Positive = 0.37
+    azimuth_arcsec: Sigma = 0.37
     """Across the beam: the reading's sigma is this over the cosine of the elevation."""
-    elevation_arcsec: Positive = 0.37
+    elevation_arcsec: Sigma = 0.37
     """Of the elevation reading."""
 
     @model_validator(mode="after")
     def _some_range_noise(self) -> Noise:
-        if self.distance_mm == 0 and self.distance_ppm == 0:
+        if max(self.distance_mm, self.distance_ppm) < LEAST_SIGMA:
             raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
         return self
 
@@ -140,7 +141,7 @@ class Station(Section):
     """Rough direction of azimuth zero, counter-clockwise from x: used where no three places are known."""
     levelled: bool = False
     """Its standing axis follows a level: a condition with weight."""
-    levelling_sigma_arcsec: Positive = 1.0
+    levelling_sigma_arcsec: Sigma = 1.0
     """Standard deviation of the level."""
     instrument: str | None = None
     """Name of the instrument that stood here, a table `[instruments.NAME]`."""

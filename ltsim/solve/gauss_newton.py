@@ -41,7 +41,7 @@ class Status(Enum):
     CONVERGED = "the last step was far below one standard deviation"
     STALLED = "no step, however damped, lowers the sum of squares further"
     CAPPED = "the cap on iterations was reached before the steps became small"
-    SINGULAR = "some unknowns are not determined by the observations at all"
+    SINGULAR = "some unknowns are not determined by the observations and their stated noise"
     PLANNED = "nothing was solved: the state is where the observations are planned"
 
 

@@ -9,12 +9,12 @@ from ltsim.adjust import adjust
 from ltsim.adjust.doubt import doubts
 from ltsim.adjust.verdict import Case, verdict
 from ltsim.calibrate import adjust_network
-from ltsim.errors import NetworkError
+from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Station, Target
+from ltsim.recording.setup import Instrument, Noise, Station, Target
 from tests.campaign.workshop import workshop
 
 
@@ -118,3 +118,53 @@ def test_targets_on_one_line_are_said_to_be_on_one_line() -> None:
     readings[(recording.station == 4) & (recording.target >= 10)] = np.nan
     with pytest.raises(NetworkError, match=r"S5: the 10 targets that it shares .* lie on one line"):
         adjust(recording.with_readings(readings))
+
+
+@pytest.mark.parametrize("clock", [True, False])
+@pytest.mark.parametrize("times", [2, 50])
+def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None:
+    once = noisy().replace(has_clock=clock)
+    rows = {n: np.tile(getattr(once, n), times) for n in ("station", "target", "face", "repeat", "time")}
+    copied = adjust(once.replace(**rows, readings=np.tile(once.readings, (times, 1))))
+    found = adjust(once)
+    assert copied.chi2 == pytest.approx(found.chi2)
+    assert copied.dof == found.dof
+    assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
+    assert doubts(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
+    assert not copied.rejected.any()
+
+
+def test_readings_that_repeat_by_chance_are_no_copies() -> None:
+    recording = noisy()
+    rows = {n: np.tile(getattr(recording, n), 2) for n in ("station", "target", "face", "repeat")}
+    readings = np.tile(recording.readings, (2, 1))
+    later = recording.replace(**rows, readings=readings, time=np.arange(2.0 * len(recording)))
+    assert adjust(later).copies == 0
+    readings[-5:, 0] += 1e-6
+    assert adjust(later.replace(readings=readings, has_clock=False)).copies == 0
+
+
+def test_two_targets_do_for_levelled_stations() -> None:
+    recording = noisy(stations=3)
+    keep = np.isin(recording.target, [0, 3])
+    rows = {n: getattr(recording, n)[keep] for n in ("station", "face", "repeat", "time", "readings")}
+    levelled = {name: Station(levelled=True) for name in recording.stations}
+    setup = recording.setup.model_copy(update={"stations": levelled, "gauge": None})
+    target = (recording.target[keep] == 3).astype(np.int64)
+    found = adjust(recording.replace(**rows, target=target, targets=("A", "B"), setup=setup))
+    assert found.solution.converged
+    assert np.isfinite(found.pose_covariance).all()
+
+
+def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
+    huge = Noise(distance_mm=1e9, azimuth_arcsec=1e9, elevation_arcsec=1e9)
+    recording = noisy()
+    with pytest.raises(LtsimError, match="not determined by the observations and their stated noise"):
+        adjust_network(
+            recording.replace(setup=recording.setup.model_copy(update={"instrument": Instrument(noise=huge)}))
+        )
+    for vertical in ((0, 0, 0), (1e-300, 0, 0)):
+        with pytest.raises(ValueError, match="a direction should not have length zero"):
+            Station(vertical=vertical)
+    with pytest.raises(ValueError, match="greater than or equal to"):
+        Target(known_mm=(0, 0, 0), known_sigma_mm=1e-300)
