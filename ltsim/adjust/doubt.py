@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.curvature import BENT, curvature
 from ltsim.adjust.estimate import adjust
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
@@ -62,7 +63,7 @@ def _require_known_points(adjustment: Adjustment) -> None:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, stations that lost most of their readings, sigmas that state nothing."""
-    kinds = _undecided, _thin_stations, _held, _contradiction, _copies
+    kinds = _undecided, _thin_stations, _held, _bent, _contradiction, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -166,6 +167,17 @@ def _held(adjustment: Adjustment) -> Iterator[str]:
         yield (
             f"nothing that is left of its readings determines all of the pose of station "
             f"{_named(adjustment.lost_stations)}: it has no standard deviation there"
+        )
+
+
+def _bent(adjustment: Adjustment) -> Iterator[str]:
+    bend = np.nan_to_num(curvature(adjustment)) if adjustment.solution.converged else np.zeros(0)
+    names = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT)]
+    if names:
+        yield (
+            f"the targets of station {_named(names)} hold its pose so weakly that its standard deviations, which are "
+            f"linear, are too small (curvature {bend.max():.2g}, trustworthy below {BENT:g}): give it targets off one "
+            "line and apart"
         )
 
 

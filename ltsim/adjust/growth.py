@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.adjust.fitting import Sight, fit_point, fit_pose
 from ltsim.adjust.frame import VERTICAL, Frame, smallest_turn, upright_alignment
+from ltsim.adjust.pairs import Pairs
 from ltsim.adjust.rows import GaugeRows
 from ltsim.adjust.seeds import LEAST_BEAMS, multilaterate, relative_orientation
 from ltsim.arrays import Bools, Floats, Ints
@@ -48,33 +49,37 @@ class Growth:
     Parameters
     ----------
     recording : Recording
-    cloud : (S, T, 3) float, [m]
-        Each station's targets in its own frame, NaN where not measured whole.
-    seen : (S, T) bool
+    pairs : Pairs
+        What each station measured whole, in its own frame.
     frame : Frame
     """
 
-    def __init__(self, recording: Recording, cloud: Floats, seen: Bools, frame: Frame) -> None:
-        self._recording, self._cloud, self._seen, self._frame = recording, cloud, seen, frame
-        stations, targets = seen.shape
+    def __init__(self, recording: Recording, pairs: Pairs, frame: Frame) -> None:
+        self._recording, self._pairs, self._frame = recording, pairs, frame
+        stations, targets = len(recording.stations), len(recording.targets)
         self._read = self._front = to_face(recording.readings, recording.face)
-        self._whole = seen
         self._flat = recording.is_horizontal
         lift = lift_of(recording)
         self._lift = np.zeros((len(recording), 3)) if lift is None else lift
-        self._pair_lift = None if lift is None else self._by_pair(lift)
+        self._pair_lift = np.zeros((len(pairs), 3)) if lift is None else self._by_pair(lift)
         self._position = np.full((stations, 3), np.nan)
         self._rotation = np.tile(np.eye(3), (stations, 1, 1))
         self._joined = np.zeros(stations, dtype=bool)
-        self._placed = np.full_like(cloud, np.nan)
+        self._placed = np.full((len(pairs), 3), np.nan)
+        self._covered = np.zeros(targets, dtype=bool)
         self._located = np.full((targets, 3), np.nan)
         self._upright = self._anchored = self._unscaled = False
         self._tried: dict[int, int] = {}
 
     def _by_pair(self, lift: Floats) -> Floats:
-        whole = np.zeros_like(self._cloud)
-        whole[self._recording.station, self._recording.target] = lift
-        return whole
+        pairs, recording = self._pairs, self._recording
+        own = np.zeros((len(pairs), 3))
+        keys = pairs.station * len(recording.targets) + pairs.target
+        rows = recording.station * len(recording.targets) + recording.target
+        at = np.minimum(np.searchsorted(keys, rows), max(len(pairs) - 1, 0))
+        paired = np.flatnonzero(np.isin(rows, keys))
+        own[at[paired]] = lift[paired]
+        return own
 
     def run(self, beginning: str) -> None:
         """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
@@ -100,14 +105,20 @@ class Growth:
     def _known(self) -> Floats:
         """Targets (T, 3) so far: the median of where stations place them, or where they were located."""
         known = self._located.copy()
-        whole = np.flatnonzero((self._seen & self._joined[:, None]).any(axis=0))
-        known[whole] = nan_median(self._placed[:, whole])
+        whole = np.flatnonzero(self._covered)
+        known[whole] = self._pairs.medians(self._placed, whole)
         return known
 
     @property
     def _have(self) -> Bools:
-        have: Bools = np.logical_or((self._seen & self._joined[:, None]).any(axis=0), np.isfinite(self._located[:, 0]))
+        have: Bools = self._covered | np.isfinite(self._located[:, 0])
         return have
+
+    def _shared(self) -> Ints:
+        """How many of the known targets (S,) each station measured whole."""
+        have = self._have[self._pairs.target] & (not self._unscaled)
+        shared: Ints = np.bincount(self._pairs.station[have], minlength=len(self._joined))
+        return shared
 
     def _stand(self, station: int) -> Floats | None:
         """Where an unjoined station stands, if its mark has a place already."""
@@ -127,9 +138,10 @@ class Growth:
     def _place(self, station: int, position: Floats, rotation: Floats) -> None:
         self._position[station], self._rotation[station] = position, rotation
         self._joined[station] = True
-        self._placed[station] = self._cloud[station] @ rotation.T + position
-        if self._pair_lift is not None:
-            self._placed[station] -= self._pair_lift[station]
+        if not self._unscaled:
+            own = self._pairs.of_station(station)
+            self._placed[own] = self._pairs.points[own] @ rotation.T + position - self._pair_lift[own]
+            self._covered[self._pairs.target[own]] = True
         mark = self._frame.marks.target[station]
         if mark >= 0 and np.isnan(self._located[mark]).any():
             self._located[mark] = position - self._frame.marks.offset[station]
@@ -137,16 +149,15 @@ class Growth:
     def _join_by_cloud(self) -> bool:
         """Join the station that shares most targets with what is known; two will do for levelled stations."""
         have = self._have
-        shared = np.where(self._joined, -1, np.sum(self._seen & have, axis=1))
+        shared = np.where(self._joined, -1, self._shared())
         for station in np.argsort(-shared, kind="stable"):
             count = shared[station]
             if count < 2:
                 return False
-            common = np.flatnonzero(self._seen[station] & have)
-            goal = self._targets(common)
-            source = self._cloud[station][common]
-            if self._pair_lift is not None:
-                goal = goal + self._pair_lift[station][common]
+            own = np.arange(len(self._pairs))[self._pairs.of_station(int(station))]
+            own = own[have[self._pairs.target[own]]]
+            goal = self._targets(self._pairs.target[own]) + self._pair_lift[own]
+            source = self._pairs.points[own]
             level = self._upright and bool(self._frame.level[station])
             try:
                 if count >= 3:
@@ -163,8 +174,7 @@ class Growth:
 
     def _targets(self, which: Ints) -> Floats:
         """Known places (k, 3) of some targets."""
-        rows = self._joined & self._seen[:, which].any(axis=1)
-        placed = nan_median(self._placed[rows][:, which])
+        placed = self._pairs.medians(self._placed, which)
         return np.where(np.isnan(placed), self._located[which], placed)
 
     def _locate(self) -> bool:
@@ -278,7 +288,7 @@ class Growth:
             raise NetworkError("no range, no known length and no two known points give the network a scale")
         scale = float(np.median(ratio))
         self._position, self._placed, self._located = (scale * x for x in (self._position, self._placed, self._located))
-        self._front, self._seen, self._unscaled = self._read, self._whole, False
+        self._front, self._unscaled = self._read, False
         self._tried.clear()
         for station in np.flatnonzero(self._joined):
             self._place(int(station), self._position[station], self._rotation[station])
@@ -294,7 +304,7 @@ class Growth:
 
     def _begin_with_cloud(self) -> None:
         """Begin with a station that measured targets whole."""
-        counts = self._seen.sum(axis=1)
+        counts = np.diff(self._pairs.begin)
         if not counts.any():
             return
         first = 0 if counts[0] >= 3 else int(np.argmax(counts))
@@ -306,7 +316,7 @@ class Growth:
 
     def _begin_with_beams(self) -> None:
         """The two stations that read most directions in common, at distance 1."""
-        size = self._seen.shape
+        size = len(self._joined), len(self._located)
         beams = np.full((*size, 3), np.nan)
         rows = np.flatnonzero(np.isfinite(self._front[:, 1:]).all(axis=1))
         ones = np.column_stack([np.ones(len(rows)), self._front[rows, 1:]])
@@ -322,14 +332,13 @@ class Growth:
             if found is not None:
                 self._unscaled = True  # No range and no point measured whole fits until there is a scale.
                 self._front = np.column_stack([np.full(len(self._read), np.nan), self._read[:, 1:]])
-                self._seen = np.zeros_like(self._whole)
                 self._place(int(a), np.zeros(3), np.eye(3))
                 self._place(int(b), *found)
                 return
 
     def _begin_with_ranges(self) -> None:
         """All stations that read the ranges of the same targets."""
-        ranges = np.full(self._seen.shape, np.nan)
+        ranges = np.full((len(self._joined), len(self._located)), np.nan)
         ranges[self._recording.station, self._recording.target] = self._front[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
         targets = np.flatnonzero(np.isfinite(ranges[stations]).all(axis=0))
@@ -344,10 +353,10 @@ class Growth:
         recording = self._recording
         if not self._joined.all():
             lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~self._joined))
-            shared = self._seen & self._have
-            nearest = int(np.argmax(np.where(self._joined, -1, shared.sum(axis=1))))
-            most = int(shared[nearest].sum())
-            known = np.flatnonzero(shared[nearest])
+            shared = self._shared()
+            nearest = int(np.argmax(np.where(self._joined, -1, shared)))
+            most, own = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
+            known = own[self._have[own]]
             if most >= 3 and not holds_pose(self._known()[known], np.ones(most, dtype=bool)):
                 what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
             else:
@@ -391,14 +400,3 @@ def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
         return None
     point: Floats = np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))
     return point
-
-
-def nan_median(values: Floats) -> Floats:
-    """Median over the first axis of (k, t, 3), leaving out rows that are NaN; NaN where all are."""
-    if not len(values):
-        return np.full(values.shape[1:], np.nan)
-    ordered = np.sort(values, axis=0)
-    count = np.isfinite(values[:, :, 0]).sum(axis=0)
-    at = np.arange(values.shape[1])
-    middle: Floats = 0.5 * (ordered[(count - 1) // 2, at] + ordered[count // 2, at])
-    return middle

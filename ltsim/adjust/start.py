@@ -6,6 +6,7 @@ import numpy as np
 
 from ltsim.adjust.frame import Frame
 from ltsim.adjust.growth import BEGINNINGS, Growth, robust_align
+from ltsim.adjust.pairs import Pairs
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
@@ -19,17 +20,9 @@ def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[
     `points` (n, 3) are the measured points; by default those of an ideal tracker. Faces and repeats are combined by
     the median, which a single blunder does not move.
     """
-    size = (len(recording.stations), len(recording.targets))
-    measured = from_polar(recording.readings) if points is None else points
-    cloud = np.full((*size, 3), np.nan)
-    rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
-    pair = recording.station[rows] * size[1] + recording.target[rows]
-    order = np.argsort(pair, kind="stable")
-    where, first, count = np.unique(pair[order], return_index=True, return_counts=True)
-    for repeats in np.unique(count):
-        group = np.flatnonzero(count == repeats)
-        members = measured[rows[order[first[group][:, None] + np.arange(repeats)]]]
-        cloud.reshape(-1, 3)[where[group]] = np.median(members, axis=1)
+    pairs = Pairs.of(recording, points)
+    cloud = np.full((len(recording.stations), len(recording.targets), 3), np.nan)
+    cloud[pairs.station, pairs.target] = pairs.points
     return cloud, np.isfinite(cloud[:, :, 0])
 
 
@@ -68,11 +61,11 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
 
 def _grown(recording: Recording) -> Growth:
     """The network as far as it grows."""
-    cloud, seen = station_clouds(recording, _flat_points(recording))
+    pairs = Pairs.of(recording, _flat_points(recording))
     frame = Frame.of(recording)
     farthest: Growth | None = None
     for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:
-        growth = Growth(recording, cloud, seen, frame)
+        growth = Growth(recording, pairs, frame)
         growth.run(beginning)
         if growth.is_complete:
             return growth

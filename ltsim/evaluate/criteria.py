@@ -23,6 +23,8 @@ from ltsim.notebook import Columns, Shown
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
 
+MOST_PLACES = 20_000_000
+"""Stations times targets whose clouds (0.5 GB then) are compared."""
 AT_ONCE = 2_000_000
 """Sights of pairs of targets that are held in memory at once."""
 
@@ -244,8 +246,13 @@ def evaluate(
     Raises
     ------
     NetworkError
-        When fewer than two stations share targets.
+        When fewer than two stations share targets, or the network is too large to compare every station's cloud.
     """
+    stations, targets = len(recording.stations), len(recording.targets)
+    if stations * targets > MOST_PLACES:
+        raise NetworkError(
+            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts of it"
+        )
     before = station_means(recording, measured_points(recording), use)
     after = None
     if construction is not None and values is not None:

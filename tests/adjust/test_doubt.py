@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
+from ltsim.adjust.curvature import BENT, curvature
 from ltsim.adjust.doubt import doubts
 from ltsim.adjust.verdict import Case, verdict
 from ltsim.calibrate import adjust_network
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import ideal
+from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Noise, Station, Target
@@ -168,3 +171,31 @@ def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
             Station(vertical=vertical)
     with pytest.raises(ValueError, match="greater than or equal to"):
         Target(known_mm=(0, 0, 0), known_sigma_mm=1e-300)
+
+
+def on_a_line(off: float) -> tuple[Recording, State]:
+    """The workshop whose last station sees ten targets only, `off` [m] a line."""
+    recording, state = workshop()
+    points, use = state.points.copy(), (recording.station != 4) | (recording.target < 10)
+    line = points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
+    points[:10] = line + off * stream(1, "line").standard_normal((10, 3))
+    rows = {n: getattr(recording, n)[use] for n in ("station", "target", "face", "repeat", "time", "readings")}
+    recording = recording.replace(**rows)
+    where = State(state.position, state.rotation, points, np.zeros((1, 0)))
+    return recording.with_readings(MeasurementModel(recording, ideal()).predict(where)), where
+
+
+@pytest.mark.parametrize(("off", "bent"), [(3e-2, False), (1e-3, True)])
+def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) -> None:
+    """Curvature against what repeated trials show: 95 % regions hold, or hold far less often."""
+    recording, where = on_a_line(off)
+    rng, inside, trials = stream(2, "bent"), 0, 40
+    for _ in range(trials):
+        noise = rng.standard_normal(recording.readings.shape) * recording.sigma()
+        found = adjust(recording.with_readings(recording.readings + noise), start=where)
+        gap = found.state.position[4] - where.position[4]
+        inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
+    assert (curvature(found)[4] > BENT) == bent
+    assert (inside < 0.8 * trials) == bent
+    assert any("targets of station S5 hold its pose so weakly" in doubt for doubt in doubts(found)) == bent
+    assert not curvature(found)[:4].any()
