@@ -14,20 +14,12 @@ os.environ["PYVISTA_OFF_SCREEN"] = "true"
 import pytest
 from hypothesis import HealthCheck, settings
 
-from ltsim.cli import terminal
-
 settings.register_profile(
     "ltsim", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None
 )
 settings.load_profile("ltsim")
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-@pytest.fixture(autouse=True, scope="session")
-def silent() -> None:
-    """No sign of life: what a verb prints does not depend on how busy the machine is."""
-    terminal.SILENCE = 1e6
 
 
 @pytest.fixture(scope="session")

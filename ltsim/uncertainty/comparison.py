@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -42,10 +42,10 @@ class DisplacementEntry(Entry):
 
 
 class ComparisonFile(ResultFile):
-    """The whole file; `recording` is the first epoch."""
+    """`comparison.json`: from `compare`; `recording` is the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
-    format: str = "ltsim-comparison/1"
+    format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
     second: SourceEntry
     sentence: str
     level: Finite = Field(description="probability that any point is told to have moved when none did")

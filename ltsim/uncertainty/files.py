@@ -84,10 +84,10 @@ class Result(Entry):
 
 
 class UncertaintyFile(ResultFile):
-    """The whole file."""
+    """`uncertainty.json`: from `uncertainty`."""
 
     FILE: ClassVar[str] = "uncertainty.json"
-    format: str = "ltsim-uncertainty/1"
+    format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
     title: str
     source: str
     coverage: float
