@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ltsim.api.workshop import ScenarioSource, scenario
-from ltsim.campaign.campaign import Workers, run_campaign
+from ltsim.campaign.campaign import Progress, Workers, run_campaign
 from ltsim.campaign.recovery import Recovery
 from ltsim.campaign.recovery import recover as trials_of
 from ltsim.campaign.statistics import Results
@@ -19,7 +19,12 @@ from ltsim.simulate.physics import construction_of
 
 
 def campaign(
-    source: str | Path | Mapping[str, Any], *, out: str | Path | None = None, jobs: int = 1, resume: bool = False
+    source: str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    jobs: int = 1,
+    resume: bool = False,
+    force: bool = False,
 ) -> Results:
     """Simulate, calibrate and judge many trials; the rows are kept in a folder whatever stops it.
 
@@ -33,6 +38,8 @@ def campaign(
         Processes; the rows do not depend on it.
     resume : bool
         Continue what the folder holds.
+    force : bool
+        Begin anew in a folder that holds a campaign; its rows are lost.
 
     Returns
     -------
@@ -66,11 +73,11 @@ def campaign(
         with TemporaryDirectory() as place:
             file = Path(place) / "campaign.toml"
             file.write_text(to_toml(_from_here(source)), encoding="utf-8")
-            return _run(file, Path(out), jobs, resume=resume)
+            return _run(file, Path(out), jobs, resume=resume, force=force)
     path = Path(source)
     if path.is_dir():
         return Results(path)
-    return _run(path, path.with_suffix("") if out is None else Path(out), jobs, resume=resume)
+    return _run(path, path.with_suffix("") if out is None else Path(out), jobs, resume=resume, force=force)
 
 
 def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,8 +86,8 @@ def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
     return {**tables, "scenario": str(named.resolve())} if named.is_file() else dict(tables)
 
 
-def _run(file: Path, folder: Path, jobs: int, *, resume: bool) -> Results:
-    run_campaign(file, folder, workers=Workers(jobs), resume=resume)
+def _run(file: Path, folder: Path, jobs: int, *, resume: bool, force: bool) -> Results:
+    run_campaign(file, folder, workers=Workers(jobs), resume=resume, force=force)
     return Results(folder)
 
 
@@ -92,6 +99,7 @@ def recover(
     construction: str | None = None,
     seed: int = 0,
     jobs: int = 1,
+    progress: Progress = lambda trials: None,
 ) -> Recovery:
     """Draw an instrument from its prior, measure, calibrate, compare with the truth; many times.
 
@@ -102,6 +110,8 @@ def recover(
     method, construction
         As of `calibrate`; the construction is by default the scenario's.
     seed, jobs : int
+    progress : callable
+        Told of every trial that is done.
 
     Returns
     -------
@@ -116,7 +126,10 @@ def recover(
     """
     built = scenario(source)
     if built.instrument.construction == "dh" and construction not in (None, "dh"):
-        raise SetupError("the scenario's instrument is a dh one: recover with the construction dh")
+        raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
     calibrator = construction_of(built.instrument) if construction is None else construction_called(construction)
-    found = trials_of(built, trials, seed=seed, jobs=jobs, method=method, construction=calibrator)
+    found = []
+    for trial in trials_of(built, trials, seed=seed, jobs=jobs, method=method, construction=calibrator):
+        found.append(trial)
+        progress(1)
     return Recovery(calibrator.names, tuple(found))
