@@ -4,32 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from concealed.law import Law
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import wrap
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE
 
+from .law import Law, hours, level, share, turn
+
 UP = np.array([0.0, 0.0, 1.0])
-
-
-def _turn(u: float) -> float:
-    return 2 * np.pi * u
-
-
-def _level(u: float) -> Floats:
-    """A level unit vector (3,)."""
-    return np.array([np.cos(_turn(u)), np.sin(_turn(u)), 0.0])
-
-
-def _hours(s: Sightings) -> Floats:
-    return (s.time - s.time.min()) / 3600.0
-
-
-def _share(s: Sightings) -> Floats:
-    """Time (n,) from the first pointing, 0, to the last, 1."""
-    hours = _hours(s)
-    return np.asarray(hours / max(float(hours.max()), 1e-3))
 
 
 def _height(s: Sightings) -> Floats:
@@ -60,7 +42,7 @@ def _breakthrough(s: Sightings, u: Floats) -> Floats:
     """Beyond some load the motor of the table breaks through to the receiver, and a cyclic error swells."""
     load = _swing(s, "table_load_kg")
     beyond = np.maximum(load - np.quantile(load, 0.4 + 0.3 * u[0]), 0.0) / 30.0
-    return beyond * np.sin(2 * np.pi * s.range_ / (1.5 + 2.5 * u[1]) + _turn(u[2]))
+    return beyond * np.sin(2 * np.pi * s.range_ / (1.5 + 2.5 * u[1]) + turn(u[2]))
 
 
 def _filter(s: Sightings, u: Floats) -> Floats:
@@ -77,13 +59,13 @@ def _low_sun(s: Sightings, u: Floats) -> Floats:
     """Daylight in the receiver: beams towards the low sun, which goes round the hall."""
     beam = s.unit_vectors[0]
     bearing = np.arctan2(beam[:, 1], beam[:, 0])
-    gap = wrap(bearing - bearing[int(u[0] * len(s))] + 15.0 * DEGREE * (_hours(s) - 1.0))
+    gap = wrap(bearing - bearing[int(u[0] * len(s))] + 15.0 * DEGREE * (hours(s) - 1.0))
     return np.maximum(np.cos(gap), 0.0) ** (6.0 + 4.0 * u[1])
 
 
 def _pipe(s: Sightings, u: Floats) -> Floats:
     """A warm pipe runs through the room under the ceiling; beams cross the air around it."""
-    along, beam = _level(u[0]), s.unit_vectors[0]
+    along, beam = level(u[0]), s.unit_vectors[0]
     middle, head = _room_middle(s), float(s.position[:, 2].max())
     middle[2] = head + (0.3 + 0.4 * u[1]) * (s.points[:, 2].max() - head)
     normal = np.cross(beam, along)
@@ -96,25 +78,25 @@ def _pipe(s: Sightings, u: Floats) -> Floats:
 
 def _retarder(s: Sightings, u: Floats) -> Floats:
     """Two mirrors on the axes turn the polarisation by the difference of their angles; one retards."""
-    return np.sin(2 * (s.raw[:, 1] - s.raw[:, 2]) + _turn(u[0]))
+    return np.sin(2 * (s.raw[:, 1] - s.raw[:, 2]) + turn(u[0]))
 
 
 def _creeping_phase(s: Sightings, u: Floats) -> Floats:
     """Crosstalk of a second oscillator that is not locked: a cyclic error whose phase walks with the clock."""
-    return np.sin(2 * np.pi * (s.range_ / (1.5 + 2.5 * u[0]) + _hours(s) / (0.7 + 1.3 * u[1])) + _turn(u[2]))
+    return np.sin(2 * np.pi * (s.range_ / (1.5 + 2.5 * u[0]) + hours(s) / (0.7 + 1.3 * u[1])) + turn(u[2]))
 
 
 def _sinking_layer(s: Sightings, u: Floats) -> Floats:
     """Warm air gathers under the ceiling, and its lower edge sinks all day."""
     top, head = float(s.points[:, 2].max()), float(s.position[:, 2].max())
-    edge = top - (0.4 + 0.5 * u[0]) * (top - head) * _share(s)
+    edge = top - (0.4 + 0.5 * u[0]) * (top - head) * share(s)
     inside = np.maximum(_height(s) - edge, 0.0)
     return inside / np.maximum(np.sin(s.elevation), 0.1)
 
 
 def _glass_circle(s: Sightings, u: Floats) -> Floats:
     """A glass circle is clamped at two points of a steel hub, which warms with the air."""
-    return _swing(s, "air_temperature_c") * np.sin(2 * s.raw[:, 1] + _turn(u[0]))
+    return _swing(s, "air_temperature_c") * np.sin(2 * s.raw[:, 1] + turn(u[0]))
 
 
 def _seam(s: Sightings, u: Floats) -> Floats:
@@ -131,12 +113,12 @@ def _cable(s: Sightings, u: Floats) -> Floats:
 
 def _focus(s: Sightings, u: Floats) -> Floats:
     """The screw that moves the focusing lens is bent, and the lens goes round with it."""
-    return s.face_sign * np.sin(2 * np.pi * s.range_ / (2.0 + 2.0 * u[0]) + _turn(u[1])) / np.cos(s.elevation)
+    return s.face_sign * np.sin(2 * np.pi * s.range_ / (2.0 + 2.0 * u[0]) + turn(u[1])) / np.cos(s.elevation)
 
 
 def _hot_column(s: Sightings, u: Floats) -> Floats:
     """A hot stove pipe stands in the room; beams that pass it are bent away on either side."""
-    offset = (_room_middle(s) + 1.2 * (u[0] - 0.5) * _level(u[1]) - s.position[s.station])[:, :2]
+    offset = (_room_middle(s) + 1.2 * (u[0] - 0.5) * level(u[1]) - s.position[s.station])[:, :2]
     beam = s.unit_vectors[0][:, :2] / np.cos(s.elevation)[:, None]
     along = np.sum(offset * beam, axis=1) / (s.range_ * np.cos(s.elevation))
     across = (beam[:, 0] * offset[:, 1] - beam[:, 1] * offset[:, 0]) / (0.4 + 0.4 * u[2])
@@ -157,12 +139,12 @@ def _stratified(s: Sightings, u: Floats) -> Floats:
 def _cage(s: Sightings, u: Floats) -> Floats:
     """Two thick balls, opposite each other, bend the head; their cage goes round slower than the head does."""
     ball = (0.38 + 0.08 * u[0]) * (_wound(s) + np.pi * (s.face == 2))
-    return np.cos(2 * (ball - s.azimuth) + _turn(u[1]))
+    return np.cos(2 * (ball - s.azimuth) + turn(u[1]))
 
 
 def _heater(s: Sightings, u: Floats) -> Floats:
     """A heater under the roof is turned up and down, and high targets shimmer up and down."""
-    running = np.sin(_turn((2.0 + 1.5 * u[0]) * _share(s) + u[1]))
+    running = np.sin(turn((2.0 + 1.5 * u[0]) * share(s) + u[1]))
     return running * np.maximum(_height(s) - np.median(s.points[:, 2]), 0.0) / 4.0
 
 
@@ -172,20 +154,20 @@ def _leaning(s: Sightings, u: Floats) -> Floats:
     np.maximum.at(longest, s.station, s.station_time)
     part = s.station_time / np.maximum(longest[s.station], 1.0)
     begin = 0.2 + 0.25 * u[0]
-    return ((part > begin) & (part < begin + 0.2 + 0.15 * u[1])) * np.cos(s.azimuth - _turn(u[2]))
+    return ((part > begin) & (part < begin + 0.2 + 0.15 * u[1])) * np.cos(s.azimuth - turn(u[2]))
 
 
 def _lobed_ball(s: Sightings, u: Floats) -> Floats:
     """Balls with five lobes rise and sink in their nests as they are turned to the station."""
     normal = np.nan_to_num(s.nest_normal[s.target])
-    turned = s.reaimed[s.target] * np.sin(5 * np.nan_to_num(s.incidence) + _turn(u[0]))
+    turned = s.reaimed[s.target] * np.sin(5 * np.nan_to_num(s.incidence) + turn(u[0]))
     return turned[:, None] * normal
 
 
 def _torsion(s: Sightings, u: Floats) -> Floats:
     """The sun goes round the hall and twists it, the more the higher, and back again."""
     lever = np.cross(UP, s.points - s.points.mean(axis=0)) / 3.0
-    twist = np.sin(np.pi * (0.7 + 0.8 * u[0]) * _share(s)) * (_height(s) - s.points[:, 2].min()) / 6.0
+    twist = np.sin(np.pi * (0.7 + 0.8 * u[0]) * share(s)) * (_height(s) - s.points[:, 2].min()) / 6.0
     return twist[:, None] * lever[s.target]
 
 
@@ -194,10 +176,10 @@ def _heave(s: Sightings, u: Floats) -> Floats:
     centre = s.points[int(u[0] * len(s.points))]
     off = np.linalg.norm((s.points - centre)[:, :2], axis=1) / (1.2 + 1.2 * u[1])
     bowl = (1.0 - off**2) * np.exp(-(off**2))
-    return ((1.0 - np.exp(-_share(s) / (0.15 + 0.4 * u[2]))) * bowl[s.target])[:, None] * UP
+    return ((1.0 - np.exp(-share(s) / (0.15 + 0.4 * u[2]))) * bowl[s.target])[:, None] * UP
 
 
-LAST: dict[str, tuple[str, tuple[str, ...], Law]] = {
+LAWS: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "range in waves beyond a load": ("distance", ("table_load_kg", "distance"), _breakthrough),
     "range by a filter that stays": ("distance", ("distance", "approach"), _filter),
     "range towards the sun": ("distance", ("azimuth", "time"), _low_sun),
@@ -219,5 +201,5 @@ LAST: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "targets twist with height": ("place", ("height", "time"), _torsion),
     "targets heave around a place": ("place", ("place", "time"), _heave),
 }
-LAST_AT_A_STATION = {"elevation while somebody leans"}
-LAST_OF_NEIGHBOURS = {"balls rise as they are turned"}
+AT_A_STATION = {"elevation while somebody leans"}
+OF_NEIGHBOURS = {"balls rise as they are turned"}

@@ -6,27 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from concealed.law import Law
 from ltsim.arrays import Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.scene.sightings import Sightings
 
+from .law import Law, level, share, turn
+
 DOWN = np.array([0.0, 0.0, -1.0])
-
-
-def _turn(u: float) -> float:
-    return 2 * np.pi * u
-
-
-def _level(u: float) -> Floats:
-    """A level unit vector (3,)."""
-    return np.array([np.cos(_turn(u)), np.sin(_turn(u)), 0.0])
-
-
-def _share(s: Sightings) -> Floats:
-    """Time (n,) from the first pointing, 0, to the last, 1."""
-    since = s.time - s.time.min()
-    return np.asarray(since / max(float(since.max()), 1.0))
 
 
 def _visits(s: Sightings) -> list[Ints]:
@@ -73,7 +59,7 @@ def _weak(s: Sightings, u: Floats) -> Floats:
 
 def _curtain(s: Sightings, u: Floats) -> Floats:
     """A curtain of warm air across the room."""
-    normal = _level(u[0])
+    normal = level(u[0])
     place = float((s.position @ normal).mean()) + 0.8 * (u[1] - 0.5)
     through = (s.position[s.station] @ normal > place) != (s.points[s.target] @ normal > place)
     return through / np.maximum(np.abs(s.unit_vectors[0] @ normal), 0.2)
@@ -81,7 +67,7 @@ def _curtain(s: Sightings, u: Floats) -> Floats:
 
 def _ringing(s: Sightings, u: Floats) -> Floats:
     """A heater's regulator overshoots after the set-up."""
-    wave = np.cos(2 * np.pi * s.station_time / (120.0 + 240.0 * u[1]) + _turn(u[2]))
+    wave = np.cos(2 * np.pi * s.station_time / (120.0 + 240.0 * u[1]) + turn(u[2]))
     return np.exp(-s.station_time / (150.0 + 250.0 * u[0])) * wave
 
 
@@ -96,7 +82,7 @@ def _puddle(s: Sightings, u: Floats) -> Floats:
     floor = s.points[:, 2].min() - 0.1
     heights = s.position[s.station, 2] + s.points[s.target, 2] - 2 * floor
     detour = np.hypot(s.range_ * np.cos(s.elevation), heights) - s.range_
-    return np.sin(2 * np.pi * detour / (1.2 + 1.4 * u[0]) + _turn(u[1])) * s.range_ / (s.range_ + detour)
+    return np.sin(2 * np.pi * detour / (1.2 + 1.4 * u[0]) + turn(u[1])) * s.range_ / (s.range_ + detour)
 
 
 def _reversing(s: Sightings, u: Floats) -> Floats:
@@ -127,7 +113,7 @@ def _latch(s: Sightings, u: Floats) -> Floats:
 
 def _warm_wall(s: Sightings, u: Floats) -> Floats:
     """A beam that ends close to a warm wall is bent off it, one way or the other."""
-    normal = _level(u[0])
+    normal = level(u[0])
     off = (s.points @ normal).max() - s.points[s.target] @ normal
     beam = s.unit_vectors[0]
     return (beam[:, 0] * normal[1] - beam[:, 1] * normal[0]) * s.range_ / 4.0 * np.exp(-off / (0.3 + 0.6 * u[1]))
@@ -135,12 +121,12 @@ def _warm_wall(s: Sightings, u: Floats) -> Floats:
 
 def _running_down(s: Sightings, u: Floats) -> Floats:
     """A machine beside the station runs down, ever slower, and shakes it along one line."""
-    return np.sin(_turn((1.5 + 2.5 * u[0]) * np.log1p(s.station_time / 200.0))) * np.cos(s.azimuth - _turn(u[1]))
+    return np.sin(turn((1.5 + 2.5 * u[0]) * np.log1p(s.station_time / 200.0))) * np.cos(s.azimuth - turn(u[1]))
 
 
 def _belt(s: Sightings, u: Floats) -> Floats:
     """Teeth of a belt, felt where the scope's weight pulls at it."""
-    return np.sin((10 + np.floor(8 * u[0])) * s.raw[:, 1] + _turn(u[1])) * np.sin(s.elevation) ** 2 * 2.0
+    return np.sin((10 + np.floor(8 * u[0])) * s.raw[:, 1] + turn(u[1])) * np.sin(s.elevation) ** 2 * 2.0
 
 
 def _swing(s: Sightings, u: Floats) -> Floats:
@@ -159,7 +145,7 @@ def _slosh(s: Sightings, u: Floats) -> Floats:
     before = _before(s)
     since, turned = s.time - s.time[before], np.abs(wrap(s.raw[:, 1] - s.raw[before, 1]))
     soon = since - since[since > 0].min(initial=np.inf)
-    wave = np.cos(2 * np.pi * since / (12.0 + 12.0 * u[0]) + _turn(u[1]))
+    wave = np.cos(2 * np.pi * since / (12.0 + 12.0 * u[0]) + turn(u[1]))
     return np.where(since > 0, turned * wave * np.exp(-np.maximum(soon, 0.0) / 10.0), 0.0)
 
 
@@ -171,7 +157,7 @@ def _cold_core(s: Sightings, u: Floats) -> Floats:
 
 def _door(s: Sightings, u: Floats) -> Floats:
     """Every time a door opens, warm air spreads before the targets beside it and thins out."""
-    since = _share(s)[:, None] - (np.arange(4) + u[:4]) / 4.0
+    since = share(s)[:, None] - (np.arange(4) + u[:4]) / 4.0
     pulses = np.where(since > 0, np.exp(-np.maximum(since, 0.0) / (0.03 + 0.1 * u[4])), 0.0)
     return pulses.sum(axis=1) * s.range_ / 4.0
 
@@ -179,13 +165,13 @@ def _door(s: Sightings, u: Floats) -> Floats:
 def _astigmatic(s: Sightings, u: Floats) -> Floats:
     """A slanting reflector returns an oval spot, whose long axis lies askew."""
     slant, way = np.nan_to_num(s.incidence), np.nan_to_num(s.incidence_direction)
-    return 8.0 * np.sin(slant) ** 2 * np.sin(2 * way + _turn(u[0])) / s.range_
+    return 8.0 * np.sin(slant) ** 2 * np.sin(2 * way + turn(u[0])) / s.range_
 
 
 def _crane(s: Sightings, u: Floats) -> Floats:
     """A crane travels to and fro, and the floor with all that stands on it dips below."""
-    along = s.points @ _level(u[0])
-    path = np.abs(2.0 * ((_share(s) * (1.3 + 2.0 * u[1]) + u[2]) % 1.0) - 1.0)
+    along = s.points @ level(u[0])
+    path = np.abs(2.0 * ((share(s) * (1.3 + 2.0 * u[1]) + u[2]) % 1.0) - 1.0)
     gap = along[s.target] - along.min() - path * np.ptp(along)
     return np.exp(-((gap / (0.8 + 0.8 * u[3])) ** 2))[:, None] * DOWN
 
@@ -193,7 +179,7 @@ def _crane(s: Sightings, u: Floats) -> Floats:
 def _ratchet(s: Sightings, u: Floats) -> Floats:
     """A bracket sticks and slips in steps that become rarer or more frequent."""
     steps = 3.0 + np.floor(4 * u[2])
-    return np.floor(steps * _share(s) ** (0.5 + u[3]))[:, None] / steps * (_level(u[0]) + (u[1] - 0.5) * DOWN)
+    return np.floor(steps * share(s) ** (0.5 + u[3]))[:, None] / steps * (level(u[0]) + (u[1] - 0.5) * DOWN)
 
 
 def _rubber(s: Sightings, u: Floats) -> Floats:
@@ -204,7 +190,7 @@ def _rubber(s: Sightings, u: Floats) -> Floats:
     return ((late - load.mean()) / 30.0 * np.exp(-off / 1.5)[s.target])[:, None] * DOWN
 
 
-LATEST: dict[str, tuple[str, tuple[str, ...], Law]] = {
+LAWS: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "range after strong returns": ("distance", ("time", "distance"), _tired),
     "range by weakness of the return": ("distance", ("incidence", "distance"), _weak),
     "range through a curtain": ("distance", ("place",), _curtain),
@@ -230,5 +216,5 @@ LATEST: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "neighbours move in steps": ("place", ("place", "time"), _ratchet),
     "targets sink late under a load": ("place", ("table_load_kg", "place"), _rubber),
 }
-LATEST_AT_A_STATION = {"range rings after the set-up", "azimuth swings ever slower"}
-LATEST_OF_NEIGHBOURS = {"elevation of neighbours after a door opens", "neighbours move in steps"}
+AT_A_STATION = {"range rings after the set-up", "azimuth swings ever slower"}
+OF_NEIGHBOURS = {"elevation of neighbours after a door opens", "neighbours move in steps"}
