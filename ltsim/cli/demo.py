@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 import ltsim as lt
+from ltsim.campaign import require_packages
 from ltsim.cli.options import Json, Quiet, Seed
 from ltsim.cli.places import Force, claim_empty
 from ltsim.cli.terminal import Terminal
@@ -59,6 +60,7 @@ def demo(
 
     Example: ltsim demo --out ltsim-demo
     """
+    require_packages()
     terminal = Terminal(quiet, as_json)
     claim_empty(out, force=force)
     said = []

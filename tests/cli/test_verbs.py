@@ -277,3 +277,38 @@ def test_digits_and_tables() -> None:
     assert table(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
     with pytest.raises(ModelError):
         table(["a"], [["x", "y"]])
+
+
+WITHOUT = """
+import sys
+for name in ("duckdb", "numba", "llvmlite", "pyarrow", "pandas", "openpyxl", "dask", "distributed"):
+    sys.modules[name] = None
+from ltsim.cli.main import run
+sys.exit(max(run(command.split()) for command in {commands}))
+"""
+
+
+def without_extras(commands: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """A process that runs commands as a plain installation would, without the packages of any extra."""
+    code = WITHOUT.format(commands=commands)
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_a_plain_installation_does_all_but_campaigns(workplace: Path, tmp_path: Path) -> None:
+    commands = [
+        f"evaluate {workplace / 'rec'} --calibration {workplace / 'cal'}",
+        "recover paper-workshop --trials 2 --out checked",
+        f"correct {workplace / 'rec'} --calibration {workplace / 'cal'} --out corrected",
+        "report corrected",
+        "plan --show paper-workshop",
+    ]
+    done = without_extras(commands, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("command", ["campaign mine.toml", "demo"])
+def test_campaigns_say_which_extra_they_need(command: str, tmp_path: Path) -> None:
+    done = without_extras([command], tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "error: campaigns need the extra 'campaigns': pip install \"ltsim[campaigns]\"\n"
+    assert not list(tmp_path.iterdir())

@@ -1,21 +1,19 @@
-"""Many trials: campaigns over a grid of settings, and the check that what is injected is recovered."""
+"""Many trials over a grid of settings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ltsim.api.workshop import ScenarioSource, scenario
-from ltsim.campaign.campaign import Progress, Workers, run_campaign
-from ltsim.campaign.recovery import Recovery
-from ltsim.campaign.recovery import recover as trials_of
-from ltsim.campaign.statistics import Results
+from ltsim.campaign import require_packages
 from ltsim.errors import SetupError
-from ltsim.model.construction import construction as construction_called
 from ltsim.recording.settings import to_toml
-from ltsim.simulate.physics import construction_of
+
+if TYPE_CHECKING:
+    from ltsim.campaign.statistics import Results
+
 
 
 def campaign(
@@ -49,7 +47,8 @@ def campaign(
     Raises
     ------
     SetupError
-        In one sentence, for a file that cannot be run or a folder that holds another campaign.
+        In one sentence, for a file that cannot be run, a folder that holds another campaign, or the extra `campaigns`
+        that is not installed.
 
     Examples
     --------
@@ -76,7 +75,7 @@ def campaign(
             return _run(file, Path(out), jobs, resume=resume, force=force)
     path = Path(source)
     if path.is_dir():
-        return Results(path)
+        return _results(path)
     return _run(path, path.with_suffix("") if out is None else Path(out), jobs, resume=resume, force=force)
 
 
@@ -87,49 +86,15 @@ def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _run(file: Path, folder: Path, jobs: int, *, resume: bool, force: bool) -> Results:
+    require_packages()
+    from ltsim.campaign.campaign import Workers, run_campaign
+
     run_campaign(file, folder, workers=Workers(jobs), resume=resume, force=force)
+    return _results(folder)
+
+
+def _results(folder: Path) -> Results:
+    require_packages()
+    from ltsim.campaign.statistics import Results
+
     return Results(folder)
-
-
-def recover(
-    source: ScenarioSource,
-    *,
-    trials: int = 200,
-    method: str = "network",
-    construction: str | None = None,
-    seed: int = 0,
-    jobs: int = 1,
-    progress: Progress = lambda trials: None,
-) -> Recovery:
-    """Draw an instrument from its prior, measure, calibrate, compare with the truth; many times.
-
-    Parameters
-    ----------
-    source : Scenario, str or Path
-    trials : int
-    method, construction
-        As of `calibrate`; the construction is by default the scenario's.
-    seed, jobs : int
-    progress : callable
-        Told of every trial that is done.
-
-    Returns
-    -------
-    Recovery
-        `failures()` lists the checks that fail; a correct model fails any in one run of a hundred.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> lt.recover("paper-workshop", trials=12).failures()
-    []
-    """
-    built = scenario(source)
-    if built.instrument.construction == "dh" and construction not in (None, "dh"):
-        raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
-    calibrator = construction_of(built.instrument) if construction is None else construction_called(construction)
-    found = []
-    for trial in trials_of(built, trials, seed=seed, jobs=jobs, method=method, construction=calibrator):
-        found.append(trial)
-        progress(1)
-    return Recovery(calibrator.names, tuple(found))
