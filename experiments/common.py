@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -38,22 +37,25 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Options:
-    """How an experiment is run: number of trials, processes, folder of the results."""
+    """How an experiment is run: number of trials, processes, folder of the results, further words of the command."""
 
     trials: int | None
     jobs: int
     out: Path
+    words: tuple[str, ...] = ()
 
 
-def options(file: str, arguments: Sequence[str] | None = None) -> Options:
-    """The options of ``run.py``; the results go to ``results/<folder of the experiment>``."""
-    here = Path(file).resolve().parent
-    parser = argparse.ArgumentParser(description=f"Experiment {here.name}; see its README.md.")
-    parser.add_argument("--trials", type=int, help="instead of those of config.toml")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--out", type=Path, default=ROOT / "results" / here.name, help="folder of the results")
-    given = parser.parse_args(arguments)
-    return Options(given.trials, given.jobs, given.out)
+@dataclass(frozen=True)
+class Made:
+    """What an experiment tells of its results: seed and trials, and whatever else belongs into the manifest.
+
+    `folder` is where they lie, if not directly in the folder that was asked for.
+    """
+
+    seed: int | None = None
+    trials: int | None = None
+    more: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -203,26 +205,45 @@ def write_figure(path: Path, figure: Figure) -> None:
     path.write_text(svg(figure), encoding="utf-8")
 
 
-def write_manifest(file: str, given: Options, seed: int, trials: int, **more: Any) -> None:
+def write_manifest(here: Path, given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
-    here = Path(file).resolve().parent
-    place = here.relative_to(ROOT) if here.is_relative_to(ROOT) else Path(here.name)
+    words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
     content = {
-        "command": f"python {place.as_posix()}/run.py --trials {trials}",
-        "seed": seed,
-        "trials": trials,
+        "command": " ".join(["python -m experiments", *words]),
+        "seed": made.seed,
+        "trials": made.trials,
         "versions": {"python": platform.python_version()} | {name: version(name) for name in USED},
-        "commit": _commit(),
+        "commit": _git("rev-parse", "HEAD"),
+        "uncommitted_changes": bool(_git("status", "--porcelain", "--", "ltsim", "experiments")),
         "settings": {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))},
     }
-    given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "manifest.json").write_text(json.dumps(content | more, indent=1) + "\n", encoding="utf-8")
+    folder = made.folder or given.out
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(content | dict(made.more), indent=1) + "\n"
+    some = "-".join(["", *given.words]) if made.folder is None else ""  # steps of a whole have manifests of their own
+    (folder / f"manifest{some}.json").write_text(text, encoding="utf-8")
 
 
-def _commit() -> str | None:
-    command = ["git", "rev-parse", "HEAD"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+def _git(*words: str) -> str | None:
+    """What git says of this checkout; None where it is none."""
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def run_steps(given: Options, steps: Mapping[str, Callable[[Path], None]]) -> None:
+    """Run the steps that were named, or all; leaves with a word where there is no such step."""
+    for word in given.words:
+        if word not in steps:
+            sys.exit(f"there is no step '{word}'; there are {', '.join(steps)}")
+    given.out.mkdir(parents=True, exist_ok=True)
+    for step in given.words or steps:
+        steps[step](given.out)
+
+
+def show_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write a table, and print it for whoever waits."""
+    write_table(path, rows)
+    tell("\n".join([f"\n{path.name}", *("  " + "  ".join(f"{k} {v}" for k, v in row.items()) for row in rows)]))
 
 
 def tell(text: str) -> None:

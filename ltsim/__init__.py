@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ltsim import effects, errors
+    from ltsim.api.campaigns import campaign
     from ltsim.api.catalogue import catalogue
     from ltsim.api.diagnosing import diagnose
     from ltsim.api.files import convert, read, write
     from ltsim.api.network import adjust, calibrate, correct, evaluate, history, verify
     from ltsim.api.pages import report, view
     from ltsim.api.planning import next_measurement, plan
-    from ltsim.api.trials import campaign, recover
+    from ltsim.api.recovering import recover
     from ltsim.api.workshop import scenario, simulate
 
     __version__: str
@@ -35,8 +36,8 @@ _HOME = {
     "verify": "network",
     "history": "network",
     "diagnose": "diagnosing",
-    "campaign": "trials",
-    "recover": "trials",
+    "campaign": "campaigns",
+    "recover": "recovering",
     "plan": "planning",
     "next_measurement": "planning",
     "view": "pages",

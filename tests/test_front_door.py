@@ -104,7 +104,7 @@ def test_the_examples_say_what_they_say(name: str, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("small-plan.toml").write_text(SMALL_PLAN)
     said: list[str] = []
-    failed = doctest.DocTestRunner().run(EXAMPLES[name], out=said.append, clear_globs=False).failed
+    failed = doctest.DocTestRunner().run(EXAMPLES[name], out=said.append).failed
     assert not failed, "".join(said)
 
 

@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
 
-import numpy as np  # noqa: E402
-from common import (  # noqa: E402
+from experiments.common import (
     Cell,
+    Made,
+    Options,
     batches,
     cells_of,
-    options,
     same_instrument,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
+from ltsim.arrays import Floats
+from ltsim.campaign.calibrators import calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.engine import Bench
+from ltsim.campaign.spec import Campaign, Method
+from ltsim.evaluate.clouds import in_first_frame, on_points
+from ltsim.evaluate.criteria import coordinate_differences, distance_differences, pair_distances
+from ltsim.evaluate.verification import coordinate_errors, distance_errors
+from ltsim.report.figures import Distribution, distributions
+from ltsim.simulate.gauge import nominal_points
+from ltsim.units import MICROMETRE
 
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.campaign.calibrators import calibrator_of  # noqa: E402
-from ltsim.campaign.cell import truth_of  # noqa: E402
-from ltsim.campaign.engine import Bench  # noqa: E402
-from ltsim.campaign.spec import Campaign, Method  # noqa: E402
-from ltsim.evaluate.clouds import in_first_frame, on_points  # noqa: E402
-from ltsim.evaluate.criteria import coordinate_differences, distance_differences, pair_distances  # noqa: E402
-from ltsim.evaluate.verification import coordinate_errors, distance_errors  # noqa: E402
-from ltsim.report.figures import Distribution, distributions  # noqa: E402
-from ltsim.simulate.gauge import nominal_points  # noqa: E402
-from ltsim.units import MICROMETRE  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 MATCHED = 1
 """Cell of config.toml with the size of errors that gives the figures of Table 3 before calibration."""
@@ -179,8 +177,7 @@ def figure_rows(columns: Columns, table: str) -> list[Distribution]:
     return panels
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, cells = cells_of(HERE / "config.toml", given.trials)
     cells += cells_of(HERE / "fixed_nests.toml")[1]
     laboratory, rooms = cells_of(HERE / "laboratory.toml")
@@ -207,8 +204,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_table(given.out / "table_4.csv", laboratory_table)
     write_figure(given.out / "table_3.svg", distributions(figure_rows(drawn[MATCHED, "distance"], "workshop")))
     write_figure(given.out / "table_4.svg", distributions(figure_rows(drawn[GROWN, rooms[1].title], "laboratory")))
-    write_manifest(__file__, given, campaign.seed, campaign.trials, laboratory_seed=laboratory.seed)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials, {"laboratory_seed": laboratory.seed})

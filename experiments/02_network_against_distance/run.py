@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
 
-import numpy as np  # noqa: E402
-from common import (  # noqa: E402
+from experiments.common import (
     Cell,
+    Made,
+    Options,
     batches,
     cells_of,
     compared,
-    options,
     share,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
+from ltsim.arrays import Floats
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.engine import Engine
+from ltsim.campaign.spec import Campaign
+from ltsim.model.construction import misalignment
+from ltsim.report.figures import Mean, by_setting
 
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.campaign.cell import truth_of  # noqa: E402
-from ltsim.campaign.engine import Engine  # noqa: E402
-from ltsim.campaign.spec import Campaign  # noqa: E402
-from ltsim.model.construction import misalignment  # noqa: E402
-from ltsim.report.figures import Mean, by_setting  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 JUDGED = (
     "distance_improvement_percent",
@@ -68,8 +65,7 @@ def parameter_rows(campaign: Campaign, cell: Cell, drawn: dict[str, Columns]) ->
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, cells = cells_of(HERE / "config.toml", given.trials)
     table: list[dict[str, object]] = []
     shares: list[dict[str, object]] = []
@@ -97,8 +93,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_table(given.out / "share_removed.csv", shares)
     write_table(given.out / "parameters.csv", parameters)
     write_figure(given.out / "held_out.svg", by_setting(means, label="rms error on held-out points [µm]"))
-    write_manifest(__file__, given, campaign.seed, campaign.trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials)

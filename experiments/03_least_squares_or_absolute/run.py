@@ -2,48 +2,45 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
 
-import numpy as np  # noqa: E402
-from common import (  # noqa: E402
+from experiments.common import (
     HELD_OUT,
+    Made,
+    Options,
     batches,
     calibrated,
     cells_of,
     held_out,
-    options,
     share,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
+from ltsim.adjust import Adjustment, adjust
+from ltsim.arrays import Floats, Ints
+from ltsim.campaign.calibrators import calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.engine import Calibrated, recording_of
+from ltsim.campaign.spec import Campaign, Method
+from ltsim.campaign.truth import Block, Truth
+from ltsim.evaluate.clouds import on_points
+from ltsim.model.construction import Construction, misalignment
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.report.figures import Mean, by_setting
+from ltsim.simulate.scenario import load_scenario
+from ltsim.units import MICROMETRE
 
-from ltsim.adjust import Adjustment, adjust  # noqa: E402
-from ltsim.arrays import Floats, Ints  # noqa: E402
-from ltsim.campaign.calibrators import calibrator_of  # noqa: E402
-from ltsim.campaign.cell import truth_of  # noqa: E402
-from ltsim.campaign.engine import Calibrated, recording_of  # noqa: E402
-from ltsim.campaign.spec import Campaign, Method  # noqa: E402
-from ltsim.campaign.truth import Block, Truth  # noqa: E402
-from ltsim.evaluate.clouds import on_points  # noqa: E402
-from ltsim.model.construction import Construction, misalignment  # noqa: E402
-from ltsim.randomness import stream  # noqa: E402
-from ltsim.recording.recording import Recording  # noqa: E402
-from ltsim.report.figures import Mean, by_setting  # noqa: E402
-from ltsim.simulate.scenario import load_scenario  # noqa: E402
-from ltsim.units import MICROMETRE  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 MOST_REMOVED = 60
 
@@ -109,8 +106,7 @@ def one_batch(
     return columns | held_out(room, block.values, campaign.seed + 1, number, found, calibrator.construction)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, _ = cells_of(HERE / "config.toml", given.trials)
     law = tomllib.loads((HERE / "outliers.toml").read_text(encoding="utf-8"))
     table, means = [], []
@@ -131,8 +127,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             tell(f"{setting}, {title}: done")
     write_table(given.out / "methods.csv", table)
     write_figure(given.out / "held_out.svg", by_setting(means, label="rms error on held-out points [µm]"))
-    write_manifest(__file__, given, campaign.seed, campaign.trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials)

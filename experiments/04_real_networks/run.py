@@ -1,22 +1,21 @@
 """Networks that nobody here made: GNU Gama's, CERN's trackers, a total station, a scanner with known truth.
 
-    python experiments/04_real_networks/run.py [gama] [cern] [geoeasy] [scanner]
+    python -m experiments 04 [gama] [cern] [geoeasy] [scanner]
 
-Reads ../shared/recordings beside the checkout; writes only figures found to results/04_real_networks: rows and set-ups
-are numbers in the order of the file.
+Reads ../shared/recordings beside the checkout; writes only figures found: rows and set-ups are numbers in the order of
+the file.
 """
 
 from __future__ import annotations
 
-import csv
-import json
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
-from published import DATA, GAMA, ROOT, SCANNER_TRUTH, coordinates_of, gama_result, scanner, scanner_recording
 from scipy import stats
 
+from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.precision import ellipsoids
 from ltsim.adjust.problem import NetworkProblem
@@ -33,27 +32,16 @@ from ltsim.solve.blocks import BlockSystem
 from ltsim.solve.gauss_newton import solve
 from ltsim.units import ARCSECOND, MILLIMETRE
 
-OUT = ROOT / "results" / "04_real_networks"
+from .published import DATA, GAMA, SCANNER_TRUTH, coordinates_of, gama_result, scanner, scanner_recording
+
 UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
 Rows = list[dict[str, object]]
-
-
-def save(name: str, rows: Rows) -> None:
-    """Write a table and show it."""
-    OUT.mkdir(parents=True, exist_ok=True)
-    with (OUT / name).open("w", newline="", encoding="utf-8") as stream_:
-        writer = csv.DictWriter(stream_, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    print(f"\n{name}")
-    for row in rows:
-        print("  " + "  ".join(f"{k} {v}" for k, v in row.items()))
 
 
 # --- GNU Gama -----------------------------------------------------------------------------------------------------
 
 
-def gama() -> None:
+def gama(out: Path) -> None:
     """Coordinates, sigma0, standard deviations and sums of squares beside those that gama-local published."""
     rows: Rows = []
     for name in GAMA:
@@ -76,7 +64,7 @@ def gama() -> None:
                 "by_lines_between_marks_percent": f"{100 * np.abs(sigma_ratio(reduced, name) - 1).max():.3f}",
             }
         )
-    save("gama.csv", rows)
+    show_table(out / "gama.csv", rows)
 
 
 def difference(ours: Adjustment, name: str) -> np.ndarray:
@@ -156,7 +144,7 @@ CERN = {
 }
 
 
-def cern() -> None:
+def cern(out: Path) -> None:
     """Adjusted as stated, robustly, and with the noise of each instrument; what does not fit, reading by reading."""
     summary, misfits, noise = [], [], []
     for name, file in CERN.items():
@@ -176,9 +164,9 @@ def cern() -> None:
                 f'{name}: {len(levels)} levels, tilts {np.sqrt(np.mean(tilt**2)):.2f}" rms, '
                 f'largest {np.abs(tilt).max():.2f}", redundancy {checked:.1f}'
             )
-    save("cern.csv", summary)
-    save("cern_misfits.csv", misfits)
-    save("cern_noise.csv", noise)
+    show_table(out / "cern.csv", summary)
+    show_table(out / "cern_misfits.csv", misfits)
+    show_table(out / "cern_noise.csv", noise)
 
 
 WAYS: dict[str, dict[str, object]] = {
@@ -242,7 +230,7 @@ def enumerate_instruments(found: Adjustment) -> Rows:
 # --- GeoEasy ------------------------------------------------------------------------------------------------------
 
 
-def geoeasy() -> None:
+def geoeasy(out: Path) -> None:
     """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
     recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
     rows: Rows = []
@@ -259,9 +247,9 @@ def geoeasy() -> None:
                     **factors,
                 }
             )
-    save("geoeasy.csv", rows)
+    show_table(out / "geoeasy.csv", rows)
     values, sigma = found.state.instrument[0], np.sqrt(np.diag(found.instrument_covariance))
-    save("geoeasy_parameters.csv", [
+    show_table(out / "geoeasy_parameters.csv", [
         {"parameter": p.name, "value": f"{v / p.factor:.2f}", "sigma": f"{s / p.factor:.2f}", "unit": p.unit}
         for p, v, s in zip(built.parameters, values, sigma, strict=True) if abs(v) > 3 * s
     ])  # fmt: skip
@@ -276,7 +264,7 @@ UNITS = np.array([p.factor for p in PARAMETERS])
 TRUTH = np.array([SCANNER_TRUTH[p.name] for p in PARAMETERS])
 
 
-def scanner_truth() -> None:
+def scanner_truth(out: Path) -> None:
     """Four parameters of a scanner that others simulated, to first order as they did and by the exact chain."""
     rows: Rows = []
     for known in (True, False):
@@ -300,7 +288,7 @@ def scanner_truth() -> None:
                 "off_in_spreads": f"{gap[k] / errors[:, k].std():.1f}", "joint_p": f"{stats.chi2.sf(joint, 4):.2f}",
                 "exact_chain": f"{exact[k]:.1f}", "exact_less_first_order": f"{form[k]:.2f}",
             })  # fmt: skip
-    save("scanner.csv", rows)
+    show_table(out / "scanner.csv", rows)
 
 
 def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -337,15 +325,9 @@ def rounded(trial: int | None) -> Recording:
 STEPS = {"gama": gama, "cern": cern, "geoeasy": geoeasy, "scanner": scanner_truth}
 
 
-def main(names: list[str]) -> None:
+def run(given: Options) -> Made:
     """Run the named steps, or all."""
     if not DATA.is_dir():
         sys.exit(f"{DATA} is not there: these recordings are no part of the project")
-    for name in names or STEPS:
-        STEPS[name]()
-    versions = {"numpy": np.__version__, "command": "python experiments/04_real_networks/run.py"}
-    (OUT / "manifest.json").write_text(json.dumps(versions, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    run_steps(given, STEPS)
+    return Made(seed=4)

@@ -2,54 +2,51 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
 
-import numpy as np  # noqa: E402
-from common import (  # noqa: E402
+from experiments.common import (
     HELD_OUT,
+    Made,
+    Options,
     batches,
     calibrated,
     cells_of,
     held_out,
-    options,
     share,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
+from ltsim.arrays import Floats
+from ltsim.campaign.calibrators import Batch, Calibrator, calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.distance import BatchDistance
+from ltsim.campaign.engine import Engine
+from ltsim.campaign.spec import Campaign, Method
+from ltsim.campaign.truth import Truth
+from ltsim.effects import BASELINE
+from ltsim.effects.azimuth_harmonic import AzimuthHarmonic
+from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
+from ltsim.effects.effect import SlotEffect
+from ltsim.effects.elevation_harmonic import ElevationHarmonic
+from ltsim.effects.elevation_second_order import ElevationSecondOrder
+from ltsim.model.construction import Construction, misalignment
+from ltsim.report.figures import Mean, by_setting
+from ltsim.simulate.gauge import frame_of
+from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.simulate.sections import Gauge, GaugeLength
+from ltsim.units import MICRORADIAN, MILLIMETRE
 
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.campaign.calibrators import Batch, Calibrator, calibrator_of  # noqa: E402
-from ltsim.campaign.cell import truth_of  # noqa: E402
-from ltsim.campaign.distance import BatchDistance  # noqa: E402
-from ltsim.campaign.engine import Engine  # noqa: E402
-from ltsim.campaign.spec import Campaign, Method  # noqa: E402
-from ltsim.campaign.truth import Truth  # noqa: E402
-from ltsim.effects import BASELINE  # noqa: E402
-from ltsim.effects.azimuth_harmonic import AzimuthHarmonic  # noqa: E402
-from ltsim.effects.azimuth_second_order import AzimuthSecondOrder  # noqa: E402
-from ltsim.effects.effect import SlotEffect  # noqa: E402
-from ltsim.effects.elevation_harmonic import ElevationHarmonic  # noqa: E402
-from ltsim.effects.elevation_second_order import ElevationSecondOrder  # noqa: E402
-from ltsim.model.construction import Construction, misalignment  # noqa: E402
-from ltsim.report.figures import Mean, by_setting  # noqa: E402
-from ltsim.simulate.gauge import frame_of  # noqa: E402
-from ltsim.simulate.scenario import Scenario, load_scenario  # noqa: E402
-from ltsim.simulate.sections import Gauge, GaugeLength  # noqa: E402
-from ltsim.units import MICRORADIAN, MILLIMETRE  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 Row = dict[str, Any]
 
@@ -148,8 +145,7 @@ def mean_of(setting: str, method: str, row: Row) -> Mean:
     return Mean(setting, method, *(row[k] for k in keys))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, cells = cells_of(HERE / "config.toml", given.trials)
     sweep = tomllib.loads((HERE / "sweep.toml").read_text(encoding="utf-8"))
     blocks = list(batches(campaign.trials))
@@ -180,8 +176,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     label = "rms error on held-out points [µm]"
     write_figure(given.out / "gauge.svg", by_setting(gauge_dots, label=label))
     write_figure(given.out / "harmonics.svg", by_setting(order_dots, label=label))
-    write_manifest(__file__, given, campaign.seed, campaign.trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials)

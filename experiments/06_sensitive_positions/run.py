@@ -2,39 +2,36 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
+from matplotlib.figure import Figure
 
-import numpy as np  # noqa: E402
-from common import (  # noqa: E402
+from experiments.common import (
+    Made,
+    Options,
     Row,
     batches,
     cells_of,
     compared,
-    options,
     share,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
-from matplotlib.figure import Figure  # noqa: E402
+from ltsim.arrays import Floats
+from ltsim.model.construction import misalignment
+from ltsim.report.figures import Mean, by_setting
+from ltsim.report.style import CYCLE, new_figure, quiet_axis, styled
+from ltsim.simulate.scenario import Scenario
+from ltsim.units import DEGREE, MICROMETRE
 
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.model.construction import misalignment  # noqa: E402
-from ltsim.report.figures import Mean, by_setting  # noqa: E402
-from ltsim.report.style import CYCLE, new_figure, quiet_axis, styled  # noqa: E402
-from ltsim.simulate.scenario import Scenario  # noqa: E402
-from ltsim.units import DEGREE, MICROMETRE  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 AZIMUTHS = np.arange(0.0, 360.0, 15.0) * DEGREE
 
@@ -98,8 +95,7 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
     return figure
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, cells = cells_of(HERE / "config.toml", given.trials)
     scenario = cells[0].scenario
     designs = tomllib.loads((HERE / "designs.toml").read_text(encoding="utf-8"))
@@ -122,8 +118,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_table(given.out / "designs.csv", table)
     write_figure(given.out / "sensitivity.svg", by_elevation(rows, 4.0))
     write_figure(given.out / "designs.svg", by_setting(means, label="rms error on held-out points [µm]"))
-    write_manifest(__file__, given, campaign.seed, campaign.trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials)

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
+from matplotlib.figure import Figure
 
-import numpy as np  # noqa: E402
-from common import options, tell, write_figure, write_manifest, write_table  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.effects.smr_incidence import TABLE_ANGLES  # noqa: E402
-from ltsim.randomness import stream  # noqa: E402
-from ltsim.report.style import CYCLE, new_figure, quiet_axis, styled  # noqa: E402
-from ltsim.simulate.bench import (  # noqa: E402
+from experiments.common import Made, Options, tell, write_figure, write_table
+from ltsim.arrays import Floats
+from ltsim.effects.smr_incidence import TABLE_ANGLES
+from ltsim.randomness import stream
+from ltsim.report.style import CYCLE, new_figure, quiet_axis, styled
+from ltsim.simulate.bench import (
     MIDDLE,
     BenchResult,
     BenchTest,
@@ -28,7 +23,9 @@ from ltsim.simulate.bench import (  # noqa: E402
     measure_bench,
     vertex_table,
 )
-from ltsim.units import DEGREE, MICROMETRE  # noqa: E402
+from ltsim.units import DEGREE, MICROMETRE
+
+HERE = Path(__file__).resolve().parent
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:
@@ -95,8 +92,7 @@ def tables_found(shown: dict[str, tuple[Floats, list[BenchResult]]]) -> Figure:
     return figure
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[dict[str, Any]] = []
@@ -113,8 +109,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
     write_figure(given.out / "tables.svg", tables_found(shown))
-    write_manifest(__file__, given, seed, trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(seed, trials)

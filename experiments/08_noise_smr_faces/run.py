@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-from common import (  # noqa: E402
+from experiments.common import (
+    Made,
+    Options,
     Row,
     batches,
     cells_of,
     compared,
-    options,
     share,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
+from ltsim.report.figures import Mean, by_setting
 
-from ltsim.report.figures import Mean, by_setting  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, cells = cells_of(HERE / "config.toml", given.trials)
     cells += cells_of(HERE / "fixed_nests.toml")[1]
     table: list[Row] = []
@@ -53,8 +48,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tell(f"{cell.title}: done")
     write_table(given.out / "cells.csv", table)
     write_figure(given.out / "held_out.svg", by_setting(means, label="rms error on held-out points [µm]"))
-    write_manifest(__file__, given, campaign.seed, campaign.trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials)

@@ -2,43 +2,40 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+import numpy as np
 
-import numpy as np  # noqa: E402
-from common import (  # noqa: E402
+from experiments.common import (
     HELD_OUT,
+    Made,
+    Options,
     Row,
     batches,
     calibrated,
     cells_of,
     held_out,
-    options,
     share,
     spread_out,
     stacked,
     summary,
     tell,
     write_figure,
-    write_manifest,
     write_table,
 )
+from ltsim.arrays import Floats
+from ltsim.campaign.calibrators import calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.spec import Campaign, Method
+from ltsim.model.construction import Construction
+from ltsim.randomness import stream
+from ltsim.report.figures import Mean, by_setting
+from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.units import PPM
 
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.campaign.calibrators import calibrator_of  # noqa: E402
-from ltsim.campaign.cell import truth_of  # noqa: E402
-from ltsim.campaign.spec import Campaign, Method  # noqa: E402
-from ltsim.model.construction import Construction  # noqa: E402
-from ltsim.randomness import stream  # noqa: E402
-from ltsim.report.figures import Mean, by_setting  # noqa: E402
-from ltsim.simulate.scenario import Scenario, load_scenario  # noqa: E402
-from ltsim.units import PPM  # noqa: E402
+HERE = Path(__file__).resolve().parent
 
 ROOMS = {"laboratory": "paper-laboratory", "large room": HELD_OUT}
 
@@ -74,8 +71,7 @@ def one_batch(
     return results
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    given = options(__file__, arguments)
+def run(given: Options) -> Made:
     campaign, cells = cells_of(HERE / "config.toml", given.trials)
     law = tomllib.loads((HERE / "drift.toml").read_text(encoding="utf-8"))
     table: list[Row] = []
@@ -100,8 +96,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             tell(f"{cell.title}, {method.title}: done")
     write_table(given.out / "rooms.csv", table)
     write_figure(given.out / "large_room.svg", by_setting(means, label="rms error at 20 °C in a large room [µm]"))
-    write_manifest(__file__, given, campaign.seed, campaign.trials)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(campaign.seed, campaign.trials)

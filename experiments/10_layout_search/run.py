@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
+from ltsim.adjust import adjust
+from ltsim.arrays import Floats
+from ltsim.geometry.alignment import align
+from ltsim.model.construction import misalignment
+from ltsim.plan.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion
+from ltsim.plan.files import plan_file, with_layout
+from ltsim.plan.improvement import Predictor
+from ltsim.plan.information import LayoutInformation
+from ltsim.plan.planner import Plan, make_plan
+from ltsim.plan.reasons import fewest
+from ltsim.plan.spec import load_plan
+from ltsim.plan.workshop import survey_of
+from ltsim.report.figures.floor_plan import floor_plan
+from ltsim.report.planned import from_scenario
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.simulator import simulate
+from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
+
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-import numpy as np  # noqa: E402
-from common import Row, options, spread_out, tell, write_figure, write_manifest, write_table  # noqa: E402
-
-from ltsim.adjust import adjust  # noqa: E402
-from ltsim.arrays import Floats  # noqa: E402
-from ltsim.geometry.alignment import align  # noqa: E402
-from ltsim.model.construction import misalignment  # noqa: E402
-from ltsim.plan.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion  # noqa: E402
-from ltsim.plan.files import plan_file, with_layout  # noqa: E402
-from ltsim.plan.improvement import Predictor  # noqa: E402
-from ltsim.plan.information import LayoutInformation  # noqa: E402
-from ltsim.plan.planner import Plan, make_plan  # noqa: E402
-from ltsim.plan.reasons import fewest  # noqa: E402
-from ltsim.plan.spec import load_plan  # noqa: E402
-from ltsim.plan.workshop import survey_of  # noqa: E402
-from ltsim.report.figures.floor_plan import floor_plan  # noqa: E402
-from ltsim.report.planned import from_scenario  # noqa: E402
-from ltsim.simulate.scenario import Scenario  # noqa: E402
-from ltsim.simulate.simulator import simulate  # noqa: E402
-from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE  # noqa: E402
 
 BLOCK = 50
 MICRO = 1.0 / MICROMETRE
@@ -182,9 +179,8 @@ def curve_rows(plan: Plan, cone: float) -> list[Row]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def run(given: Options) -> Made:
     """Search under both readings of the shadow cone, then simulate."""
-    given = options(__file__, arguments)
     config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     trials = given.trials or config["trials"]
     file, base = load_plan(HERE / "plan.toml")
@@ -209,8 +205,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("layouts", layouts), ("tradeoff", curve), ("stations", stations), ("parameters", checks), ("check", summaries),
     ):  # fmt: skip
         write_table(given.out / f"{name}.csv", table)
-    write_manifest(__file__, given, config["seed"], trials, reasons=reasons)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(config["seed"], trials, {"reasons": reasons})

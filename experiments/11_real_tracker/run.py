@@ -1,36 +1,19 @@
 """A real tracker: calibrated from one set-up, checked on the other, followed over nine epochs.
 
-    python experiments/11_real_tracker/run.py [noise] [first] [course] [transfer] [lines] [index] [checks]
-        [diagnoses]
+    python -m experiments 11 [noise] [first] [course] [transfer] [lines] [index] [checks] [diagnoses]
 
-Reads ../shared/recordings beside the checkout; writes figures found to results/11_real_tracker.
+Reads ../shared/recordings beside the checkout; writes figures found.
 """
 
 from __future__ import annotations
 
-import csv
 import json
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-from desy import (
-    AUTHORS,
-    DATA,
-    EPOCHS,
-    ROOT,
-    clean,
-    data_or_leave,
-    epoch,
-    interferometer,
-    noise_found,
-    report,
-    set_up,
-    snooped,
-    variance_factors,
-)
 
+from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjust import adjust
 from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
 from ltsim.calibrate.files import history_file
@@ -45,7 +28,21 @@ from ltsim.recording.setup import Noise
 from ltsim.report.figures.history import Course, history_figure
 from ltsim.report.style import svg
 
-OUT = ROOT / "results" / "11_real_tracker"
+from .desy import (
+    AUTHORS,
+    DATA,
+    EPOCHS,
+    clean,
+    data_or_leave,
+    epoch,
+    interferometer,
+    noise_found,
+    report,
+    set_up,
+    snooped,
+    variance_factors,
+)
+
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 SIX = misalignment([effect for effect in BASELINE if effect.name in FLIPPING])
 LONG = 1.0
@@ -53,28 +50,18 @@ UNITS = ("um", "urad across", "urad elevation")
 Rows = list[dict[str, object]]
 
 
-def save(name: str, rows: Rows) -> None:
-    with (OUT / name).open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    print(f"\n{name}")
-    for row in rows:
-        print("  " + "  ".join(f"{k} {v}" for k, v in row.items()))
-
-
-def found_noise() -> Noise:
+def found_noise(out: Path) -> Noise:
     """The noise of `noise.json`, found anew where the file is absent."""
-    file = OUT / "noise.json"
+    file = out / "noise.json"
     if not file.is_file():
-        noise()
+        noise(out)
     return Noise(**json.loads(file.read_text())["found"])
 
 
-def noise() -> None:
+def noise(out: Path) -> None:
     found = noise_found()
     text = json.dumps({"found": found.model_dump(), "authors": AUTHORS.model_dump()}, indent=1)
-    (OUT / "noise.json").write_text(text + "\n")
+    (out / "noise.json").write_text(text + "\n")
     rows: Rows = []
     for name in EPOCHS:
         kept, dropped = snooped(epoch(name, found))
@@ -86,7 +73,7 @@ def noise() -> None:
                      "elevation factor": own[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
                      "pairs left out": "; ".join(f"{d.station} {d.target} {d.observable} w={d.w:.1f}"
                                                  for d in dropped)})  # fmt: skip
-    save("noise.csv", rows)
+    show_table(out / "noise.csv", rows)
 
 
 def through_files(own: Recording, other: Recording, construction: Construction) -> TwoFaceComparison:
@@ -97,8 +84,8 @@ def through_files(own: Recording, other: Recording, construction: Construction) 
     return TwoFaceComparison(two_face(other), two_face(applied))
 
 
-def first() -> None:
-    found, parameters, transfer = found_noise(), [], []
+def first(out: Path) -> None:
+    found, parameters, transfer = found_noise(out), [], []
     for source, get in (("report", report), ("text", lambda n: epoch(EPOCHS[0], n))):
         for label, stated in (("authors", AUTHORS), ("found", found)):
             recording = get(stated)
@@ -116,8 +103,8 @@ def first() -> None:
                 for kind, chosen in (("all", compared), ("clean", compared.only(clean(compared.before, other)))):
                     transfer.append({"source": source, "noise": label, "from": number, "to": 1 - number,
                                      **figures(kind, chosen)})  # fmt: skip
-    save("first_epoch_parameters.csv", parameters)
-    save("first_epoch_transfer.csv", transfer)
+    show_table(out / "first_epoch_parameters.csv", parameters)
+    show_table(out / "first_epoch_transfer.csv", transfer)
 
 
 def figures(kind: str, compared: TwoFaceComparison) -> dict[str, object]:
@@ -130,25 +117,25 @@ def figures(kind: str, compared: TwoFaceComparison) -> dict[str, object]:
     return row
 
 
-def course() -> None:
-    found = found_noise()
+def course(out: Path) -> None:
+    found = found_noise(out)
     kept = {name: snooped(epoch(name, found))[0] for name in EPOCHS}
     for label, construction in (("16", misalignment()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
         history = History.of(own)
         content = history_file(history).content()
-        (OUT / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
+        (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         courses = [Course(p.name, p.unit, history.labels, history.values[:, k] / p.factor,
                           history.sigma[:, k] / p.factor, history.population.mean[k] / p.factor,
                           history.population.spread[k] / p.factor)
                    for k, p in enumerate(construction.parameters) if history.constancy(k).dof]  # fmt: skip
-        (OUT / f"history_{label}.svg").write_text(svg(history_figure(courses)))
-        save(f"changes_{label}.csv", [
+        (out / f"history_{label}.svg").write_text(svg(history_figure(courses)))
+        show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
              "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed"])}
             for c in [*content["changes"], content["since_first"]]
         ])  # fmt: skip
-        save(f"course_{label}.csv", [
+        show_table(out / f"course_{label}.csv", [
             {"parameter": p["name"], "unit": p["unit"],
              **{name: f"{v:.2f} +- {s:.2f}" for name, v, s in zip(EPOCHS, p["values"], p["sigmas"], strict=True)},
              "mean": round(p["mean"], 2), "spread": round(p["spread"], 2),
@@ -165,8 +152,8 @@ METHODS = (
 )
 
 
-def transfer() -> None:
-    found, every, total = found_noise(), [], []
+def transfer(out: Path) -> None:
+    found, every, total = found_noise(out), [], []
     raw = {(name, s): set_up(epoch(name, found), s) for name in EPOCHS for s in (0, 1)}
     good = {key: clean(two_face(r), r) for key, r in raw.items()}
     for method, construction, snoop, informed in METHODS:
@@ -185,8 +172,8 @@ def transfer() -> None:
         clean_ones = [c.only(good[name, 1 - s]) for (name, s), c in compared.items()]
         for kind, chosen in (("all", list(compared.values())), ("clean", clean_ones)):
             total.append({"method": method, **figures(kind, pooled(chosen)), **medians(chosen)})
-    save("transfer.csv", every)
-    save("transfer_summary.csv", [*total, ceiling(raw, good)])
+    show_table(out / "transfer.csv", every)
+    show_table(out / "transfer_summary.csv", [*total, ceiling(raw, good)])
 
 
 def pooled(compared: list[TwoFaceComparison]) -> TwoFaceComparison:
@@ -209,9 +196,9 @@ def ceiling(raw: dict[tuple[str, int], Recording], good: dict[tuple[str, int], n
             **figures("clean", pooled(own)), **medians(own)}  # fmt: skip
 
 
-def lines() -> None:
+def lines(out: Path) -> None:
     """Lengths by interferometer against coordinates: the network's, and those of one face of one set-up."""
-    found, rows = found_noise(), []
+    found, rows = found_noise(out), []
     gaps: dict[tuple[str, str], list[float]] = {}
     back: list[float] = []
     for name in EPOCHS:
@@ -241,7 +228,7 @@ def lines() -> None:
     rows.append({"coordinates": "interferometer, there less back", "lines": "all", "lengths": len(half),
                  "mean um": half.mean().round(2), "rms um": np.sqrt(np.mean(half**2)).round(2),
                  "median |gap| um": np.median(np.abs(half)).round(2)})  # fmt: skip
-    save("lines.csv", rows)
+    show_table(out / "lines.csv", rows)
 
 
 def add_gaps(gaps: dict[tuple[str, str], list[float]], how: str, spans: list, points: dict) -> None:
@@ -263,9 +250,9 @@ def there_and_back(spans: list) -> list[float]:
     return gap
 
 
-def index() -> None:
+def index(out: Path) -> None:
     """Is the vertical index one number? Half differences in elevation: offset and slope of each set-up, one b_z."""
-    found, rows = found_noise(), []
+    found, rows = found_noise(out), []
     for name in EPOCHS:
         recording = snooped(epoch(name, found))[0]
         pairs = two_face(recording)
@@ -285,12 +272,12 @@ def index() -> None:
         rows.append({"epoch": name, "index of 1 less 0 urad": f"{step @ x:.2f} +- {spread:.2f}",
                      "drift within 0 urad": f"{2 * x[2]:.2f} +- {2 * sigma[2]:.2f}",
                      "drift within 1 urad": f"{2 * x[4]:.2f} +- {2 * sigma[4]:.2f}"})  # fmt: skip
-    save("index.csv", rows)
+    show_table(out / "index.csv", rows)
 
 
-def checks() -> None:
+def checks(out: Path) -> None:
     """Three suspects of the diagnoses in every epoch: half difference in range, gaps to the interferometer."""
-    found, rows = found_noise(), []
+    found, rows = found_noise(out), []
     for name in EPOCHS:
         recording = epoch(name, found)
         pairs = two_face(recording)
@@ -304,13 +291,13 @@ def checks() -> None:
             gap = float(np.mean(np.concatenate(list(gaps.values()))))
             row[f"{target} less interferometer um"] = round(gap * 1e6, 1)
         rows.append(row)
-    save("checks.csv", rows)
+    show_table(out / "checks.csv", rows)
 
 
-def diagnoses() -> None:
+def diagnoses(out: Path) -> None:
     """`ltsim diagnose` on every epoch, with the default noise and with the noise found; half a minute each."""
     rows: Rows = []
-    for label, stated in (("default", None), ("found", found_noise())):
+    for label, stated in (("default", None), ("found", found_noise(out))):
         for name in EPOCHS:
             content = diagnose(epoch(name, stated)).to_json()
             before, after = content["fit"]["before"], content["fit"]["after"]
@@ -318,7 +305,7 @@ def diagnoses() -> None:
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
                          "held out": f"{before['held_out_rms']:.2f} to {after['held_out_rms']:.2f}",
                          "findings": "; ".join(in_words(f) for f in content["findings"])})  # fmt: skip
-    save("diagnoses.csv", rows)
+    show_table(out / "diagnoses.csv", rows)
 
 
 def in_words(finding: dict) -> str:
@@ -334,8 +321,9 @@ def in_words(finding: dict) -> str:
 STEPS = {"noise": noise, "first": first, "course": course, "transfer": transfer, "lines": lines, "index": index,
          "checks": checks, "diagnoses": diagnoses}  # fmt: skip
 
-if __name__ == "__main__":
+
+def run(given: Options) -> Made:
+    """Run the named steps, or all."""
     data_or_leave(DATA)
-    OUT.mkdir(parents=True, exist_ok=True)
-    for step in sys.argv[1:] or STEPS:
-        STEPS[step]()
+    run_steps(given, STEPS)
+    return Made()

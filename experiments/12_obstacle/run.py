@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
+from experiments.common import Made, Options, Row, tell, write_figure, write_table
+from ltsim.errors import NetworkError
+from ltsim.plan.criteria import d_criterion
+from ltsim.plan.files import plan_file, planned_scenario
+from ltsim.plan.information import LayoutInformation
+from ltsim.plan.planner import Plan, make_plan
+from ltsim.plan.spec import load_plan
+from ltsim.plan.survey import Survey
+from ltsim.plan.workshop import survey_of
+from ltsim.report.figures.floor_plan import floor_plan
+from ltsim.report.planned import from_scenario
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.sections import Obstacle
+from ltsim.simulate.workshop import obstacles_of, visibility_of
+from ltsim.units import MICROMETRE
+
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-from common import Row, options, tell, write_figure, write_manifest, write_table  # noqa: E402
-
-from ltsim.errors import NetworkError  # noqa: E402
-from ltsim.plan.criteria import d_criterion  # noqa: E402
-from ltsim.plan.files import plan_file, planned_scenario  # noqa: E402
-from ltsim.plan.information import LayoutInformation  # noqa: E402
-from ltsim.plan.planner import Plan, make_plan  # noqa: E402
-from ltsim.plan.spec import load_plan  # noqa: E402
-from ltsim.plan.survey import Survey  # noqa: E402
-from ltsim.plan.workshop import survey_of  # noqa: E402
-from ltsim.report.figures.floor_plan import floor_plan  # noqa: E402
-from ltsim.report.planned import from_scenario  # noqa: E402
-from ltsim.simulate.scenario import Scenario  # noqa: E402
-from ltsim.simulate.sections import Obstacle  # noqa: E402
-from ltsim.simulate.workshop import obstacles_of, visibility_of  # noqa: E402
-from ltsim.units import MICROMETRE  # noqa: E402
 
 MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(2400, 1500, 0), yaw_deg=20)
 
@@ -50,9 +46,8 @@ def row(name: str, scenario: Scenario, survey: Survey) -> Row:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def run(given: Options) -> Made:
     """The paper's layout and the plan, each in the empty workshop and with the machine."""
-    given = options(__file__, arguments)
     file, empty = load_plan(HERE / "machine.toml")
     full = with_machine(empty)
     plans: dict[str, Plan] = {name: make_plan(file, scenario, jobs=given.jobs)
@@ -77,8 +72,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ):  # fmt: skip
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
     reasons = {name: plan_file(plan).reasons for name, plan in plans.items()}
-    write_manifest(__file__, given, file.search.seed, file.search.starts, machine=MACHINE.model_dump(), reasons=reasons)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})

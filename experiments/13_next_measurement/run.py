@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from experiments.common import Made, Options, Row, spread_out, tell, write_table
+from ltsim.diagnose import Diagnosis, diagnose
+from ltsim.diagnose.separate import open_question
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.randomness import stream
+from ltsim.recording import Recording
+from ltsim.remedies.next_measurement import next_measurement
+from ltsim.remedies.remedy import Remedy
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.sections import EffectEntry
+from ltsim.simulate.simulator import simulate
+from ltsim.simulate.truth import Truth
+from ltsim.units import MICROMETRE
+
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-import numpy as np  # noqa: E402
-from common import Row, options, spread_out, tell, write_manifest, write_table  # noqa: E402
-
-from ltsim.diagnose import Diagnosis, diagnose  # noqa: E402
-from ltsim.diagnose.separate import open_question  # noqa: E402
-from ltsim.geometry.rotations import about_z  # noqa: E402
-from ltsim.model.construction import misalignment  # noqa: E402
-from ltsim.model.measurement import MeasurementModel, State, sightings_of  # noqa: E402
-from ltsim.randomness import stream  # noqa: E402
-from ltsim.recording import Recording  # noqa: E402
-from ltsim.remedies.next_measurement import next_measurement  # noqa: E402
-from ltsim.remedies.remedy import Remedy  # noqa: E402
-from ltsim.simulate.scenario import load_scenario  # noqa: E402
-from ltsim.simulate.sections import EffectEntry  # noqa: E402
-from ltsim.simulate.simulator import simulate  # noqa: E402
-from ltsim.simulate.truth import Truth  # noqa: E402
-from ltsim.units import MICROMETRE  # noqa: E402
 
 
 def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
@@ -98,9 +96,8 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
     return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def run(given: Options) -> Made:
     """All cases and recordings."""
-    given = options(__file__, arguments)
     config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
@@ -108,8 +105,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for row in rows:
         tell(str(row))
     write_table(given.out / "cases.csv", rows)
-    write_manifest(__file__, given, config["seed"], count)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(config["seed"], count)

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from experiments.common import Made, Options, Row, tell, write_table
+from ltsim.effects import find_effect
+from ltsim.effects.effect import Effect
+from ltsim.plan.improvement import Predictor
+from ltsim.plan.information import LayoutInformation
+from ltsim.plan.sensitivity import Index, sensitivity
+from ltsim.plan.workshop import survey_of
+from ltsim.simulate.scenario import load_scenario
+from ltsim.units import MICROMETRE
+
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-
-import numpy as np  # noqa: E402
-from common import Row, options, tell, write_manifest, write_table  # noqa: E402
-
-from ltsim.effects import find_effect  # noqa: E402
-from ltsim.effects.effect import Effect  # noqa: E402
-from ltsim.plan.improvement import Predictor  # noqa: E402
-from ltsim.plan.information import LayoutInformation  # noqa: E402
-from ltsim.plan.sensitivity import Index, sensitivity  # noqa: E402
-from ltsim.plan.workshop import survey_of  # noqa: E402
-from ltsim.simulate.scenario import load_scenario  # noqa: E402
-from ltsim.units import MICROMETRE  # noqa: E402
 
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
@@ -47,9 +45,8 @@ def index_row(scenario: str, index: Index) -> Row:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def run(given: Options) -> Made:
     """Predict, then take the predictions apart."""
-    given = options(__file__, arguments)
     config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     samples = given.trials or config["samples"]
     indices: list[Row] = []
@@ -80,8 +77,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         indices += [index_row(name, index) for index in found]
     write_table(given.out / "indices.csv", indices)
     write_table(given.out / "improvement.csv", spread)
-    write_manifest(__file__, given, config["seed"], samples)
-
-
-if __name__ == "__main__":
-    main()
+    return Made(config["seed"], samples)

@@ -1,30 +1,29 @@
-"""Conceal, diagnose in another process, unseal and score.
+"""Concealed physics: recordings with something hidden are made, diagnosed by another process, unsealed and scored.
 
-Example: python experiments/20_concealed_physics/run.py quick --work build/concealed
+python -m experiments 20 quick            into results/20_concealed_physics/quick, work in build/concealed/quick
+python -m experiments 20 eighth score     score what was diagnosed so far
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
+from experiments.common import ROOT, Made, Options, spread_out
 
-from concealed.conceal import conceal  # noqa: E402
-from concealed.pictures import draw  # noqa: E402
-from concealed.plan import Case, read_plan  # noqa: E402
-from concealed.score import Row, score  # noqa: E402
-from concealed.tables import markdown, summarise  # noqa: E402
-from joblib import Parallel, delayed  # noqa: E402
+from .concealed.conceal import conceal
+from .concealed.pictures import draw
+from .concealed.plan import Case, read_plan
+from .concealed.score import Row, score
+from .concealed.tables import markdown, summarise
+
+HERE = Path(__file__).resolve().parent
+WORK = ROOT / "build" / "concealed"
+"""Recordings, truth and diagnoses; a run that was broken off goes on from them."""
 
 
 def examine_all(names: Sequence[str], work: Path, jobs: int) -> None:
@@ -67,23 +66,15 @@ def _short(value: object) -> object:
     return f"{value:.6g}" if isinstance(value, float) else value
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("plan", help="name of a plan here (quick, full), or a file")
-    parser.add_argument("--work", type=Path, default=Path("build/concealed"), help="recordings, truth and diagnoses")
-    parser.add_argument("--out", type=Path, help="folder of the results (default: inside --work)")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only-score", action="store_true", help="score what was diagnosed so far")
-    chosen = parser.parse_args()
-    file = Path(chosen.plan) if chosen.plan.endswith(".toml") else HERE / f"{chosen.plan}.toml"
-    cases = read_plan(file)
-    work = chosen.work / file.stem
-    if not chosen.only_score:
-        Parallel(n_jobs=chosen.jobs)(delayed(conceal)(c, work / "recordings", work / "sealed") for c in cases)
-        examine_all([case.name for case in cases], work, chosen.jobs)
-    command = f"python experiments/20_concealed_physics/run.py {file.stem} --jobs {chosen.jobs}"
-    write_results(unseal(cases, work), chosen.out or work / "results", command)
-
-
-if __name__ == "__main__":
-    main()
+def run(given: Options) -> Made:
+    """Make, diagnose and score the recordings of the plan that is named; with the word `score`, only score."""
+    name, only_score = (*given.words, "quick")[0], "score" in given.words[1:]
+    file = HERE / f"{name}.toml"
+    if not file.is_file():
+        sys.exit(f"there is no plan '{name}'; there are {', '.join(f.stem for f in sorted(HERE.glob('*.toml')))}")
+    cases, work = read_plan(file), WORK / name
+    if not only_score:
+        spread_out(conceal, [(case, work / "recordings", work / "sealed") for case in cases], given.jobs)
+        examine_all([case.name for case in cases], work, given.jobs)
+    write_results(unseal(cases, work), given.out / name, f"python -m experiments 20 {name}")
+    return Made(seed=cases[0].seed, folder=given.out / name)

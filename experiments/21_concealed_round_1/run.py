@@ -1,16 +1,12 @@
-"""Diagnose a folder of concealed recordings with default settings and keep the diagnoses.
-
-python experiments/21_concealed_round_1/run.py ../shared/concealed --out results/concealed/round-1
-"""
+"""Concealed recordings of another simulator, diagnosed with default settings: python -m experiments 21 [FOLDER]."""
 
 from __future__ import annotations
 
-import argparse
 import json
+import sys
 from pathlib import Path
 
-from joblib import Parallel, delayed
-
+from experiments.common import ROOT, Made, Options, spread_out
 from ltsim.diagnose import diagnose
 from ltsim.diagnose.files import adjusted_targets_csv
 from ltsim.recording import read
@@ -48,19 +44,13 @@ def examine(folder: Path, out: Path) -> str:
     return "".join(rows)
 
 
-def main() -> None:
-    """Read the arguments, diagnose, write the table."""
-    parser = argparse.ArgumentParser(description="Diagnose a folder of concealed recordings.")
-    parser.add_argument("recordings", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--jobs", type=int, default=1)
-    chosen = parser.parse_args()
-    folders = sorted(f for f in chosen.recordings.iterdir() if (f / "observations.csv").is_file())
-    rows = Parallel(n_jobs=chosen.jobs)(delayed(examine)(folder, chosen.out) for folder in folders)
-    command = "python experiments/21_concealed_round_1/run.py ../shared/concealed --out results/concealed/round-1"
-    title = f"# Verdicts on concealed recordings, default settings\n\n    {command}\n\n"
-    write_text(chosen.out / "verdicts.md", title + HEADER + RULE + "".join(rows))
-
-
-if __name__ == "__main__":
-    main()
+def run(given: Options) -> Made:
+    """Diagnose every recording, write the table."""
+    recordings = Path(given.words[0]) if given.words else ROOT.parent / "shared" / "concealed"
+    if not recordings.is_dir():
+        sys.exit(f"{recordings} is not there: these recordings are no part of the project")
+    folders = sorted(f for f in recordings.iterdir() if (f / "observations.csv").is_file())
+    rows = spread_out(examine, [(folder, given.out) for folder in folders], given.jobs)
+    title = "# Verdicts on concealed recordings, default settings\n\n    python -m experiments 21\n\n"
+    write_text(given.out / "verdicts.md", title + HEADER + RULE + "".join(rows))
+    return Made(seed=0, folder=given.out)

@@ -53,6 +53,7 @@ def write(
     path: str | Path,
     *,
     format: str = "native",  # noqa: A002
+    recording: Recording | None = None,
 ) -> None:
     """Write a recording or a result as the command of its name does: a folder, for a truth a file.
 
@@ -63,6 +64,8 @@ def write(
         Of the folder or file; what is there is replaced.
     format : str
         Of a recording: `native`, or another format that can be written.
+    recording : Recording, optional
+        What a diagnosis was found from, to lie beside it for its report.
 
     Raises
     ------
@@ -81,10 +84,10 @@ def write(
     if isinstance(result, Recording):
         write_recording(result, path, format)
     else:
-        _write_result(result, Path(path))
+        _write_result(result, Path(path), recording)
 
 
-def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path) -> None:
+def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, recording: Recording | None) -> None:
     """What is no recording; its room is loaded already, since the result came from it."""
     from ltsim.calibrate import Calibration, write_calibration
     from ltsim.diagnose import Diagnosis
@@ -99,7 +102,7 @@ def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path) ->
         case Calibration():
             write_calibration(result, path)
         case Diagnosis():
-            write_diagnosis(result, path, result.baseline.recording)
+            write_diagnosis(result, path, recording)
         case Plan():
             write_plan(result, path)
         case _:

@@ -127,13 +127,15 @@ def calibrate(
     return calibrate_distance(recording_of(recording), built, method=method, advise=advise)
 
 
-def correct(recording: RecordingSource, calibration: CalibrationSource) -> Recording:
+def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
     """The recording that an ideal tracker would have made, by a calibration of the instrument.
 
     Parameters
     ----------
     recording : Recording, str or Path
     calibration : Calibration, str or Path
+    again : bool
+        Correct readings too that the set-up says are corrected.
 
     Raises
     ------
@@ -148,7 +150,7 @@ def correct(recording: RecordingSource, calibration: CalibrationSource) -> Recor
     >>> len(corrected)
     140
     """
-    return corrected_by(recording_of(recording), calibration_of(calibration))
+    return corrected_by(recording_of(recording), calibration_of(calibration), again=again)
 
 
 def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -16,7 +17,8 @@ from ltsim.report.page import report as write_report
 from ltsim.report.planned import from_scenario, with_cad
 from ltsim.report.scene_page import scene_page
 from ltsim.report.workshop import Workshop, from_recording
-from ltsim.simulate.scenario import Scenario, builtin_names
+from ltsim.simulate.builtin import builtin_names
+from ltsim.simulate.scenario import Scenario
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +93,9 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> Workshop:
     return from_recording(read(path))
 
 
-def report(folder: str | Path, *, recording: str | Path | None = None) -> Path:
+def report(
+    folder: str | Path, *, recording: str | Path | None = None, tell: Callable[[str], None] = lambda words: None
+) -> Path:
     """Write `report.html` into a folder: one page that opens offline, the answer first.
 
     Parameters
@@ -100,6 +104,8 @@ def report(folder: str | Path, *, recording: str | Path | None = None) -> Path:
         A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
     recording : str or Path, optional
         The recording behind a calibration or diagnosis, where it does not lie in the folder.
+    tell : callable
+        Told of each folder in the folder that cannot be read; the page says it too.
 
     Returns
     -------
@@ -119,4 +125,4 @@ def report(folder: str | Path, *, recording: str | Path | None = None) -> Path:
     >>> lt.report("my-recording").name
     'report.html'
     """
-    return write_report(Path(folder), recording=None if recording is None else Path(recording))
+    return write_report(Path(folder), recording=None if recording is None else Path(recording), tell=tell)

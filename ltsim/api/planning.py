@@ -6,14 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ltsim.api.files import RecordingSource, recording_of
+from ltsim.effects.signature import Signature
 from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.spec import load_plan
-from ltsim.remedies.next_measurement import NextMeasurement
+from ltsim.remedies.next_measurement import NextMeasurement, Progress, quiet
 from ltsim.remedies.next_measurement import next_measurement as proposals_of
 
 
 def plan(
-    source: str | Path = "paper-workshop", *, starts: int | None = None, seed: int | None = None, jobs: int = 1
+    source: str | Path = "paper-workshop",
+    *,
+    starts: int | None = None,
+    seed: int | None = None,
+    jobs: int = 1,
+    progress: Progress = quiet,
 ) -> Plan:
     """Find a layout of stations and reflectors, with its reasons and its curve of cost against quality.
 
@@ -27,6 +33,8 @@ def plan(
         Root of the search; default as the file says.
     jobs : int
         Processes; the plan does not depend on it.
+    progress : callable
+        Told what is done and the share of it.
 
     Raises
     ------
@@ -43,11 +51,16 @@ def plan(
     file, scenario = load_plan(source)
     changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
     file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
-    return make_plan(file, scenario, jobs=jobs)
+    return make_plan(file, scenario, jobs=jobs, progress=progress)
 
 
 def next_measurement(
-    recording: RecordingSource, *, between: Sequence[str] = (), minutes_per_move: float = 20.0
+    recording: RecordingSource,
+    *,
+    between: Sequence[str] = (),
+    beside: Sequence[Signature] = (),
+    minutes_per_move: float = 20.0,
+    progress: Progress = quiet,
 ) -> NextMeasurement:
     """Rank further measurements after a recording.
 
@@ -56,8 +69,12 @@ def next_measurement(
     recording : Recording, str or Path
     between : sequence of str
         Names of two or more effects to decide between; none: by what is told about the instrument's parameters.
+    beside : sequence of Signature
+        What has been found already beside the question.
     minutes_per_move : float
         What it costs to move the tripod.
+    progress : callable
+        Told what is done and the share of it.
 
     Raises
     ------
@@ -72,4 +89,7 @@ def next_measurement(
     >>> proposals.proposals[0].sharper < 1
     True
     """
-    return proposals_of(recording_of(recording), between=tuple(between), minutes_per_move=minutes_per_move)
+    seen = recording_of(recording)
+    return proposals_of(
+        seen, between=tuple(between), beside=beside, minutes_per_move=minutes_per_move, progress=progress
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ltsim.calibrate import adjust_network
+import ltsim as lt
 from ltsim.cli.calibrate import claim_results, finish
 from ltsim.cli.options import (
     ColumnMap,
@@ -52,5 +52,5 @@ def adjust(
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("adjusting"):
-        found = adjust_network(recording, robust=robust, noise_from_data=noise_from_data, datum=names_of(datum))
+        found = lt.adjust(recording, robust=robust, noise_from_data=noise_from_data, datum=names_of(datum))
     finish(terminal, found, out, points)

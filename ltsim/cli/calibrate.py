@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network, write_calibration
-from ltsim.calibrate.files import calibration_file
-from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
+import ltsim as lt
 from ltsim.cli.options import (
     ColumnMap,
     Datum,
@@ -31,9 +29,9 @@ from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.summary import recording_line, show_calibration, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
-from ltsim.model.construction import construction as construction_called
-from ltsim.model.construction import stated_construction
-from ltsim.recording import Recording
+
+if TYPE_CHECKING:
+    from ltsim.calibrate import Calibration
 
 
 class Method(StrEnum):
@@ -95,25 +93,16 @@ def calibrate(
     recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
-    built = construction_called(construction.value) if construction else stated_construction(recording)
+    built = construction.value if construction else None
     with terminal.busy("calibrating"):
-        if method is Method.NETWORK:
-            found = calibrate_network(recording, built, **options)
-        else:
-            found = calibrate_distance(recording, built, method=method.value)
+        found = lt.calibrate(recording, method=method.value, construction=built, **options)
     finish(terminal, found, out, points)
-
-
-def calibrated(recording: Recording, method: str, construction_name: str, *, advise: bool = True) -> Calibration:
-    """Calibrate by the names of a method and a construction."""
-    built = construction_called(construction_name)
-    if method == Method.NETWORK.value:
-        return calibrate_network(recording, built, advise=advise)
-    return calibrate_distance(recording, built, method=method, advise=advise)
 
 
 def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, force: bool) -> None:
     """Make sure that a calibration, or a network `adjusted` without parameters, replaces nothing else."""
+    from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
+
     names = (TARGETS.file, RESIDUALS.file)
     claim(out, CalibrationFile, names, force=force, own=lambda found: (found.method == "adjustment") == adjusted)
     claim_file(points, force=force)
@@ -121,6 +110,8 @@ def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, forc
 
 def finish(terminal: Terminal, calibration: Calibration, out: Path | None, points: Path | None = None) -> None:
     """Write, then show."""
+    from ltsim.calibrate.files import calibration_file, write_calibration
+
     if points is not None:
         from ltsim.report.points import write_points  # most runs need no export
 

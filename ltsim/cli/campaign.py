@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltsim.campaign import require_packages
 from ltsim.cli.options import Jobs, Json, Quiet
 from ltsim.cli.places import Force
 from ltsim.cli.terminal import Terminal, table
@@ -70,6 +71,7 @@ def campaign(
         return 0
     if file is None:
         raise SetupError("a campaign needs a FILE; ltsim campaign --show prints one to edit")
+    require_packages()
     # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
     from ltsim.campaign.campaign import Workers, run_campaign
     from ltsim.campaign.spec import load_campaign

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
-from ltsim.adjust import Adjustment, adjust
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Robust, Source, names_of, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
-from ltsim.model.construction import ideal, misalignment
-from ltsim.uncertainty.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
-from ltsim.uncertainty.epochs import compare as compared
+
+if TYPE_CHECKING:
+    from ltsim.adjust import Adjustment
+    from ltsim.uncertainty.comparison import ComparisonFile
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
 Stable = Annotated[
@@ -54,6 +53,11 @@ def compare(
 
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
+    from ltsim.adjust import adjust
+    from ltsim.model.construction import ideal, misalignment
+    from ltsim.uncertainty.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
+    from ltsim.uncertainty.epochs import compare as compared
+
     terminal = Terminal(quiet, as_json)
     claim(out, ComparisonFile, (DISPLACEMENTS.file,), force=force)
     epochs: list[Adjustment] = []
@@ -66,7 +70,7 @@ def compare(
     first, later = epochs
     found = compared(first, later, stable=names_of(stable), scaled=scale, same_instrument=same_instrument, level=level)
     at = [first.recording.targets.index(d.target) for d in found.displacements]
-    content = comparison_file(found, first.recording, later.recording, first.state.points[np.array(at)])
+    content = comparison_file(found, first.recording, later.recording, first.state.points[at])
     if out is not None:
         write_comparison(content, out)
     terminal.answer(content.content())

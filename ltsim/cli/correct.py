@@ -5,16 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from ltsim.calibrate import correct as corrected_by
+import ltsim as lt
 from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Quiet, Source, recording_of
 from ltsim.cli.places import Force, claim_recording
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal
-from ltsim.geometry.polar import wrap
-from ltsim.recording import write
 from ltsim.units import ARCSECOND, MICROMETRE
 
 Destination = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording.")]
@@ -35,6 +32,10 @@ def correct(
 
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """
+    import numpy as np
+
+    from ltsim.geometry.polar import wrap
+
     terminal = Terminal(quiet, as_json)
     claim_recording(out, force=force)
     recording = recording_of(source, format_name, hint, columns)
@@ -42,8 +43,8 @@ def correct(
     found = calibration_of(terminal, calibration)
     if not found.names:
         terminal.note("note: this calibration holds no instrument parameters; nothing changes")
-    corrected = corrected_by(recording, found, again=force)
-    write(corrected, out)
+    corrected = lt.correct(recording, found, again=force)
+    lt.write(corrected, out)
     change = corrected.readings - recording.readings
     change[:, 1:] = wrap(change[:, 1:])
     largest = np.nanmax(np.abs(change), axis=0, initial=0.0)

@@ -6,32 +6,23 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ltsim.calibrate import calibrate_network, write_calibration
-from ltsim.campaign.campaign import Workers, run_campaign
-from ltsim.campaign.statistics import Results, summary_csv
+import ltsim as lt
+from ltsim.campaign import require_packages
 from ltsim.cli.options import Json, Quiet, Seed
 from ltsim.cli.places import Force, claim_empty
 from ltsim.cli.terminal import Terminal
-from ltsim.diagnose import diagnose
-from ltsim.diagnose.files import write_diagnosis
-from ltsim.randomness import stream
-from ltsim.recording import write
 from ltsim.recording.files import write_texts
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.sections import EffectEntry
-from ltsim.simulate.simulator import simulate
-from ltsim.simulate.truth import write_truth
 
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything.")]
 
-HIDDEN: tuple[EffectEntry, ...] = (
-    EffectEntry(name="station-settling", stations=("S3",), values={"tilt-x": 25.0, "tilt-y": -18.0}),
-    EffectEntry(name="station-weather", stations=("S2",), values={"station-weather": 6.0}),
-    EffectEntry(name="range-cyclic", values={"cyclic-cos": 8.0}),
+HIDDEN: tuple[dict[str, Any], ...] = (
+    {"name": "station-settling", "stations": ["S3"], "values": {"tilt-x": 25.0, "tilt-y": -18.0}},
+    {"name": "station-weather", "stations": ["S2"], "values": {"station-weather": 6.0}},
+    {"name": "range-cyclic", "values": {"cyclic-cos": 8.0}},
 )
 """What the demonstration may conceal; which one is drawn by the seed and not told to the diagnosis."""
 
@@ -69,6 +60,7 @@ def demo(
 
     Example: ltsim demo --out ltsim-demo
     """
+    require_packages()
     terminal = Terminal(quiet, as_json)
     claim_empty(out, force=force)
     said = []
@@ -84,9 +76,9 @@ def demo(
 
 def simulated(out: Path, seed: int) -> str:
     """Measure the paper's workshop with a drawn instrument."""
-    recording, truth = simulate(load_scenario("paper-workshop"), seed)
-    write(recording, out / "workshop" / "recording")
-    write_truth(truth, out / "workshop" / "truth.json")
+    recording, truth = lt.simulate("paper-workshop", seed=seed)
+    lt.write(recording, out / "workshop" / "recording")
+    lt.write(truth, out / "workshop" / "truth.json")
     return (
         f"{len(recording.stations)} stations, {len(recording.targets)} reflectors, {len(recording)} pointings; "
         "the instrument's errors are drawn from its maker's limits"
@@ -95,9 +87,9 @@ def simulated(out: Path, seed: int) -> str:
 
 def calibrated(out: Path, seed: int) -> str:
     """Calibrate that recording."""
-    recording, _ = simulate(load_scenario("paper-workshop"), seed)
-    found = calibrate_network(recording)
-    write_calibration(found, out / "workshop")
+    recording, _ = lt.simulate("paper-workshop", seed=seed)
+    found = lt.calibrate(recording)
+    lt.write(found, out / "workshop")
     if found.criteria is None:
         return f"{len(found.names)} parameters"
     distance, coordinate = found.criteria.distance, found.criteria.coordinate
@@ -110,22 +102,24 @@ def calibrated(out: Path, seed: int) -> str:
 
 def diagnosed(out: Path, seed: int) -> str:
     """Hide an effect in another recording and let the diagnosis find it."""
+    from ltsim.randomness import stream
+
     entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
-    scenario = load_scenario("paper-workshop-two-face").model_copy(update={"effects": (entry,)})
-    recording, truth = simulate(scenario, seed)
+    recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
     folder = out / "concealed"
-    found = diagnose(recording, seed=seed)
-    write_diagnosis(found, folder, recording)
-    write_truth(truth, folder / "truth.json")
-    place = ", ".join(entry.stations + entry.targets) or "everywhere"
-    return f"hidden was {entry.name} ({place}); the diagnosis, which was not told, says: {found.summary}"
+    found = lt.diagnose(recording, seed=seed)
+    lt.write(found, folder, recording=recording)
+    lt.write(truth, folder / "truth.json")
+    place = ", ".join(entry.get("stations", ())) or "everywhere"
+    return f"hidden was {entry['name']} ({place}); the diagnosis, which was not told, says: {found.summary}"
 
 
 def repeated(out: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
     write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
-    run_campaign(out / "campaign.toml", out / "campaign", workers=Workers(), force=True)
-    results = Results(out / "campaign")
+    from ltsim.campaign.statistics import summary_csv
+
+    results = lt.campaign(out / "campaign.toml", force=True)
     write_texts(out / "campaign", {"summary.csv": summary_csv(results.summary())})
     parts = []
     for column, title in (
@@ -143,9 +137,7 @@ def repeated(out: Path, seed: int) -> str:
 
 def reported(out: Path, seed: int) -> str:
     """Put everything on one page."""
-    from ltsim.report.page import report  # matplotlib and vtk take seconds to load
-
-    return f"open {report(out)}"
+    return f"open {lt.report(out)}"
 
 
 STEPS: tuple[Step, ...] = (

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Out, Quiet, Seed, Source, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
-from ltsim.diagnose import Diagnosis
-from ltsim.diagnose import diagnose as diagnosis_of
-from ltsim.diagnose.files import COMPANIONS, diagnosis_file, write_diagnosis
-from ltsim.diagnose.schema import DiagnosisFile
-from ltsim.diagnose.words import percent, place
+
+if TYPE_CHECKING:
+    from ltsim.diagnose import Diagnosis
 
 FailOnMismatch = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
@@ -44,13 +43,16 @@ def diagnose(
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
+    from ltsim.diagnose.files import COMPANIONS, diagnosis_file, write_diagnosis
+    from ltsim.diagnose.schema import DiagnosisFile
+
     terminal = Terminal(quiet, as_json)
     claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     with terminal.busy("diagnosing"):
-        found = diagnosis_of(recording, seed=seed, level=level)
+        found = lt.diagnose(recording, seed=seed, level=level)
     content = diagnosis_file(found, recording) if out is None else write_diagnosis(found, out, recording)
     terminal.answer(content.content())
     show(terminal, found)
@@ -61,6 +63,8 @@ def diagnose(
 
 def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
     """One sentence first, evidence below."""
+    from ltsim.diagnose.words import percent, place
+
     terminal.say("\n" + diagnosis.summary)
     for number, finding in enumerate(diagnosis.findings, start=1):
         terminal.say(f"\n{number}. {finding.effect} {place(finding.where)}")

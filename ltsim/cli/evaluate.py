@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ltsim.arrays import Bools
-from ltsim.calibrate.result import gross_rows
 from ltsim.cli.options import (
     ColumnMap,
     FormatName,
@@ -22,11 +19,11 @@ from ltsim.cli.options import (
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of, criteria_table, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
-from ltsim.evaluate import Criteria
-from ltsim.evaluate import evaluate as criteria_of
-from ltsim.evaluate.schema import CriteriaFile
-from ltsim.recording import Recording
-from ltsim.recording.result_file import SourceEntry, write_result
+
+if TYPE_CHECKING:
+    from ltsim.arrays import Bools
+    from ltsim.evaluate import Criteria
+    from ltsim.recording import Recording
 
 
 def evaluate(
@@ -46,6 +43,9 @@ def evaluate(
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
+    from ltsim.calibrate.result import gross_rows
+    from ltsim.evaluate.schema import CriteriaFile
+
     terminal = Terminal(quiet, as_json)
     claim(out, CriteriaFile, force=force)
     recording = recording_of(source, format_name, hint, columns)
@@ -53,13 +53,15 @@ def evaluate(
     terminal.say(recording_line(recording))
     gross = gross_rows(recording)
     if gross.any():
-        rows = ", ".join(str(i + 1) for i in np.flatnonzero(gross)[:12])
+        rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.note(f"note: {gross.sum()} pointings miss their target by far and are left out (rows {rows})")
     show(terminal, criteria_with(terminal, recording, calibration, ~gross), recording, out)
 
 
 def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
     """The criteria of a recording with the parameters of a calibration file."""
+    from ltsim.evaluate import evaluate as criteria_of
+
     if calibration is None:
         return criteria_of(recording, use=use)
     found = calibration_of(terminal, calibration)
@@ -68,6 +70,9 @@ def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | 
 
 def show(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
     """Write and print criteria."""
+    from ltsim.evaluate.schema import CriteriaFile
+    from ltsim.recording.result_file import SourceEntry, write_result
+
     content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
     if out is not None:
         write_result(out, content, {})

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.calibrate import Calibration, calibrate_network
-from ltsim.calibrate.files import history_file
-from ltsim.calibrate.history import Change, History
-from ltsim.calibrate.schema import CalibrationFile, HistoryFile
+import ltsim as lt
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
-from ltsim.recording import Recording
-from ltsim.recording.result_file import write_result
-from ltsim.report.figures.history import Course, history_figure
-from ltsim.report.style import svg
+
+if TYPE_CHECKING:
+    from ltsim.calibrate import Calibration
+    from ltsim.calibrate.history import Change, History
+    from ltsim.recording import Recording
+    from ltsim.report.figures.history import Course
 
 Sources = Annotated[
     list[Path],
@@ -59,6 +58,10 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
+    from ltsim.calibrate.files import history_file
+    from ltsim.calibrate.history import History
+    from ltsim.calibrate.schema import HistoryFile
+
     terminal = Terminal(quiet, as_json)
     claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []
@@ -70,6 +73,10 @@ def history(
     found = History.of(named, instrument)
     content = history_file(found)
     if out is not None:
+        from ltsim.recording.result_file import write_result
+        from ltsim.report.figures.history import history_figure
+        from ltsim.report.style import svg
+
         content = write_result(out, content, {"history.svg": svg(history_figure(_courses(found)))})
     terminal.answer(content.content())
     show(terminal, found)
@@ -88,6 +95,8 @@ def _calibrations(
     treated: dict[str, Any],
 ) -> list[tuple[str, Calibration]]:
     """One calibration of a file, or one a set-up of a recording."""
+    from ltsim.calibrate.schema import CalibrationFile
+
     file = CalibrationFile.FILE
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
@@ -103,13 +112,15 @@ def _calibrations(
 
 def _calibrated(recording: Recording, label: str, treated: dict[str, Any]) -> Calibration:
     try:
-        return calibrate_network(recording, advise=False, **treated)
+        return lt.calibrate(recording, advise=False, **treated)
     except LtsimError as problem:
         raise RecordError(f"{label} cannot be calibrated: {problem}") from None
 
 
 def _courses(found: History) -> list[Course]:
     """What the figure draws: the parameters that the calibrations tell something about."""
+    from ltsim.report.figures.history import Course
+
     known = found.population
     return [
         Course(

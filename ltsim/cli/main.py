@@ -8,7 +8,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -44,7 +44,6 @@ VERBS = {
     "view": "show the workshop in 3D",
 }
 SETTINGS: dict[str, Any] = {
-    "add_completion": False,
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
     "context_settings": {"help_option_names": ["-h", "--help"]},
@@ -66,7 +65,7 @@ class Verbs(TyperGroup):
         """The verb's command; None for a name that is no verb."""
         if cmd_name not in VERBS:
             return None
-        verb = typer.Typer(**SETTINGS)
+        verb = typer.Typer(add_completion=False, **SETTINGS)
         verb.command(cmd_name)(getattr(import_module(f"ltsim.cli.{cmd_name}"), cmd_name))
         return typer.main.get_command(verb)
 
@@ -79,8 +78,22 @@ class Verbs(TyperGroup):
 app = typer.Typer(cls=Verbs, name="ltsim", no_args_is_help=True, **SETTINGS)
 
 
+def show_version(asked: bool) -> None:
+    """Print the version and stop."""
+    if asked:
+        from importlib.metadata import version
+
+        print(f"ltsim {version('ltsim')}")
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and stop.")
+]
+
+
 @app.callback()
-def ltsim() -> None:
+def ltsim(version: Version = False) -> None:
     """Simulate, calibrate, plan and diagnose laser-tracker networks."""
 
 

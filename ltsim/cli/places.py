@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ltsim.errors import RecordError
 from ltsim.recording.files import is_device
-from ltsim.recording.native import OBSERVATIONS, SETUP
-from ltsim.recording.result_file import ResultFile, read_result
+
+if TYPE_CHECKING:
+    from ltsim.recording.result_file import ResultFile
 
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there, also what this command did not write.")]
 GENERATOR = '<meta name="generator" content="ltsim'
@@ -54,6 +55,8 @@ def claim(
 
 
 def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callable[[Any], bool]) -> bool:
+    from ltsim.recording.result_file import read_result
+
     try:
         found = read_result(folder, model)
         written = bool(found.files or found.recording) and own(found)
@@ -64,6 +67,8 @@ def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callab
 
 def claim_recording(folder: Path, *, force: bool) -> None:
     """Make sure that a recording replaces none; raises RecordError."""
+    from ltsim.recording.native import OBSERVATIONS, SETUP
+
     taken = [name for name in (OBSERVATIONS, SETUP) if os.path.lexists(folder / name)]
     if taken and not force:
         _refuse(folder, taken)

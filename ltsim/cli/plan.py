@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Jobs, Json, Quiet, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line
 from ltsim.cli.terminal import Terminal, table
-from ltsim.diagnose import diagnose as diagnosis_of
-from ltsim.diagnose.separate import open_question
-from ltsim.effects.signature import Signature
 from ltsim.errors import SetupError
-from ltsim.plan.files import next_csv, next_file, write_plan
-from ltsim.plan.planner import Plan, make_plan
-from ltsim.plan.schema import NEXT, TABLES, NextFile, PlanResult
-from ltsim.plan.spec import load_plan, plan_names, plan_text
-from ltsim.recording import Recording
-from ltsim.recording.result_file import SourceEntry, write_result
-from ltsim.remedies.next_measurement import NextMeasurement, next_measurement
+
+if TYPE_CHECKING:
+    from ltsim.effects.signature import Signature
+    from ltsim.plan.planner import Plan
+    from ltsim.plan.schema import PlanResult
+    from ltsim.recording import Recording
+    from ltsim.remedies.next_measurement import NextMeasurement
 
 PlanSource = Annotated[
     str | None,
@@ -69,6 +67,9 @@ def plan(
 
     Example: ltsim plan paper-workshop --out my-plan
     """
+    from ltsim.plan.schema import NEXT, TABLES, NextFile, PlanResult
+    from ltsim.plan.spec import plan_names, plan_text
+
     terminal = Terminal(quiet, as_json)
     if after is not None:
         if source is not None:
@@ -90,11 +91,10 @@ def plan(
 def _search(
     terminal: Terminal, source: str, folder: Path | None, seed: int | None, starts: int | None, jobs: int
 ) -> None:
-    file, scenario = load_plan(source)
-    changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
-    file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
+    from ltsim.plan.files import write_plan
+
     with terminal.progress("searching layouts", 100) as advance:
-        made = make_plan(file, scenario, jobs=jobs, progress=_percent(advance))
+        made = lt.plan(source, starts=starts, seed=seed, jobs=jobs, progress=_percent(advance))
     content = write_plan(made, folder, {} if folder is None else pictures_of(made))
     terminal.answer(content.content())
     show_plan(terminal, content)
@@ -138,7 +138,7 @@ def show_plan(terminal: Terminal, content: PlanResult) -> None:
 
 def pictures_of(made: Plan) -> dict[str, bytes]:
     """floor.png: the plan from above; tradeoff.png: cost against quality."""
-    from io import BytesIO  # matplotlib takes a second to load
+    from io import BytesIO
 
     from ltsim.plan.files import planned_scenario
     from ltsim.report.figures.floor_plan import floor_plan
@@ -178,18 +178,23 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 
 
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
+    from ltsim.diagnose.separate import open_question
+    from ltsim.plan.files import next_csv, next_file
+    from ltsim.plan.schema import NEXT
+    from ltsim.recording.result_file import SourceEntry, write_result
+
     terminal.say(recording_line(recording))
     summary = ""
     beside: tuple[Signature, ...] = ()
     if not between:
         with terminal.busy("diagnosing"):
-            found = diagnosis_of(recording)
+            found = lt.diagnose(recording)
         summary = found.summary
         terminal.say(summary)
         between, beside = open_question(found)
     with terminal.progress("trying further measurements", 200) as advance:
         tell: dict[str, Any] = {}
-        made = next_measurement(
+        made = lt.next_measurement(
             recording,
             between=between,
             beside=beside,

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
-from ltsim.campaign.recovery import FALSE_ALARM, Recovery
-from ltsim.campaign.recovery import recover as trials_of
-from ltsim.campaign.schema import CheckEntry, RecoveryFile, trials_table
+import ltsim as lt
 from ltsim.cli.calibrate import Method, MethodOption
 from ltsim.cli.options import Json, Out, Quiet, Seed
 from ltsim.cli.places import Force, claim
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
-from ltsim.errors import SetupError
-from ltsim.model.construction import construction as construction_called
-from ltsim.recording.result_file import write_result
-from ltsim.simulate.physics import construction_of
-from ltsim.simulate.scenario import load_scenario
 from ltsim.workers import MOST
+
+if TYPE_CHECKING:
+    from ltsim.campaign.recovery import Recovery
+    from ltsim.campaign.schema import RecoveryFile
 
 Trials = Annotated[int, typer.Option("--trials", "-n", min=2, help="How many recordings to simulate.")]
 ConstructionChoice = Annotated[
@@ -58,21 +54,19 @@ def recover(
 
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
+    from ltsim.campaign.recovery import FALSE_ALARM
+    from ltsim.campaign.schema import RecoveryFile
+
     terminal = Terminal(quiet, as_json)
     claim(out, RecoveryFile, ("trials.csv",), force=force)
-    built = load_scenario(scenario)
-    if built.instrument.construction == "dh" and construction not in (None, "dh"):
-        raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
-    calibrator = construction_of(built.instrument) if construction is None else construction_called(construction)
     workers = jobs or (1 if trials < FEW else os.cpu_count() or 1)
-    found = []
+    how: dict[str, Any] = {"method": method.value, "construction": construction, "seed": seed, "jobs": workers}
     with terminal.progress("trials", trials) as step:
-        for trial in trials_of(built, trials, seed=seed, jobs=workers, method=method.value, construction=calibrator):
-            found.append(trial)
-            step(1)
-    result = Recovery(calibrator.names, tuple(found))
+        result = lt.recover(scenario, trials=trials, progress=step, **how)
     content = recovery_file(result, seed)
     if out is not None:
+        from ltsim.recording.result_file import write_result
+
         content = write_result(out, content, {"trials.csv": trials_csv(result)})
     terminal.answer(content.content())
     terminal.say(recovery_table(result))
@@ -89,6 +83,8 @@ def recover(
 
 def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
     """The outcome for a program."""
+    from ltsim.campaign.schema import CheckEntry, RecoveryFile
+
     checks = result.checks()
     return RecoveryFile(
         passed=all(check.passed for check in checks),
@@ -101,6 +97,8 @@ def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
 
 def trials_csv(result: Recovery) -> str:
     """z-scores of every parameter, chi-square and the network's mean squares, one row a trial."""
+    from ltsim.campaign.schema import trials_table
+
     return trials_table(result.names).text(
         [number, *trial.z, trial.chi2, trial.dof, trial.targets, trial.stations]
         for number, trial in enumerate(result.trials)
@@ -112,6 +110,8 @@ def recovery_table(result: Recovery) -> str:
     """One row a parameter: z-scores and what is left of the prior."""
     if len(result.converged) < 2:
         return "fewer than two trials converged"
+    import numpy as np
+
     z = result.z
     left = np.sqrt(np.mean([trial.sigma**2 for trial in result.converged], axis=0))
     rows = [

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import Quiet
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Terminal
@@ -30,10 +31,9 @@ def report(folder: Folder, recording: Behind = None, force: Force = False, quiet
     Example: ltsim report my-calibration --recording my-recording
     """
     from ltsim.report.page import NAME
-    from ltsim.report.page import report as write_report  # jinja2, matplotlib and vtk take two seconds to load
 
     terminal = Terminal(quiet)
     claim_file(folder / NAME, force=force)
     with terminal.busy("drawing the report"):
-        page = write_report(folder, recording=recording, tell=terminal.note)
+        page = lt.report(folder, recording=recording, tell=terminal.note)
     terminal.say(f"written to {page}")

@@ -7,16 +7,14 @@ from typing import Annotated
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import Json, Quiet, Seed
 from ltsim.cli.places import Force, claim_file, claim_recording
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
-from ltsim.recording import write
 from ltsim.recording.files import write_text
-from ltsim.simulate.scenario import builtin_names, builtin_text, load_scenario, scenario_to_toml
-from ltsim.simulate.simulator import simulate as measured
-from ltsim.simulate.truth import nominal_csv, write_truth
+from ltsim.simulate.builtin import builtin_names, builtin_text
 
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help=f"A scenario file, or one of: {', '.join(builtin_names())}.")
@@ -49,23 +47,30 @@ def simulate(
     """
     terminal = Terminal(quiet, as_json)
     if show:
-        is_builtin = scenario in builtin_names()
-        print(builtin_text(scenario) if is_builtin else scenario_to_toml(load_scenario(scenario)), end="")
+        print(builtin_text(scenario) if scenario in builtin_names() else _spelled_out(scenario), end="")
         return
     if out is None:
         raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")
     claim_recording(out, force=force)
     for file in (truth, nominal):
         claim_file(file, force=force)
-    built = load_scenario(scenario)
-    recording, true = measured(built, seed)
+    from ltsim.simulate.truth import nominal_csv
+
+    recording, true = lt.simulate(scenario, seed=seed)
     table = nominal_csv(true) if nominal is not None else ""
-    write(recording, out)
+    lt.write(recording, out)
     if truth is not None:
-        write_truth(true, truth)
+        lt.write(true, truth)
     if nominal is not None:
         write_text(nominal, table)
     show_notes(terminal, recording)
     terminal.answer({"pointings": len(recording), "stations": len(recording.stations), "seed": seed})
     terminal.say(recording_line(recording))
     terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
+
+
+def _spelled_out(scenario: str) -> str:
+    """The scenario of a file, every setting spelled out."""
+    from ltsim.simulate.scenario import load_scenario, scenario_to_toml
+
+    return scenario_to_toml(load_scenario(scenario))

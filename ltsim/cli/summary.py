@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ltsim.calibrate import Calibration, read_calibration
-from ltsim.calibrate.calibration import SHARPER
-from ltsim.calibrate.result import AGREES
 from ltsim.cli.terminal import Terminal, digits, table
-from ltsim.evaluate import Comparison, Criteria
-from ltsim.recording import Recording
 from ltsim.units import MICROMETRE
+
+if TYPE_CHECKING:
+    from ltsim.calibrate import Calibration
+    from ltsim.evaluate import Comparison, Criteria
+    from ltsim.recording import Recording
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
@@ -36,6 +36,8 @@ def show_notes(terminal: Terminal, recording: Recording) -> None:
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
     """A calibration that was written before, with what it lacks said; raises RecordError."""
+    from ltsim.calibrate import read_calibration
+
     found = read_calibration(path)
     for note in found.notes:
         terminal.note(f"note: {note}")
@@ -60,12 +62,14 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     if calibration.criteria is not None:
         terminal.say()
         show_criteria(terminal, calibration.criteria)
-    if not np.isfinite(fit.chi2):
+    if not math.isfinite(fit.chi2):
         terminal.say("the fit is not finite")
 
 
 def fit_line(calibration: Calibration) -> str:
     """chi2/dof and what it says, and how the iteration ended."""
+    from ltsim.calibrate.result import AGREES
+
     fit = calibration.fit
     ended = f"{fit.status} after {fit.iterations} iterations ({fit.sentence})"
     if fit.sigma0 is None or fit.p_value is None:
@@ -95,7 +99,7 @@ def show_treatment(terminal: Terminal, calibration: Calibration) -> None:
         rows = [
             [
                 f"{n.observable} {n.instrument}".strip(),
-                *(digits(n.factor, n.factor_sigma) if np.isfinite(n.factor_sigma) else ("as stated", "")),
+                *(digits(n.factor, n.factor_sigma) if math.isfinite(n.factor_sigma) else ("as stated", "")),
                 f"{n.typical:.3g} {n.unit}",
                 f"{n.redundancy:.1f}",
             ]
@@ -130,6 +134,8 @@ def parameter_table(calibration: Calibration) -> str:
 
 def _informed(calibration: Calibration, i: int) -> bool:
     """Whether the prior variance of a parameter fell by 5 % at least."""
+    from ltsim.calibrate.calibration import SHARPER
+
     return float(calibration.sigma.ravel()[i]) < SHARPER * float(calibration.prior_sigma.ravel()[i])
 
 

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.calibrate.result import frame_of
+import ltsim as lt
 from ltsim.cli.options import Json, Out, Quiet, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import SetupError
-from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import read_result
-from ltsim.simulate.scenario import builtin_names, load_scenario
-from ltsim.simulate.simulator import simulate
-from ltsim.uncertainty.evaluation import evaluate_tasks
-from ltsim.uncertainty.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
-from ltsim.uncertainty.spec import Tasks, load_tasks
+from ltsim.simulate.builtin import builtin_names
+
+if TYPE_CHECKING:
+    from ltsim.recording.recording import Recording
+    from ltsim.uncertainty.files import UncertaintyFile
+    from ltsim.uncertainty.spec import Tasks
 
 TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
 TaskSource = Annotated[
@@ -48,6 +47,12 @@ def uncertainty(
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
+    from ltsim.calibrate.result import frame_of
+    from ltsim.recording.result_file import read_result
+    from ltsim.uncertainty.evaluation import evaluate_tasks
+    from ltsim.uncertainty.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
+    from ltsim.uncertainty.spec import load_tasks
+
     terminal = Terminal(quiet, as_json)
     claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
     tasks = load_tasks(file)
@@ -79,8 +84,8 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, *, beside: bool) ->
     name = tasks.source
     place = file.parent / name if beside else Path(name)
     if name in builtin_names() or place.suffix == ".toml":
-        scenario = load_scenario(name if name in builtin_names() else place)
-        recording, _ = simulate(scenario, seed=tasks.monte_carlo.seed)
+        chosen = name if name in builtin_names() else place
+        recording, _ = lt.simulate(chosen, seed=tasks.monte_carlo.seed)
         terminal.say(f"scenario {name}, measured once with seed {tasks.monte_carlo.seed}")
         return recording
     if not place.exists():

@@ -7,14 +7,12 @@ from typing import Annotated
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.evaluate import show
 from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of, recording_line, show_notes
 from ltsim.cli.terminal import Terminal
-from ltsim.evaluate import read_nominal
-from ltsim.evaluate import verify as verified
-from ltsim.evaluate.schema import CriteriaFile
 
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
@@ -39,11 +37,12 @@ def verify(
 
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
+    from ltsim.evaluate.schema import CriteriaFile
+
     terminal = Terminal(quiet, as_json)
     claim(out, CriteriaFile, force=force)
     recording = recording_of(source, format_name, hint, columns)
     show_notes(terminal, recording)
     terminal.say(recording_line(recording))
     found = calibration_of(terminal, calibration)
-    criteria = verified(recording, read_nominal(nominal), found.construction, found.values_for(recording))
-    show(terminal, criteria, recording, out)
+    show(terminal, lt.verify(recording, nominal, found), recording, out)

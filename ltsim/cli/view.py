@@ -10,12 +10,11 @@ from typing import Annotated
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Quiet, recording_of
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import RecordError
-from ltsim.recording.files import write_text
-from ltsim.report.workshop import Workshop
 
 
 class Colour(StrEnum):
@@ -65,51 +64,24 @@ def view(
 
     Example: ltsim view paper-workshop --html workshop.html
     """
-    from ltsim.report import scene3d  # pyvista and vtk take a second to load
-    from ltsim.report.planned import with_cad
-    from ltsim.report.scene_page import scene_page
-
     terminal = Terminal(quiet)
     if png is None and html is None and not _has_screen():
         raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
     for file in (png, html):
         claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
-        shown = workshop_of(place, format_name, hint, columns, frame).coloured(colour.value)
-        shown = shown if cad is None else with_cad(shown, cad, cad_unit.value)
+        described = any(given is not None for given in (format_name, hint, columns, frame))
+        source = recording_of(Path(place), format_name, hint, columns, frame) if described else place
+        shown = lt.view(source, cad=cad, cad_unit=cad_unit.value, colour=colour.value)
         if png is not None:
-            write_text(png, scene3d.picture(shown))
+            shown.png(png)
         if html is not None:
-            write_text(html, scene_page(shown))
+            shown.html(html)
     for file in (png, html):
         if file is not None:
             terminal.say(f"written to {file}")
     if png is None and html is None:
-        scene3d.show(shown)
-
-
-def workshop_of(
-    place: str,
-    format_name: str | None = None,
-    hints: list[str] | None = None,
-    columns: str | None = None,
-    frame: Path | None = None,
-) -> Workshop:
-    """The workshop of a scenario by name or file, or of a recording.
-
-    Raises
-    ------
-    RecordError, SetupError, NetworkError
-        When it is neither, is malformed, or cannot be adjusted.
-    """
-    from ltsim.report.planned import from_scenario
-    from ltsim.report.workshop import from_recording
-    from ltsim.simulate.scenario import builtin_names, load_scenario
-
-    path = Path(place)
-    if place in builtin_names() or (path.suffix == ".toml" and path.is_file()) or not path.exists():
-        return from_scenario(load_scenario(place))
-    return from_recording(recording_of(path, format_name, hints, columns, frame))
+        shown.show()
 
 
 def _has_screen() -> bool:

@@ -15,7 +15,8 @@ from ltsim.errors import RecordError, SetupError
 from ltsim.recording.files import shown
 from ltsim.recording.settings import read_toml, sentence
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
-from ltsim.simulate.scenario import Scenario, builtin_names, load_scenario
+from ltsim.simulate.builtin import builtin_names
+from ltsim.simulate.scenario import Scenario, load_scenario
 
 FORMAT = "ltsim-plan/1"
 Corner = tuple[Finite, Finite]

@@ -12,12 +12,12 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from ltsim.campaign import require_packages
 from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import Recording, read
 from ltsim.recording.files import write_text
 from ltsim.report.document import POLICY, Detail, Document, Section
 from ltsim.report.sections.calibration import calibration_section
-from ltsim.report.sections.campaign import campaign_section
 from ltsim.report.sections.comparison import comparison_section
 from ltsim.report.sections.diagnosis import diagnosis_section
 from ltsim.report.sections.further import next_section
@@ -32,6 +32,15 @@ UNREADABLE = "Not readable"
 WEIGHT = {"Diagnosis": 0, UNREADABLE: 2}
 """Whose answer stands first on a page of several parts: the diagnosis, else the first part's."""
 
+
+def _campaign_section(folder: Path) -> Section:
+    """The section of a campaign; what it is read with may be missing where nobody runs campaigns."""
+    require_packages()
+    from ltsim.report.sections.campaign import campaign_section
+
+    return campaign_section(folder)
+
+
 Builder = Callable[["Part", Recording | None, Detail], Section]
 KINDS: dict[str, Builder] = {
     "observations.csv": lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
@@ -42,7 +51,7 @@ KINDS: dict[str, Builder] = {
     "uncertainty.json": lambda part, _, __: uncertainty_section(part.folder),
     "comparison.json": lambda part, _, __: comparison_section(part.folder),
     "next.json": lambda part, _, __: next_section(part.folder),
-    "manifest.json": lambda part, _, __: campaign_section(part.folder),
+    "manifest.json": lambda part, _, __: _campaign_section(part.folder),
 }
 """What a folder holds, by the file that tells; in the order of the page."""
 

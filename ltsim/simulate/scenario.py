@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Callable, Iterable, Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
@@ -16,6 +14,7 @@ from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import read_toml, sentence, to_toml
 from ltsim.recording.setup import Section, Vector
+from ltsim.simulate.builtin import builtin_names, builtin_path
 from ltsim.simulate.sections import (
     PRESETS,
     Cmm,
@@ -77,19 +76,6 @@ class Scenario(Section, Shown):
     __repr__ = Shown.__repr__
 
 
-def builtin_names() -> tuple[str, ...]:
-    """Names of the built-in scenarios."""
-    folder = files("ltsim.simulate") / "builtin"
-    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
-
-
-def builtin_text(name: str) -> str:
-    """The commented file of a built-in scenario, to print and edit."""
-    if name not in builtin_names():
-        raise SetupError(_no_such(name))
-    return (files("ltsim.simulate") / "builtin" / f"{name}.toml").read_text(encoding="utf-8")
-
-
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """A built-in scenario by its name, or the scenario of a file.
 
@@ -98,23 +84,14 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     SetupError
         One sentence: file, key, what was found, what would be right.
     """
-    path = Path(name_or_path)
-    if str(name_or_path) in builtin_names():
-        path = Path(str(files("ltsim.simulate") / "builtin" / f"{name_or_path}.toml"))
-    elif not path.exists():
-        raise SetupError(_no_such(str(name_or_path)))
+    path, name = Path(name_or_path), str(name_or_path)
+    if name in builtin_names() or not path.exists():
+        path = builtin_path(name)
     try:
         data = read_toml(path, "scenario")
     except RecordError as problem:
         raise SetupError(str(problem)) from None
     return scenario_from(data, path)
-
-
-def _no_such(name: str) -> str:
-    known = builtin_names()
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5) or known
-    message = "there is no such file, and no built-in scenario of this name"
-    return f"{shown(name)}: {message}; did you mean {', '.join(near)}?"
 
 
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:

@@ -1,7 +1,6 @@
 """Networks that nobody here made, where they lie beside the checkout; see results/04_real_networks/README.md."""
 
-import importlib.util
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +19,7 @@ pytestmark = [needs_data, pytest.mark.skipif(not EXPERIMENT.is_dir(), reason="th
 @pytest.fixture(scope="module")
 def experiment():
     """The experiment's functions."""
-    sys.path.insert(0, str(EXPERIMENT))
-    try:
-        spec = importlib.util.spec_from_file_location("real_networks", EXPERIMENT / "run.py")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(EXPERIMENT))
-    return module
+    return import_module("experiments.04_real_networks.run")
 
 
 @pytest.mark.parametrize("name", ["local_3d", "2020-barta-phase_0-1TK"])

@@ -27,8 +27,8 @@ def test_first_steps(tmp_path: Path) -> None:
 
 def test_hidden_effects_exist_with_their_parameters() -> None:
     for entry in HIDDEN:
-        known = {p.name for p in find_effect(entry.name).parameters}
-        assert set(entry.values) <= known
+        known = {p.name for p in find_effect(entry["name"]).parameters}
+        assert set(entry["values"]) <= known
     drawn = {int(stream(seed, "demo", "hidden").integers(len(HIDDEN))) for seed in range(40)}
     assert drawn == set(range(len(HIDDEN)))
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.simulate.scenario import builtin_text
+from ltsim.simulate.builtin import builtin_text
 
 WOBBLE = """
 [[effects]]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -199,16 +201,59 @@ def test_the_installed_command_leaves_no_traceback(workplace: Path) -> None:
     assert cut.stderr == ""
 
 
-HEAVY = {"numba", "pyvista", "matplotlib", "scipy", "duckdb", "pyarrow", "joblib"}
+HEAVY = {"numba", "pyvista", "matplotlib", "scipy", "duckdb", "pyarrow", "joblib", "trimesh", "jinja2", "pandas"}
+NUMERIC = ("convert", "effects")  # verbs whose help lists what the rooms hold
 
 
-@pytest.mark.parametrize("argument", ["--help", "effects"])
-def test_help_and_catalogue_wait_for_nothing_heavy(argument: str) -> None:
-    code = f"from ltsim.cli.main import run; import sys; run(['{argument}']); print('|', *sys.modules)"
+def loaded_by(*commands: list[str]) -> set[str]:
+    """Modules that a process has imported after these commands."""
+    calls = "; ".join(f"assert run({command}) == 0" for command in commands)
+    code = f"from ltsim.cli.main import run; import sys; {calls}; print('|', *sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    text, _, modules = done.stdout.rpartition("|")
-    assert len(text.splitlines()) > len(VERBS)
-    assert not HEAVY & {name.split(".")[0] for name in modules.split()}
+    return set(done.stdout.rpartition("|")[2].split())
+
+
+def test_help_of_every_verb_waits_for_nothing_heavy() -> None:
+    loaded = loaded_by(["--help"], ["--version"], *([verb, "--help"] for verb in VERBS if verb not in NUMERIC))
+    assert not (HEAVY | {"numpy"}) & loaded
+
+
+def test_light_verbs_wait_for_nothing_heavy(workplace: Path, tmp_path: Path) -> None:
+    loaded = loaded_by(
+        ["effects"],
+        ["effects", "backlash"],
+        ["simulate", "--show", "paper-workshop"],
+        ["convert", str(workplace / "rec"), str(tmp_path / "polar.txt"), "--to", "polar-text"],
+        *([verb, "--help"] for verb in NUMERIC),
+    )
+    assert not HEAVY & {name.partition(".")[0] for name in loaded}
+
+
+def test_one_effect_loads_no_file_format() -> None:
+    code = "import sys, ltsim.effects.beam_tilt; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "ltsim.recording.exchange" not in loaded
+    assert not [name for name in loaded if name.startswith("ltsim.recording.formats")]
+
+
+def test_the_version(capsys) -> None:
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"ltsim {version('ltsim')}\n"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_completes_verbs_and_options(shell: str) -> None:
+    command = [sys.executable, "-c", "from ltsim.cli.main import main; main()"]
+    words = {
+        "bash": {"COMP_WORDS": "ltsim cal", "COMP_CWORD": "1"},
+        "zsh": {"_TYPER_COMPLETE_ARGS": "ltsim cal"},
+        "fish": {"_TYPER_COMPLETE_ARGS": "ltsim cal", "_TYPER_COMPLETE_FISH_ACTION": "get-args"},
+    }[shell]
+    asked = os.environ | words | {"_LTSIM_COMPLETE": f"complete_{shell}"}
+    done = subprocess.run(command, env=asked, capture_output=True, text=True, check=False)
+    assert "calibrate" in done.stdout, done.stderr
+    assert "campaign" not in done.stdout
 
 
 def test_every_module_of_a_verb_is_listed() -> None:
@@ -232,3 +277,38 @@ def test_digits_and_tables() -> None:
     assert table(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
     with pytest.raises(ModelError):
         table(["a"], [["x", "y"]])
+
+
+WITHOUT = """
+import sys
+for name in ("duckdb", "numba", "llvmlite", "pyarrow", "pandas", "openpyxl", "dask", "distributed"):
+    sys.modules[name] = None
+from ltsim.cli.main import run
+sys.exit(max(run(command.split()) for command in {commands}))
+"""
+
+
+def without_extras(commands: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """A process that runs commands as a plain installation would, without the packages of any extra."""
+    code = WITHOUT.format(commands=commands)
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_a_plain_installation_does_all_but_campaigns(workplace: Path, tmp_path: Path) -> None:
+    commands = [
+        f"evaluate {workplace / 'rec'} --calibration {workplace / 'cal'}",
+        "recover paper-workshop --trials 2 --out checked",
+        f"correct {workplace / 'rec'} --calibration {workplace / 'cal'} --out corrected",
+        "report corrected",
+        "plan --show paper-workshop",
+    ]
+    done = without_extras(commands, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("command", ["campaign mine.toml", "demo"])
+def test_campaigns_say_which_extra_they_need(command: str, tmp_path: Path) -> None:
+    done = without_extras([command], tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "error: campaigns need the extra 'campaigns': pip install \"ltsim[campaigns]\"\n"
+    assert not list(tmp_path.iterdir())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +22,24 @@ from ltsim.model.measurement import sightings_of
 from ltsim.randomness import stream
 from ltsim.recording import read
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _experiment(root: Path) -> Iterator[None]:
-    sys.path.insert(0, str(root / "experiments" / "20_concealed_physics"))
-    yield
-    sys.path.pop(0)
+_conceal, _hidden, _invented, _plan, _score, _tables, _workshop = (
+    import_module(f"experiments.20_concealed_physics.concealed.{name}")
+    for name in ("conceal", "hidden", "invented", "plan", "score", "tables", "workshop")
+)
+conceal, measured, rigid_error = _conceal.conceal, _conceal.measured, _conceal.rigid_error
+Hidden, draw_effect, draw_hidden, strength = _hidden.Hidden, _hidden.draw_effect, _hidden.draw_hidden, _hidden.strength
+ALL, Invented, SETS, draw_invented = _invented.ALL, _invented.Invented, _invented.SETS, _invented.draw_invented
+Case, read_plan = _plan.Case, _plan.read_plan
+_coverage, _named, _pair, score = _score._coverage, _score._named, _score._pair, _score.score
+rate = _tables.rate
+draw_scene = _workshop.draw_scene
 
 
 def case(kind: str, strength: int, number: int) -> Any:
-    from concealed.plan import Case
-
     return Case(3, kind, strength, number)  # type: ignore[arg-type]
 
 
 def space_of(made: Any, scene: Any) -> ResidualSpace:
-    from concealed.conceal import measured
-
     quiet = measured(scene, made, _Silence())  # type: ignore[arg-type]
     return ResidualSpace.of(adjust(quiet, misalignment(), start=scene.state))
 
@@ -53,8 +54,6 @@ class _Silence:
 
 @pytest.mark.parametrize("plan", ["quick", "full"])
 def test_plans_hold_recordings_whose_names_tell_nothing(root: Path, plan: str) -> None:
-    from concealed.plan import read_plan
-
     cases = read_plan(root / "experiments" / "20_concealed_physics" / f"{plan}.toml")
     assert len({c.name for c in cases}) == len(cases)
     assert [c.kind for c in cases] != sorted(c.kind for c in cases)
@@ -64,8 +63,6 @@ def test_plans_hold_recordings_whose_names_tell_nothing(root: Path, plan: str) -
 
 
 def test_a_recording_does_not_depend_on_when_or_where_it_is_made(tmp_path: Path) -> None:
-    from concealed.conceal import conceal
-
     one, other = case("single", 200, 1), case("clean", 0, 4)
     for folder, order in (("a", (one, other)), ("b", (other, one))):
         for c in order:
@@ -77,8 +74,6 @@ def test_a_recording_does_not_depend_on_when_or_where_it_is_made(tmp_path: Path)
 
 
 def test_the_folder_of_a_recording_holds_readings_and_set_up_and_no_word_of_an_effect(tmp_path: Path) -> None:
-    from concealed.conceal import conceal
-
     hidden = case("single", 600, 2)
     conceal(hidden, tmp_path / "recordings", tmp_path / "sealed")
     folder = tmp_path / "recordings" / hidden.name
@@ -96,9 +91,6 @@ def test_the_folder_of_a_recording_holds_readings_and_set_up_and_no_word_of_an_e
 @pytest.mark.parametrize("number", range(4))
 def test_the_strength_is_the_drop_of_chi_square_that_the_truth_brings(kind: str, laws: Any, number: int) -> None:
     """Without noise the ordinary adjustment's chi2 is the noncentrality, and told the truth it is nothing."""
-    from concealed.hidden import draw_hidden
-    from concealed.workshop import draw_scene
-
     rng = stream(8, kind, number)
     scene = draw_scene(rng)
     empty = space_of([], scene)
@@ -114,9 +106,6 @@ def test_the_strength_is_the_drop_of_chi_square_that_the_truth_brings(kind: str,
 
 
 def test_drawn_shapes_lie_between_the_points_of_the_search() -> None:
-    from concealed.hidden import draw_effect
-    from concealed.workshop import draw_scene
-
     rng = stream(9, "shapes")
     scene = draw_scene(rng)
     sightings = space_of([], scene).sightings
@@ -131,9 +120,6 @@ def test_drawn_shapes_lie_between_the_points_of_the_search() -> None:
 
 @pytest.mark.parametrize("laws", ["first", "later", "latest", "last"])
 def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: Any) -> None:
-    from concealed.invented import ALL, SETS, Invented
-    from concealed.workshop import draw_scene
-
     scene = draw_scene(stream(2, "laws"))
     sightings = space_of([], scene).sightings
     assert not set(SETS[laws]) & {kind.name for kind in CATALOGUE}
@@ -151,10 +137,6 @@ def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: A
 @pytest.mark.parametrize(("laws", "count"), [("first", 16), ("later", 16), ("latest", 20), ("last", 20)])
 def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any, count: int) -> None:
     """Some need a column, two faces or fixed reflectors, so that one workshop does not serve them all."""
-    from concealed.hidden import Hidden, strength
-    from concealed.invented import SETS, draw_invented
-    from concealed.workshop import draw_scene
-
     missing = set(SETS[laws])
     assert len(missing) == count
     for number in range(40):
@@ -175,13 +157,9 @@ def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any, count: int) ->
 
 
 def test_the_set_of_laws_changes_what_is_drawn_and_no_name(root: Path, tmp_path: Path) -> None:
-    from concealed.invented import SETS, draw_invented
-    from concealed.plan import Case, read_plan
-    from concealed.workshop import draw_scene
-
     folder = root / "experiments" / "20_concealed_physics"
-    chosen = {name: {c.laws for c in read_plan(folder / f"{name}.toml")} for name in ("quick", "first", "full")}
-    assert chosen == {"quick": {"first"}, "first": {"first"}, "full": {"later"}}
+    chosen = {name: {c.laws for c in read_plan(folder / f"{name}.toml")} for name in ("quick", "seventh", "full")}
+    assert chosen == {"quick": {"first"}, "seventh": {"last"}, "full": {"later"}}
     one, other = Case(3, "unknown", 200, 1, "first"), Case(3, "unknown", 200, 1, "later")
     assert (one.name, one.key) == (other.name, other.key)
     scene = draw_scene(stream(6, "sets"))
@@ -218,8 +196,6 @@ TRUE_STEP = {
 
 
 def test_a_name_counts_when_it_is_first_or_among_three_equivalents() -> None:
-    from concealed.score import _named
-
     others = [{"effect": e, "probability": 0.1} for e in ("a", "b", "range-step", "c")]
     assert _named(TRUE_STEP, finding("range-step"))["named_first"]
     stated = _named(TRUE_STEP, finding("station-weather", equivalents=others))
@@ -234,24 +210,18 @@ def test_a_name_counts_when_it_is_first_or_among_three_equivalents() -> None:
     [({}, True), ({"stations": ["S1"]}, False), ({"stations": []}, False), ({"observables": []}, False)],
 )
 def test_the_place_is_right_when_stations_targets_and_observables_are(where: dict[str, Any], right: bool) -> None:
-    from concealed.score import _named
-
     told = finding("range-step")
     told["where"] = {**told["where"], **where}
     assert _named(TRUE_STEP, told)["right_place"] is right
 
 
 def test_a_parameter_is_covered_within_1_96_sigma() -> None:
-    from concealed.score import _coverage
-
     assert _coverage(TRUE_STEP, finding("range-step"))["covered"] == 1
     far = {**TRUE_STEP, "parameters": [{"name": "range-step", "value": 12.1, "unit": "um"}]}
     assert _coverage(far, finding("range-step")) == {"parameters": 1, "covered": 0, "misses": "range-step:-2.1"}
 
 
 def test_a_pair_needs_a_finding_for_each_of_its_effects() -> None:
-    from concealed.score import _pair
-
     other = {**TRUE_STEP, "effect": "backlash"}
     both = [finding("backlash"), finding("range-step")]
     assert _pair([TRUE_STEP, other], both)["pair_named"] == 2
@@ -260,8 +230,6 @@ def test_a_pair_needs_a_finding_for_each_of_its_effects() -> None:
 
 
 def test_errors_of_targets_do_not_depend_on_the_frame() -> None:
-    from concealed.conceal import rigid_error
-
     rng = stream(4, "points")
     truth = rng.uniform(0.0, 6.0, (28, 3))
     shaken = truth + 1e-5 * rng.standard_normal(truth.shape)
@@ -271,8 +239,6 @@ def test_errors_of_targets_do_not_depend_on_the_frame() -> None:
 
 
 def test_shares_come_with_their_binomial_interval() -> None:
-    from concealed.tables import rate
-
     found = rate([True] * 19 + [False])
     assert (found["right"], found["of"]) == (19, 20)
     assert found["low"] == pytest.approx(0.7513, abs=1e-3)  # Clopper and Pearson
@@ -281,9 +247,6 @@ def test_shares_come_with_their_binomial_interval() -> None:
 
 
 def test_a_recording_is_diagnosed_by_a_process_that_has_its_folder_only(tmp_path: Path, root: Path) -> None:
-    from concealed.conceal import conceal
-    from concealed.score import score
-
     hidden = case("single", 600, 2)
     conceal(hidden, tmp_path / "recordings", tmp_path / "sealed")
     worker = root / "experiments" / "20_concealed_physics" / "concealed" / "examine.py"

@@ -3,38 +3,57 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from experiments.__main__ import main
+
 Run = Callable[..., Path]
 
 
 @pytest.fixture
-def run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+def run(tmp_path: Path) -> Run:
     """Run an experiment with a few trials; gives the folder of its results."""
-    monkeypatch.setattr(sys, "path", [*sys.path])
 
     def start(name: str, trials: int, *more: str) -> Path:
-        file = root / "experiments" / name / "run.py"
-        spec = importlib.util.spec_from_file_location(f"experiment_{name}", file)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        module.main(["--trials", str(trials), "--out", str(tmp_path / name), *more])
+        main([name[:2], "--trials", str(trials), "--out", str(tmp_path / name), *more])
         manifest = json.loads((tmp_path / name / "manifest.json").read_text())
         assert manifest["trials"] == trials
-        assert manifest["command"] == f"python experiments/{name}/run.py --trials {trials}"
+        assert manifest["command"] == f"python -m experiments {name[:2]} --trials {trials}"
         assert {"python", "ltsim", "numpy"} <= set(manifest["versions"])
         assert any(f.read_text().rstrip().endswith("</svg>") for f in (tmp_path / name).glob("*.svg"))
         return tmp_path / name
 
     return start
+
+
+def test_the_driver_lists_every_experiment(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main([])
+    listed = capsys.readouterr().out.splitlines()
+    assert [line[:2] for line in listed] == sorted(f.name[:2] for f in (root / "experiments").glob("[0-9]*"))
+    assert all(len(line) > 20 for line in listed)
+
+
+@pytest.mark.parametrize("words", [["99"], ["04", "nothing"], ["20", "nothing"]])
+def test_what_does_not_exist_is_said(words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as left:
+        main([*words, "--out", str(tmp_path)])
+    said = str(left.value) + capsys.readouterr().err
+    assert "there are" in said or "choose from" in said or "no part of the project" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_folder_of_results_says_where_it_comes_from(root: Path) -> None:
+    holding = {f.parent for f in (root / "results").rglob("*") if f.is_file()}
+    own = {f for f in holding if not any((up / "manifest.json").is_file() for up in f.parents)}
+    for folder in own:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        assert manifest["command"], folder
+        assert "versions" in manifest, folder
+        assert manifest.get("commit") or manifest.get("commits"), folder
 
 
 def table(file: Path, **wanted: str) -> list[dict[str, str]]:

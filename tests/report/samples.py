@@ -22,7 +22,8 @@ from ltsim.recording import write
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station
 from ltsim.remedies.next_measurement import next_measurement
-from ltsim.simulate.scenario import builtin_text, load_scenario
+from ltsim.simulate.builtin import builtin_text
+from ltsim.simulate.scenario import load_scenario
 from tests.networks import STATIONS, YAWS, drawn, network
 
 

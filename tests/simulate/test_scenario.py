@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from ltsim.errors import SetupError
+from ltsim.simulate.builtin import builtin_names, builtin_text
 from ltsim.simulate.fieldwork import fieldwork
-from ltsim.simulate.scenario import builtin_names, builtin_text, load_scenario, scenario_to_toml
+from ltsim.simulate.scenario import load_scenario, scenario_to_toml
 from ltsim.simulate.sections import PAPER_PRIOR, PRESETS
 
 MINIMAL = """\

@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from concealed.hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
-from concealed.plan import Case
-from concealed.workshop import GAUGE_SIGMA, Scene, draw_scene
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
@@ -35,6 +32,10 @@ from ltsim.recording.files import write_text
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, MILLIMETRE
+
+from .hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
+from .plan import Case
+from .workshop import GAUGE_SIGMA, Scene, draw_scene
 
 
 def conceal(case: Case, recordings: Path, sealed: Path) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from concealed.invented import Laws, draw_invented
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE, GROUPS
@@ -30,6 +29,8 @@ from ltsim.effects.window import Window
 from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.geometry.rotations import about_z
 from ltsim.scene.sightings import Sightings
+
+from .invented import Laws, draw_invented
 
 ABSURD = 20.0
 """Sizes beyond so many prior sigmas are not drawn."""

@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from concealed.score import Row
 from ltsim.recording.files import write_text
 from ltsim.report.style import new_figure, styled, svg
+
+from .score import Row
 
 CURVES = {
     "found": ("single", "found"),

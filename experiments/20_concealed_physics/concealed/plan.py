@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from concealed.invented import Laws
+from .invented import Laws
 
 Kind = Literal["clean", "single", "unknown", "pair", "mistake"]
 

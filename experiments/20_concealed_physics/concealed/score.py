@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from concealed.conceal import rigid_error
 from ltsim.units import MILLIMETRE
+
+from .conceal import rigid_error
 
 Row = dict[str, Any]
 OVERLAP = 0.5

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from concealed.score import Row
+from .score import Row
 
 RATIOS = ("error_over_told_median", "error_over_told_90", "ordinary_over_told_median")
 

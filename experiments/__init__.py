@@ -1,0 +1,1 @@
+"""Questions asked of ltsim and the paper: `python -m experiments` lists them, `python -m experiments 02` runs one."""

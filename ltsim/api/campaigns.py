@@ -1,0 +1,100 @@
+"""Many trials over a grid of settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from ltsim.campaign import require_packages
+from ltsim.errors import SetupError
+from ltsim.recording.settings import to_toml
+
+if TYPE_CHECKING:
+    from ltsim.campaign.statistics import Results
+
+
+
+def campaign(
+    source: str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    jobs: int = 1,
+    resume: bool = False,
+    force: bool = False,
+) -> Results:
+    """Simulate, calibrate and judge many trials; the rows are kept in a folder whatever stops it.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        A campaign file (ltsim-campaign/1), its tables, or the folder of a campaign that has run.
+    out : str or Path, optional
+        Folder for the rows; default the file's name without its ending. Needed where `source` is a mapping.
+    jobs : int
+        Processes; the rows do not depend on it.
+    resume : bool
+        Continue what the folder holds.
+    force : bool
+        Begin anew in a folder that holds a campaign; its rows are lost.
+
+    Returns
+    -------
+    Results
+        The rows as tables to query.
+
+    Raises
+    ------
+    SetupError
+        In one sentence, for a file that cannot be run, a folder that holds another campaign, or the extra `campaigns`
+        that is not installed.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> results = lt.campaign(
+    ...     {
+    ...         "format": "ltsim-campaign/1",
+    ...         "scenario": "paper-workshop",
+    ...         "trials": 64,
+    ...         "methods": [{"name": "network", "method": "network"}],
+    ...     },
+    ...     out="my-campaign",
+    ... )
+    >>> results.to_pandas("ends")[["method", "trials", "failed"]]
+        method  trials  failed
+    0  network      64       0
+    """
+    if isinstance(source, Mapping):
+        if out is None:
+            raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
+        with TemporaryDirectory() as place:
+            file = Path(place) / "campaign.toml"
+            file.write_text(to_toml(_from_here(source)), encoding="utf-8")
+            return _run(file, Path(out), jobs, resume=resume, force=force)
+    path = Path(source)
+    if path.is_dir():
+        return _results(path)
+    return _run(path, path.with_suffix("") if out is None else Path(out), jobs, resume=resume, force=force)
+
+
+def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables with a scenario's file named from the root, since a file of them lies elsewhere."""
+    named = Path(str(tables.get("scenario", "")))
+    return {**tables, "scenario": str(named.resolve())} if named.is_file() else dict(tables)
+
+
+def _run(file: Path, folder: Path, jobs: int, *, resume: bool, force: bool) -> Results:
+    require_packages()
+    from ltsim.campaign.campaign import Workers, run_campaign
+
+    run_campaign(file, folder, workers=Workers(jobs), resume=resume, force=force)
+    return _results(folder)
+
+
+def _results(folder: Path) -> Results:
+    require_packages()
+    from ltsim.campaign.statistics import Results
+
+    return Results(folder)
