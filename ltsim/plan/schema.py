@@ -228,13 +228,21 @@ class ChangeEntry(Entry):
     """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
 
     do: str
+    """What to do, for a person."""
     reflector: str = ""
+    """Which is moved or left out."""
     place: str = ""
+    """Where it goes."""
     position_mm: Vector | None = None
-    gain_um: Finite = Field(description="Fall of the point error of all other targets, root mean square.")
+    """Of that place."""
+    gain_um: Finite
+    """Fall of the point error of all other targets, root mean square."""
     quality: Finite
+    """Factor on the plan's objective; smaller is better."""
     serves: str = ""
+    """The parameter that gains most."""
     serves_factor: Finite = 1.0
+    """Factor on that one's standard deviation."""
 
 
 class PlanResult(ResultFile, LayoutEntry):
@@ -260,6 +268,7 @@ class PlanResult(ResultFile, LayoutEntry):
     starts: tuple[Known, ...] = ()
     """Value that each independent search found."""
     reflector_changes: tuple[ChangeEntry, ...] = ()
+    """One reflector moved, added or left out, the best first."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """The plan file."""
     seed: int | None = None
@@ -312,5 +321,6 @@ class NextFile(ResultFile):
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
     """Chi-square between them as it is."""
     advice: str = ""
+    """What to do first, in a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
     """The best first."""
