@@ -1,4 +1,8 @@
-"""What the documentation takes from the code when it is built: a directive a kind of page, and formulas as MathML."""
+"""What the documentation takes from the code when it is built: a directive a kind of page, and formulas as MathML.
+
+Each directive turns its arguments into Markdown: tables of keys from the models, verbs from the command line, cards
+from the catalogue, names from the front door, pictures from commands that are run.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,30 +11,49 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from from_code import command_line, keys, mathml
+from from_code import catalogue, command_line, gallery, keys, mathml, python_names, results
+from from_code.pictures import Pictures
+from ltsim.recording import FORMATS
 
-MAKERS: dict[str, Callable[..., str]] = {
+
+def formats() -> str:
+    """Markdown: what is read and what is written."""
+    lines = ["| `--format` | what it is | written by `--to` |", "|---|---|---|"]
+    lines += [f"| `{f.name}` | {f.about} | {'yes' if f.write else ''} |" for f in FORMATS]
+    return "\n".join(lines)
+
+
+Maker = Callable[..., str]
+MAKERS: dict[str, Maker] = {
     "keys": keys.tables,
+    "results": results.files,
+    "formats": formats,
     "command-line": command_line.verbs,
+    "python-names": python_names.names,
 }
-"""Name of a directive, and the function that turns its arguments into Markdown."""
+DRAWING_MAKERS: dict[str, Maker] = {"catalogue": catalogue.cards, "gallery": gallery.shown}
+"""Those that are also given a place for pictures, and the lines of the directive."""
 
 
-def directive(maker: Callable[..., str]) -> type[SphinxDirective]:
+def directive(maker: Maker, *, draws: bool) -> type[SphinxDirective]:
     """A directive that puts in what `maker` says."""
 
     class FromCode(SphinxDirective):
         optional_arguments = 4
+        has_content = True
 
         def run(self) -> list[nodes.Node]:
-            return self.parse_text_to_nodes(maker(*self.arguments), allow_section_headings=True)
+            place = (Pictures.of(self.env), list(self.content)) if draws else ()
+            return self.parse_text_to_nodes(maker(*place, *self.arguments), allow_section_headings=True)
 
     return FromCode
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """What Sphinx calls."""
-    for name, maker in MAKERS.items():
-        app.add_directive(name, directive(maker))
+    for makers, draws in ((MAKERS, False), (DRAWING_MAKERS, True)):
+        for name, maker in makers.items():
+            app.add_directive(name, directive(maker, draws=draws))
     app.add_html_math_renderer("mathml", (mathml.inline, None), (mathml.block, None))
+    app.connect("build-finished", results.write_schemas)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

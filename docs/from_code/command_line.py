@@ -33,6 +33,7 @@ def _verb(name: str, command: Any, above: Any) -> list[str]:
 
 
 def _cell(text: str) -> str:
+    text = re.sub(r"<(int|float) range>", "N", text).replace(" <str>", "").replace(" <path>", "")
     return " ".join(text.split()).replace("|", "\\|")
 
 

@@ -1,5 +1,6 @@
 """Tables of the keys of a file, from the pydantic model that reads or writes it."""
 
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -17,24 +18,29 @@ HUGE = 1e8
 KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false", "null": "nothing"}
 
 
-def tables(model: str, style: str = "toml") -> str:
-    """Markdown: a heading and a table of keys for the file and each table in it.
+def tables(model: str) -> str:
+    """Markdown: headings and tables of keys for a file in TOML and each table in it.
 
     Parameters
     ----------
     model : str
         As in ``ltsim.plan.spec:PlanFile``.
-    style : "toml" or "json"
-        How the headings write the place of a table.
     """
     module, _, name = model.partition(":")
-    kind: type[BaseModel] = getattr(import_module(module), name)
-    schema = kind.model_json_schema()
+    return sections(getattr(import_module(module), name), _toml, "##", defaults=True)
+
+
+def sections(
+    model: type[BaseModel], place: Callable[[str, str, str], str], heading: str, *, defaults: bool = False
+) -> str:
+    """Markdown for a file and the tables in it; `place` names a table by that around it, how many, and its key."""
+    schema = model.model_json_schema()
     lines: list[str] = []
-    todo, place = [("", schema)], _toml if style == "toml" else _json
+    todo = [("", schema)]
     while todo:
         path, table = todo.pop(0)
-        lines += _table(path, table, schema)
+        lines += ["", f"{heading} `{path}`"] if path else []
+        lines += ["", about(table.get("description", "")), "", *_table(table, schema, defaults=defaults)]
         inner = [_inner(key, entry, schema) for key, entry in table["properties"].items()]
         todo = [(place(path, how, key), found) for key, how, found in filter(None, inner)] + todo
     return "\n".join(lines)
@@ -45,21 +51,28 @@ def _toml(path: str, how: str, key: str) -> str:
     return {"one": f"[{name}]", "named": f"[{name}.NAME]", "several": f"[[{name}]]"}[how]
 
 
-def _json(path: str, how: str, key: str) -> str:
+def json_place(path: str, how: str, key: str) -> str:
+    """The place of a table in a JSON file."""
     name = ".".join(filter(None, (path, key)))
     return {"one": name, "named": f"{name}.NAME", "several": f"{name}[]"}[how]
 
 
-def _table(path: str, table: dict[str, Any], schema: dict[str, Any]) -> list[str]:
-    lines = ["", f"## `{path}`", ""] if path else [""]
-    lines += [about(table.get("description", "")), ""]
+def _table(table: dict[str, Any], schema: dict[str, Any], *, defaults: bool) -> list[str]:
+    """The keys of one table that hold values; columns that say nothing are left out."""
     own = {key: entry for key, entry in table["properties"].items() if _inner(key, entry, schema) is None}
-    if own:
-        lines += ["| key | value | unit | default | meaning |", "|---|---|---|---|---|"]
-    for key, entry in own.items():
-        cells = [f"`{key}`", values(entry, schema), unit(key), default(key, entry, table), meaning(entry)]
-        lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
-    return lines
+    rows = [
+        [f"`{key}`", values(entry, schema), unit(key), default(key, entry, table) if defaults else "", meaning(entry)]
+        for key, entry in own.items()
+    ]
+    return markdown(["key", "value", "unit", "default", "meaning"], rows)
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table in Markdown, without the columns that are empty."""
+    kept = [i for i in range(len(header)) if any(row[i] for row in rows)]
+    lines = [[header[i] for i in kept], ["---"] * len(kept), *([row[i] for i in kept] for row in rows)]
+    cells = [[cell.replace("|", "\\|").replace("\n", " ") for cell in line] for line in lines]
+    return ["| " + " | ".join(line) + " |" for line in cells] if kept else []
 
 
 def _inner(key: str, entry: dict[str, Any], schema: dict[str, Any]) -> tuple[str, str, dict[str, Any]] | None:
@@ -134,10 +147,11 @@ def _list(entry: dict[str, Any], schema: dict[str, Any]) -> str:
 
 
 def _bounds(entry: dict[str, Any]) -> str:
-    low = [f"> {entry['exclusiveMinimum']:g}"] if "exclusiveMinimum" in entry else []
-    if abs(entry.get("minimum", HUGE)) < HUGE:
-        low = [f"≥ {entry['minimum']:g}"]
-    high = [f"< {entry['exclusiveMaximum']:g}"] if entry.get("exclusiveMaximum", HUGE) < HUGE else []
-    if entry.get("maximum", HUGE) < HUGE:
-        high = [f"≤ {entry['maximum']:g}"]
-    return "".join(" " + bound for bound in low + high)
+    low, high = entry.get("minimum"), entry.get("maximum")
+    above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")
+    if low is not None and high is not None and max(abs(low), high) < HUGE:
+        return f", {low:g} to {high:g}"
+    bounds = [f"> {above:g}"] if above is not None else [f"≥ {low:g}"] if low is not None and abs(low) < HUGE else []
+    bounds += [f"< {below:g}"] if below is not None and below < HUGE else []
+    bounds += [f"≤ {high:g}"] if high is not None and high < HUGE else []
+    return " " + " and ".join(bounds) if bounds else ""

@@ -42,87 +42,134 @@ class FitEntry(Entry):
     """Agreement of readings and model; the test is null without redundancy."""
 
     chi2: Finite = 0.0
+    """Weighted sum of squares."""
     dof: int = 0
+    """Degrees of freedom."""
     sigma0: Known = None
+    """Square root of chi-square over degrees of freedom."""
     p_value: Known = None
+    """Chance of as much or more in a correct model."""
     iterations: int = 0
+    """Steps of Gauss-Newton."""
     status: str = "not stated"
+    """`converged`, or why not."""
     sentence: str = ""
+    """The same for a person."""
 
 
 class ParameterEntry(Entry):
     """One estimate in the unit a person reads."""
 
     name: str
+    """As `ltsim effects` and the construction name it."""
     value: Finite
+    """Correction, truth minus reading."""
     sigma: Sigma = None
+    """Its standard deviation."""
     unit: str
+    """Of value and sigmas."""
     prior_sigma: Positive | None = None
-    instrument: str = Field("", description="Where there are several.")
+    """What was known before, one standard deviation."""
+    instrument: str = ""
+    """Where there are several."""
 
 
 class HarmonicEntry(Entry):
     """A cosine and a sine together, as amplitude and phase; no phase where the amplitude drowns in its sigma."""
 
     name: str
+    """Its name."""
     amplitude: Finite
+    """Its size."""
     sigma: Sigma
+    """Of the amplitude."""
     unit: str
+    """Of the amplitude."""
     phase_deg: Known = None
+    """Where its maximum is."""
     sigma_phase_deg: Known = None
+    """Of the phase."""
     instrument: str = ""
+    """Where there are several."""
 
 
 class CombinationEntry(Entry):
     """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
 
     combination: dict[str, Finite]
+    """Coefficient of each parameter."""
     gain: Known = None
+    """Share of the prior variance that the readings removed."""
     cure: str = ""
+    """The measurement that would determine it."""
 
 
 class StationEntry(Entry):
     """Pose of a station: mm, quaternion x y z w from instrument to network."""
 
     name: str
+    """Its name."""
     position_mm: Vector
+    """In the frame that the file names."""
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    """From instrument to network."""
     sigma_position_mm: tuple[Known, Known, Known] | None = None
+    """Of each coordinate."""
     sigma_rotation_arcsec: tuple[Known, Known, Known] | None = None
+    """About each axis."""
 
 
 class OutlierEntry(Entry):
     """A reading that does not belong; `gross`: the largest of a whole pointing that was left out."""
 
     row: int
+    """Of the recording's table, from 1."""
     station: str
+    """Name of the station."""
     target: str
+    """Name of the target."""
     observable: str
+    """`distance`, `azimuth` or `elevation`."""
     size: Finite
+    """How far the reading is off."""
     unit: str
+    """Of the size."""
     w: Finite
+    """Normalised residual."""
     gross: bool = False
+    """The largest of a whole pointing that was left out."""
     left_out: bool = False
+    """It did not take part in the adjustment."""
 
 
 class NoiseEntry(Entry):
     """Noise that was found from the readings; no `factor_sigma`: too little redundancy, the factor is as stated."""
 
     observable: str
+    """`distance`, `azimuth`, `elevation` or `level`."""
     instrument: str = ""
+    """Where there are several."""
     factor: Finite
+    """On the stated standard deviations."""
     factor_sigma: Known = None
+    """Of the factor."""
     redundancy: Finite
+    """Of the group's readings together."""
     typical: Finite
+    """Median standard deviation of a reading."""
     unit: str = ""
+    """Of `typical`."""
 
 
 class VerdictEntry(Entry):
     """Which test to trust where they disagree."""
 
     case: str = ""
+    """Which of the tests agree."""
     sentence: str = ""
+    """The same for a person."""
     scale_by_sigma0: bool = False
+    """Whether to scale standard deviations by sigma0."""
 
 
 class CalibrationFile(ResultFile):
@@ -130,22 +177,39 @@ class CalibrationFile(ResultFile):
 
     FILE: ClassVar[str] = "calibration.json"
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
+    """Which format and version this file is in."""
     method: str = "network"
+    """`network`, `distance` or `distance-l1`."""
     construction: str
+    """Which model of the instrument: `misalignment`, `dh` or `ideal`."""
     fit: FitEntry = FitEntry()
+    """Agreement of readings and model."""
     frame: str = ""
+    """The frame of all coordinates."""
     parameters: tuple[ParameterEntry, ...]
+    """Estimates."""
     covariance: tuple[tuple[Finite, ...], ...] = ()
+    """Of the parameters in their order and units."""
     harmonics: tuple[HarmonicEntry, ...] = ()
+    """Cosines and sines as amplitude and phase."""
     undetermined: tuple[CombinationEntry, ...] = ()
+    """What the recording does not tell."""
     stations: tuple[StationEntry, ...] = ()
+    """Poses."""
     criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
+    """The paper's criteria before and after."""
     outliers: tuple[OutlierEntry, ...] = ()
+    """Readings that do not belong."""
     robust: bool = False
+    """Readings that do not belong were left out."""
     noise: tuple[NoiseEntry, ...] = ()
+    """What was found about the noise."""
     noise_estimated: bool = False
+    """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()
+    """Which test to trust."""
     lost_targets: tuple[str, ...] = ()
+    """Targets that their readings do not determine."""
 
     @model_validator(mode="after")
     def _covariance_is_square(self) -> Self:
@@ -159,47 +223,69 @@ class ChiSquareEntry(Entry):
     """A chi-square test."""
 
     chi2: Finite
+    """Weighted sum of squares."""
     dof: int
+    """Degrees of freedom."""
     p_value: Finite
+    """Chance of as much or more in a correct model."""
 
 
 class DifferenceEntry(Entry):
     """Later minus earlier estimate of one parameter."""
 
     name: str
+    """Its name."""
     difference: Finite
+    """Later minus earlier."""
     sigma: Finite
+    """Of the difference."""
     unit: str
+    """Of both."""
     p_value: Finite
+    """Chance of as much or more in a correct model."""
 
 
 class ChangeEntry(ChiSquareEntry):
     """From one calibration to another."""
 
     from_: str = Field(alias="from")
+    """The earlier calibration."""
     to: str
+    """The later one."""
     changed: tuple[str, ...] = ()
+    """Parameters that differ."""
     parameters: tuple[DifferenceEntry, ...] = ()
+    """All differences."""
 
 
 class CourseEntry(Entry):
     """One parameter over the calibrations, in the unit a person reads."""
 
     name: str
+    """Its name."""
     unit: str = ""
+    """Of all its numbers."""
     values: tuple[Finite, ...]
+    """One a calibration."""
     sigmas: tuple[NotNegative, ...]
+    """One a calibration."""
     prior_sigma: Known = None
+    """What was known before."""
     mean: Finite
+    """Weighted."""
     spread: Finite
+    """Standard deviation over the calibrations."""
     constant: ChiSquareEntry
+    """Test that it did not change."""
 
 
 class CalibrationOf(Entry):
     """One calibration of a history."""
 
     label: str
+    """What the report calls it."""
     fit: FitEntry
+    """Agreement of readings and model."""
 
 
 class HistoryFile(ResultFile):
@@ -207,12 +293,19 @@ class HistoryFile(ResultFile):
 
     FILE: ClassVar[str] = "history.json"
     format: Literal["ltsim-history/1"] = "ltsim-history/1"
+    """Which format and version this file is in."""
     construction: str = ""
+    """Which model of the instrument."""
     calibrations: tuple[CalibrationOf, ...]
+    """In the order of time."""
     parameters: tuple[CourseEntry, ...] = ()
+    """Each over the calibrations."""
     constant: ChiSquareEntry | None = None
+    """Test that nothing changed."""
     changes: tuple[ChangeEntry, ...] = ()
+    """From each to the next."""
     since_first: ChangeEntry
+    """From the first to the last."""
 
     @model_validator(mode="after")
     def _one_value_a_calibration(self) -> Self:

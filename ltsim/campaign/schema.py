@@ -45,8 +45,11 @@ class CellEntry(Entry):
     """One cell of the grid."""
 
     cell: Whole
+    """Its number."""
     label: str
+    """What it changes, in a line."""
     settings: dict[str, Any] = Field(default_factory=dict)
+    """What it changes, by dotted key."""
 
 
 class ManifestFile(ResultFile):
@@ -54,29 +57,48 @@ class ManifestFile(ResultFile):
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
+    """Which format and version this file is in."""
     title: str = ""
-    fingerprint: str = Field("", description="Digest of all that decides the rows; each shard says it too.")
+    """Free text."""
+    fingerprint: str = ""
+    """Digest of all that decides the rows; each shard says it too."""
     seed: Whole = 0
+    """Root of the random draws."""
     trials: Whole
+    """Of each cell."""
     shard: Whole | None = None
+    """Trials a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
+    """Names of the calibrators."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
+    """Of the grid."""
     versions: dict[str, str] = Field(default_factory=dict)
+    """Of what made the rows."""
     processor: str = "unknown"
+    """Its type: rows are the same bytes on one type."""
     commit: str | None = None
+    """Of the source, where it is known."""
     settings: dict[str, Any] = Field(default_factory=dict)
+    """The campaign file."""
     scenarios: tuple[dict[str, Any], ...] = ()
+    """That of each cell."""
 
 
 class CheckEntry(Entry):
     """One number that has to lie between two bounds."""
 
     what: str
+    """Parameter, or chi-square, targets, stations."""
     statistic: str
+    """Which number of it."""
     value: Known
+    """What it is."""
     low: Known
+    """What it should not be below."""
     high: Known
+    """What it should not be above."""
     passed: bool
+    """It lies between."""
 
 
 class RecoveryFile(ResultFile):
@@ -84,8 +106,14 @@ class RecoveryFile(ResultFile):
 
     FILE: ClassVar[str] = "recovery.json"
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
+    """Which format and version this file is in."""
     passed: bool
+    """All checks passed."""
     trials: Whole
+    """How many."""
     converged: Whole
+    """How many gave a result."""
     seed: Whole
+    """Root of the random draws."""
     checks: tuple[CheckEntry, ...]
+    """One number each."""

@@ -26,111 +26,162 @@ class WhereEntry(Entry):
     """What a finding is confined to; empty means everything."""
 
     observables: tuple[str, ...] = ()
+    """`distance`, `azimuth`, `elevation`."""
     stations: tuple[str, ...] = ()
+    """Names."""
     targets: tuple[str, ...] = ()
+    """Names."""
     instruments: tuple[str, ...] = ()
+    """Names."""
     covariates: tuple[str, ...] = ()
+    """What it follows: time, angles, or a further column of the recording."""
 
 
 class EvidenceEntry(Entry):
     """How strong a finding is; `p_value` is corrected for everything that was searched."""
 
     chi2_drop: Known = None
+    """How much chi-square falls."""
     parameters: int | None = None
+    """For how many."""
     p_value: Known = None
+    """Chance of as much in a clean recording, in the whole search."""
     probability: Finite = 1.0
+    """Against the other explanations."""
 
 
 class EquivalentEntry(Entry):
     """Another effect that cannot be excluded."""
 
     effect: str
+    """Id of the catalogue."""
     probability: Finite = 0.0
+    """That it is this one."""
 
 
 class EstimateEntry(Entry):
     """A parameter of a finding."""
 
     name: str
+    """Its name."""
     value: Finite
+    """Its size."""
     sigma: Known = None
+    """Its standard deviation."""
     unit: str = ""
+    """Of both."""
 
 
 class FindingEntry(Entry):
     """One thing left out of the model."""
 
-    effect: str = Field(description="Id of the catalogue, or `unknown`.")
+    effect: str
+    """Id of the catalogue, or `unknown`."""
     known: bool = True
+    """It is one of the catalogue."""
     sentence: str = ""
+    """The same for a person."""
     where: WhereEntry = WhereEntry()
+    """What it is confined to."""
     parameters: tuple[EstimateEntry, ...] = ()
+    """Its size."""
     evidence: EvidenceEntry = EvidenceEntry()
+    """How strong it is."""
     equivalents: tuple[EquivalentEntry, ...] = ()
-    separate_by: str = Field("", description="The measurement that would tell it from its equivalents.")
-    formula: str = Field("", description="The proposed term of an unknown effect.")
-    carrier: str = Field("", description="What an effect that no card names acts on.")
-    driver: str = Field("", description="What an effect that no card names follows.")
+    """What else it may be."""
+    separate_by: str = ""
+    """The measurement that would tell it from its equivalents."""
+    formula: str = ""
+    """The proposed term of an unknown effect."""
+    carrier: str = ""
+    """What an effect that no card names acts on."""
+    driver: str = ""
+    """What an effect that no card names follows."""
 
 
 class GlobalTest(Entry):
     """The test of the whole model."""
 
     statistic: Known
+    """Chi-square."""
     dof: int
+    """Degrees of freedom."""
     p_value: Known
+    """Of chi-square."""
     search_p_value: Known = None
+    """Of the whole search."""
 
 
 class DiagnosisFit(Entry):
     """Chi-square, and the normalised error on observations that the fit did not see."""
 
     chi2: Known
+    """Weighted sum of squares."""
     dof: int
+    """Degrees of freedom."""
     held_out_rms: Known = None
+    """Error on readings left out in turn, over their stated noise."""
     held_out: dict[str, Known] = Field(default_factory=dict)
+    """The same for each observable."""
 
 
 class BeforeAfter(Entry):
     """Fit without and with the findings."""
 
     before: DiagnosisFit
+    """Without the findings."""
     after: DiagnosisFit
+    """With them."""
 
 
 class UndetectableEntry(Entry):
     """An effect that leaves no residual."""
 
     effect: str
+    """Id of the catalogue."""
     reason: str = ""
+    """Why it leaves no trace here."""
     hides_um: Known = None
+    """Error of the targets that it may hide."""
     cure: str = ""
+    """The measurement that would help."""
 
 
 class DetectableEntry(Entry):
     """The smallest size that would be seen."""
 
     effect: str
+    """Id of the catalogue."""
     parameter: str = ""
+    """Name of the parameter."""
     size: Known
+    """Smallest that would be found."""
     unit: str = ""
+    """Of the size."""
 
 
 class DeterminedEntry(Entry):
     """A combination of parameters that the recording determines."""
 
     combination: dict[str, Finite]
+    """Coefficient of each parameter."""
     value: Finite
+    """Its size."""
     sigma: Known = None
+    """Its standard deviation."""
     unit: str = ""
+    """Of both."""
 
 
 class InstrumentEntry(Entry):
     """The ordinary calibration of one instrument."""
 
     name: str
+    """Its name."""
     parameters: tuple[ParameterEntry, ...] = ()
+    """Estimates."""
     determined: tuple[DeterminedEntry, ...] = ()
+    """Combinations that the recording determines."""
 
 
 class DiagnosisFile(ResultFile):
@@ -138,11 +189,20 @@ class DiagnosisFile(ResultFile):
 
     FILE: ClassVar[str] = "diagnosis.json"
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
-    verdict: str = Field(description="`consistent`, or `mismatch`.")
+    """Which format and version this file is in."""
+    verdict: str
+    """`consistent`, or `mismatch`."""
     summary: str
+    """The answer in a few sentences."""
     global_test: GlobalTest
+    """Of the ordinary model."""
     findings: tuple[FindingEntry, ...] = ()
+    """What was left out of the model."""
     fit: BeforeAfter | None = None
+    """Without and with the findings."""
     undetectable: tuple[UndetectableEntry, ...] = ()
+    """What this network cannot see."""
     detectable: tuple[DetectableEntry, ...] = ()
+    """How small everything else may be."""
     instruments: tuple[InstrumentEntry, ...] = ()
+    """Their ordinary calibration."""

@@ -40,7 +40,7 @@ Vector = tuple[Finite, Finite, Finite]
 class Entry(BaseModel):
     """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
 
 
 class SourceEntry(Entry):
@@ -50,8 +50,11 @@ class SourceEntry(Entry):
     """
 
     title: str = ""
+    """Free text of its set-up."""
     pointings: int
+    """How many."""
     digest: str
+    """Of who sighted what, and of the readings."""
 
     @classmethod
     def of(cls, recording: Recording) -> SourceEntry:
@@ -64,8 +67,11 @@ class ResultFile(Entry):
 
     FILE: ClassVar[str]
     format: str
-    recording: SourceEntry | None = Field(default=None, description="The recording behind the result.")
-    files: dict[str, str] = Field(default_factory=dict, description="Digest (SHA-256) of each file written beside.")
+    """Which format and version this file is in."""
+    recording: SourceEntry | None = None
+    """The recording behind the result."""
+    files: dict[str, str] = Field(default_factory=dict)
+    """Digest (SHA-256) of each file written beside."""
 
     def content(self) -> dict[str, Any]:
         """What the file says: its format and the fields that were filled in, as JSON has them."""

@@ -176,8 +176,9 @@ class Target(Section):
     approximate_mm: Vector | None = None
     """A start value without weight."""
     datum: bool = False
-    datum_axes: Axes = "xyz"
     """Takes part in the inner constraints that define the frame."""
+    datum_axes: Axes = "xyz"
+    """Along which axes it does."""
     height_mm: Height = 0.0
     """Height of the reflector above the mark that the name stands for."""
 

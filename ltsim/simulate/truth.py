@@ -167,41 +167,70 @@ class Truth(Shown):
 
 
 class _Number(Section):
+    """A parameter."""
+
     name: str
+    """Its name."""
     value: Finite
+    """What it truly is."""
     unit: str
+    """Of the value."""
 
 
 class _Effect(Section):
+    """An effect of the catalogue."""
+
     effect: str
+    """Id of the catalogue."""
     stations: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     targets: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    """Constants by name."""
     parameters: tuple[_Number, ...] = ()
+    """True values."""
 
 
 class _Point(Section):
+    """A point."""
+
     name: str
+    """Its name."""
     position_mm: Vector
+    """Where it truly stands, in the workshop's frame."""
 
 
 class _Pose(_Point):
+    """A station."""
+
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
+    """From instrument to workshop; x, y, z, w."""
 
 
 class TruthFile(Section):
-    """The whole file."""
+    """`truth.json`: from `simulate --truth`."""
 
     format: Format
+    """Which format and version this file is in."""
     title: str = ""
+    """Free text."""
     seed: int = 0
+    """Root of the random draws."""
     construction: str
+    """Which model made the readings."""
     parameters: tuple[_Number, ...] = ()
+    """True errors of the instrument."""
     effects: tuple[_Effect, ...] = ()
+    """Physics beyond them."""
     noise_factor: Finite = 1.0
+    """How many times the stated noise the true one is."""
     stations: tuple[_Pose, ...] = Field(min_length=1)
+    """True poses."""
     targets: tuple[_Point, ...] = Field(min_length=1)
+    """True points."""
     nominal: tuple[_Point, ...] | None = None
+    """Points as a measuring machine gave them."""
 
 
 def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:

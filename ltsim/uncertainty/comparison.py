@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
 from ltsim.arrays import Floats
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector, write_result
@@ -32,13 +30,21 @@ class DisplacementEntry(Entry):
     """One point: place in the first epoch [mm], displacement and its uncertainty [um]."""
 
     target: str
+    """Name of the target."""
     moved: bool
+    """The test says so."""
     place_mm: Vector
+    """In the first epoch."""
     shift_um: Vector
+    """Second minus first epoch."""
     sigma_um: Vector
+    """Of each component."""
     semi_axes_um: Vector
-    p_value: Finite = Field(description="that the point did not move, paid for all points tested")
-    visible_um: tuple[Finite, Finite] = Field(description="smallest motion found with 80 %: best and worst direction")
+    """Of its error ellipsoid."""
+    p_value: Finite
+    """that the point did not move, paid for all points tested"""
+    visible_um: tuple[Finite, Finite]
+    """smallest motion found with 80 %: best and worst direction"""
 
 
 class ComparisonFile(ResultFile):
@@ -46,15 +52,25 @@ class ComparisonFile(ResultFile):
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
+    """Which format and version this file is in."""
     second: SourceEntry
+    """The second epoch."""
     sentence: str
-    level: Finite = Field(description="probability that any point is told to have moved when none did")
-    statistic: Finite = Field(description="of the global test: no point moved; chi-square")
+    """The answer for a person."""
+    level: Finite
+    """probability that any point is told to have moved when none did"""
+    statistic: Finite
+    """of the global test: no point moved; chi-square"""
     dof: int
+    """Degrees of freedom of the global test."""
     p_value: Finite
-    p_value_after: Finite = Field(description="of the same test without the points that moved")
-    scale_ppm: Known = Field(default=None, description="of the second epoch, where it was estimated")
+    """Of the global test."""
+    p_value_after: Finite
+    """of the same test without the points that moved"""
+    scale_ppm: Known = None
+    """of the second epoch, where it was estimated"""
     displacements: tuple[DisplacementEntry, ...]
+    """One a common point."""
 
 
 def comparison_file(found: Congruence, first: Recording, second: Recording, places: Floats) -> ComparisonFile:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from ltsim.recording.result_file import Entry, Known, ResultFile, SourceEntry, write_result
 from ltsim.recording.result_table import ResultTable, numbers, texts
@@ -38,49 +37,78 @@ class MonteCarloTold(Entry):
     """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
 
     mean: float
+    """Of the draws."""
     standard_uncertainty: float
+    """Of the draws."""
     symmetric: tuple[float, float]
+    """Probabilistically symmetric interval."""
     shortest: tuple[float, float]
-    stable: bool = Field(description="whether the figures are stable to the digits asked for")
-    agrees: bool = Field(description="whether the linear interval is that of the distribution (JCGM 101, clause 8)")
+    """Shortest interval."""
+    stable: bool
+    """whether the figures are stable to the digits asked for"""
+    agrees: bool
+    """whether the linear interval is that of the distribution (JCGM 101, clause 8)"""
 
 
 class Part(Entry):
     """One source of a result's uncertainty: its type, its share of the variance, its standard uncertainty."""
 
     source: str
+    """Where it comes from."""
     type: Literal["A", "B"]
+    """Of the evaluation, by the GUM."""
     share: float
+    """Of the variance."""
     standard_uncertainty: float
+    """In the result's unit."""
 
 
 class ConformityTold(Entry):
     """A result against its tolerance (JCGM 106), limits and guard band in its unit."""
 
     lower: float | None
+    """Limit of the tolerance."""
     upper: float | None
+    """Limit of the tolerance."""
     rule: Literal["guarded", "simple"]
+    """As the task file says."""
     guard_band: float
-    probability: float = Field(description="that the true value lies within the tolerance")
+    """Between tolerance and acceptance."""
+    probability: float
+    """that the true value lies within the tolerance"""
     judgement: Judgement
-    wrong: float = Field(description="probability that the judgement is wrong")
+    """`accepted`, `rejected` or `undecided`."""
+    wrong: float
+    """probability that the judgement is wrong"""
 
 
 class Result(Entry):
     """One number of a task with its uncertainty, in its unit."""
 
     task: str
+    """Name of the task."""
     kind: str
+    """Its kind."""
     name: str
+    """Which of its numbers."""
     unit: str
+    """Of all figures."""
     value: float
+    """The estimate."""
     standard_uncertainty: float
+    """By the GUM's law of propagation."""
     coverage_factor: float
+    """Of the expanded uncertainty."""
     expanded_uncertainty: float
+    """For the coverage."""
     monte_carlo: MonteCarloTold
-    curvature: float = Field(description="gap of the linear adjustment, in standard uncertainties")
+    """By distributions."""
+    curvature: float
+    """gap of the linear adjustment, in standard uncertainties"""
     budget: tuple[Part, ...]
+    """Sources, the largest first."""
     conformity: ConformityTold | None = None
+    """Against its tolerance."""
 
 
 class UncertaintyFile(ResultFile):
@@ -88,15 +116,25 @@ class UncertaintyFile(ResultFile):
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
+    """Which format and version this file is in."""
     title: str
+    """Free text."""
     source: str
+    """The recording or scenario."""
     coverage: float
+    """Of all intervals."""
     trials: int
+    """Of the propagation of distributions."""
     frame: str
-    sigma0: Known = Field(description="of the adjustment that the points come from")
+    """Of all coordinates."""
+    sigma0: Known
+    """of the adjustment that the points come from"""
     results: tuple[Result, ...]
-    correlation: tuple[tuple[Known, ...], ...] = Field(description="of the results, in their order")
+    """One a number."""
+    correlation: tuple[tuple[Known, ...], ...]
+    """of the results, in their order"""
     warnings: tuple[str, ...] = ()
+    """What to know before the numbers are used."""
 
 
 def told(evaluation: Evaluation, frame: str) -> UncertaintyFile:

@@ -26,7 +26,9 @@ class Tolerance(Section):
     """Limits of one result of a task, in its unit; either may be left open."""
 
     lower: Finite | None = None
+    """Lower limit."""
     upper: Finite | None = None
+    """Upper limit."""
 
     @model_validator(mode="after")
     def _some_room(self) -> Tolerance:
@@ -47,14 +49,23 @@ class Task(Section):
     """
 
     name: str
+    """What the results call it."""
     kind: Kind
+    """What is made of the targets."""
     targets: Names
+    """Names, in the order that the kind asks for."""
     zone: Literal["least-squares", "minimum"] = "least-squares"
+    """How the form of a feature is judged."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
+    """Nominal points by target, for `transformation`, `pose` and `deviation`."""
     fit: bool = True
+    """Fit the targets to their nominal points first."""
     scale: bool = False
+    """The fit has a scale."""
     radius_offset_mm: Finite = 0.0
+    """Added to fitted radii: the ball's own."""
     tolerances: dict[str, Tolerance] = Field(default_factory=dict)
+    """Limits by result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
     def _whole(self) -> Task:
@@ -79,55 +90,85 @@ class TypeB(Section):
     """
 
     effect: str
+    """As `ltsim effects` lists it."""
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
+    """Of the sizes."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
+    """Standard deviation or half-width by parameter, in display units."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
+    """How far one draw reaches."""
     stations: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     targets: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    """Constants by name, as in a scenario."""
     name: str = ""
+    """What the budget calls it; the effect's own name where it is not given."""
 
 
 class Growth(Section):
     """The part's own expansion: results hold at `reference_c`, the points were measured at `measured_c`."""
 
     expansion_per_k: Finite
+    """Coefficient of thermal expansion."""
     sigma_expansion_per_k: NonNegative = 0.0
+    """Its standard deviation."""
     measured_c: Finite = 20.0
+    """Temperature of the part at the measurement."""
     sigma_temperature_k: NonNegative = 0.0
+    """Its standard deviation."""
     reference_c: Finite = 20.0
+    """Temperature at which results hold."""
 
 
 class MonteCarlo(Section):
     """How the distributions are propagated (JCGM 101): until every figure is stable to `digits` of its uncertainty."""
 
     coverage: Level = 0.95
+    """Of the intervals."""
     digits: Annotated[int, Field(ge=1, le=2)] = 2
+    """Of the standard uncertainty that have to be stable."""
     most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
+    """Where it stops in any case."""
     seed: Annotated[int, Field(ge=0)] = 0
+    """Root of the random draws."""
 
 
 class Decision(Section):
     """How conformity is decided (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
 
     rule: Literal["guarded", "simple"] = "guarded"
+    """With a guard band for the risk, or the limits as they are."""
     risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
+    """Of a wrong acceptance."""
 
 
 class Tasks(Section):
     """The whole file."""
 
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
+    """Which format and version this file is in."""
     title: str = ""
+    """Free text."""
     source: str
+    """A recording or a scenario, seen from this file."""
     calibrate: bool = True
+    """Estimate the instrument's parameters too."""
     datum: tuple[str, ...] = ()
+    """Targets that define the datum by inner constraints."""
     robust: bool = False
+    """Leave out readings that do not belong."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
+    """Tables `[[task]]`."""
     type_b: tuple[TypeB, ...] = ()
+    """What the readings do not show, tables `[[type_b]]`."""
     growth: Growth | None = None
+    """Expansion of the part."""
     monte_carlo: MonteCarlo = MonteCarlo()
+    """How distributions are propagated."""
     decision: Decision = Decision()
+    """How conformity is decided."""
 
     @model_validator(mode="after")
     def _names_once(self) -> Tasks:

@@ -1,0 +1,140 @@
+"""The catalogue of effects: each card, its parameters, and what it does to the readings of the paper's workshop."""
+
+from functools import cache
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from from_code.keys import markdown
+from from_code.pictures import Pictures
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.arrays import Floats
+from ltsim.calibrate import adjust_network
+from ltsim.effects import CATALOGUE, Effect, ShapeParameter, card_of
+from ltsim.report.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg_uri
+from ltsim.scene.sightings import Sightings
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.simulator import simulate
+from ltsim.units import DEGREE, FACTOR, MICROMETRE
+
+AXES = {
+    "azimuth": ("azimuth [°]", lambda s: s.azimuth / DEGREE),
+    "elevation": ("elevation [°]", lambda s: s.elevation / DEGREE),
+    "distance": ("range [m]", lambda s: s.range_),
+    "time": ("time [min]", lambda s: s.time / 60.0),
+    "incidence": ("incidence [°]", lambda s: s.incidence / DEGREE),
+    "height": ("height of the target [m]", lambda s: s.points[s.target, 2]),
+}
+SIDES = ("along the beam", "to its left", "upward")
+SCENARIO, SEED = "paper-workshop-two-face", 1
+
+
+def cards(pictures: Pictures, _lines: list[str]) -> str:
+    """Markdown: a section a group of effects, a section an effect."""
+    lines: list[str] = []
+    group = ""
+    for entry in CATALOGUE.entries.values():
+        if entry.group != group:
+            group = entry.group
+            lines += ["", f"## {group[0].upper()}{group[1:]}", ""]
+        lines += _card(entry.kind, pictures)
+    return "\n".join(lines)
+
+
+def _card(kind: type[Effect], pictures: Pictures) -> list[str]:
+    card = card_of(kind)
+    lines = ["", f"### {kind.name}", "", f"**{card.title}**: {_text(card.cause)}.", ""]
+    lines += [_law(card.law), ""]
+    lines += [f"{name}\n: {_text(text)}\n" for name, text in card.parts()]
+    sizes = [[f"`{p.name}`", f"{p.prior_sigma / p.factor:.3g}", p.unit, _text(p.meaning)] for p in kind.parameters]
+    lines += ["", *markdown(["parameter", "plausible size", "unit", "meaning"], sizes)]
+    lines += ["", *markdown(["constant", "searched", "unit", "meaning"], [_constant(s) for s in kind.shape])]
+    return lines + _signature(kind, pictures)
+
+
+def _law(law: str) -> str:
+    """Lines that are set in stay as they are; others are a text."""
+    if any(line.startswith(" ") for line in law.splitlines()):
+        return f"```text\n{law}\n```"
+    return _text(law)
+
+
+def _constant(shape: ShapeParameter) -> list[str]:
+    low, high = shape.low / FACTOR[shape.unit], shape.high / FACTOR[shape.unit]
+    return [f"`{shape.name}`", f"{low:.4g} to {high:.4g}", shape.unit, _text(shape.meaning)]
+
+
+def _text(text: str) -> str:
+    """A text of a card in which Markdown sees no markup."""
+    for sign in "\\`*_[<|$":
+        text = text.replace(sign, "\\" + sign)
+    return text
+
+
+@cache
+def _space() -> ResidualSpace:
+    """What poses and targets leave of a signature in the paper's workshop, both faces."""
+    recording, _ = simulate(load_scenario(SCENARIO), SEED)
+    adjustment = adjust_network(recording).adjustment
+    assert isinstance(adjustment, Adjustment)
+    return ResidualSpace.of(adjustment)
+
+
+def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
+    """The picture of an effect's first parameter at its plausible size, and how much of it an adjustment leaves."""
+    space = _space()
+    sightings = space.sightings
+    effects = kind.candidates(sightings)
+    effect = effects[len(effects) // 2] if effects else None
+    if effect is None or not np.any(moved := _displacement(effect, sightings)):
+        return []
+    first = space.signature(effect)[:, :1]
+    whole = float(np.sum(first**2))
+    share = float(np.sum(space.project(first) ** 2)) / whole if whole else 0.0
+    parameter, place = effect.parameters[0], ", ".join(effect.stations + effect.targets)
+    words = (
+        f"{parameter.prior_sigma / parameter.factor:.3g} {parameter.unit} of `{parameter.name}`"
+        f"{f' at {place}' if place else ''}, seen from one station of the paper's workshop. "
+        f"Poses and targets of the network absorb {100 * (1 - share):.0f} % of its squared size."
+    )
+    address = svg_uri(_figure(effect, sightings, moved))
+    picture = pictures.keep(f"effect-{kind.name}", address, f"signature of {kind.name}")
+    return ["", picture, "", words, ""]
+
+
+def _displacement(effect: Effect, sightings: Sightings) -> Floats:
+    """(n, 3) [um]: how the first parameter at its plausible size moves the measured point, seen from the station."""
+    size = np.zeros(len(effect.parameters))
+    size[0] = effect.parameters[0].prior_sigma
+    change = np.nan_to_num(effect.design(sightings) @ size)
+    length, level = sightings.range_, np.cos(sightings.elevation)
+    upward = np.where(sightings.face == 1, 1.0, -1.0)
+    moved: Floats = np.stack([change[:, 0], change[:, 1] * length * level, change[:, 2] * length * upward], axis=1)
+    return moved / MICROMETRE
+
+
+@styled
+def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
+    """Three panels over what the effect depends on; both faces of one station where it acts."""
+    name = next(
+        (c for c in effect.covariates if c in AXES), "azimuth" if "azimuth" in effect.observables else "elevation"
+    )
+    title, axis = AXES[name]
+    acts = np.any(moved != 0.0, axis=1)
+    stations = sightings.station[acts]
+    shown = sightings.station == np.bincount(stations).argmax()
+    figure = Figure(figsize=(WIDTH, 1.9))
+    figure.subplots_adjust(left=0.08, right=0.99, bottom=0.22, top=0.88, wspace=0.06)
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    for k, ax in enumerate(panels):
+        for face, colour in ((1, BLUE), (2, ORANGE)):
+            rows = shown & (sightings.face == face)
+            ax.scatter(axis(sightings)[rows], moved[rows, k], s=9, color=colour, linewidths=0, label=f"face {face}")
+        ax.axhline(0.0, color=INK, linewidth=0.6)
+        ax.set_title(SIDES[k])
+        ax.set_xlabel(title)
+        quiet_axis(ax, grid="both")
+    panels[0].set_ylabel("change of the point [µm]")
+    panels[0].legend(loc="best", handletextpad=0.1)
+    return figure

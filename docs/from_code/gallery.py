@@ -1,0 +1,36 @@
+"""The gallery: commands that are run while the page is built, and the pictures of the report they end in."""
+
+import contextlib
+import re
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from from_code.pictures import Pictures
+from from_code.shell import commands, execute
+from ltsim.report.page import document
+
+
+@cache
+def _workplace() -> TemporaryDirectory[str]:
+    """One folder for all commands of the page; gone when the build ends."""
+    return TemporaryDirectory()
+
+
+def shown(pictures: Pictures, lines: list[str], folder: str) -> str:
+    """Markdown: the commands in `lines`, run here, and the pictures of the page about `folder`."""
+    place = Path(_workplace().name)
+    with contextlib.chdir(place):
+        for command in commands("\n".join(lines)):
+            outcome = execute(command)
+            if not outcome.right:
+                raise RuntimeError(f"{command}: {outcome.said}")
+        sections = document(Path(folder)).sections
+    parts = ["```sh", *lines, f"ltsim report {folder}", "```", ""]
+    for section in sections:
+        for block in section.blocks:
+            if block.kind == "picture":
+                name = re.sub(r"\W+", "-", f"{folder}-{block.title}".lower())
+                image = pictures.keep(name, block.uri, block.caption)
+                parts += [f"**{block.title}**", "", image, "", block.caption, ""]
+    return "\n".join(parts)

@@ -1,0 +1,40 @@
+"""Pictures drawn while the documentation is built: they go straight into the built pages' folder."""
+
+import base64
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Self
+
+from sphinx.environment import BuildEnvironment
+
+FOLDER = "_images"
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Where the pictures of a page go.
+
+    Attributes
+    ----------
+    folder : Path
+    address : str
+        Of that folder, seen from the page.
+    """
+
+    folder: Path
+    address: str
+
+    @classmethod
+    def of(cls, env: BuildEnvironment) -> Self:
+        """The place for the page that is being read."""
+        folder = Path(env.app.outdir) / FOLDER
+        folder.mkdir(parents=True, exist_ok=True)
+        return cls(folder, "../" * env.docname.count("/") + FOLDER)
+
+    def keep(self, name: str, data_address: str, alt: str) -> str:
+        """Keep a picture given as a `data:` address; the HTML that shows it."""
+        kind, _, content = data_address.partition(";base64,")
+        file = f"{name}.{'png' if kind.endswith('png') else 'svg'}"
+        (self.folder / file).write_bytes(base64.b64decode(content))
+        return f'<img src="{self.address}/{file}" alt="{escape(alt)}" loading="lazy">'

@@ -1,0 +1,34 @@
+"""The files that commands write: keys and columns from the models and tables in the code, and their JSON Schemas."""
+
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+from from_code.keys import about, json_place, markdown, sections, unit
+from ltsim.recording.result_table import ResultTable
+from ltsim.report import schemas
+from ltsim.simulate.truth import TruthFile
+
+
+def files() -> str:
+    """Markdown: a section a file, with the tables that lie beside it."""
+    models = {model.FILE: model for model in schemas.RESULTS} | {"truth.json": TruthFile}
+    lines: list[str] = []
+    for file, model in models.items():
+        lines += ["", f"## {file}", sections(model, json_place, "###")]
+        for table in schemas.TABLES.get(file, ()):
+            lines += _columns(table)
+    return "\n".join(lines)
+
+
+def _columns(table: ResultTable) -> list[str]:
+    said = about(table.about)
+    lines = ["", f"### {table.file}", "", f"{said[0].upper()}{said[1:]}.", ""]
+    rows = [[f"`{c.name}`", c.kind, unit(c.name), about(c.about)] for c in table.columns]
+    return [*lines, *markdown(["column", "value", "unit", "meaning"], rows)]
+
+
+def write_schemas(app: Sphinx, problem: Exception | None) -> None:
+    """The JSON Schema of every file, below `schemas` of the built pages."""
+    if problem is None:
+        schemas.main(Path(app.outdir) / "schemas")

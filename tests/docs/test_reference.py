@@ -1,0 +1,38 @@
+"""Every key of every file says what it means, where it is declared."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+import pytest
+from pydantic import BaseModel
+
+from ltsim.recording.native import BOUNDS, KNOWN, WORDS
+from ltsim.report.schemas import FILES
+from tests.conftest import ROOT
+
+
+def tables(model: type[BaseModel]) -> set[type[BaseModel]]:
+    """The model and those of the tables in it."""
+    found = {model}
+
+    def search(annotation: Any) -> None:
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel) and annotation not in found:
+            found.update(tables(annotation))
+        for inner in get_args(annotation):
+            search(inner)
+
+    for field in model.model_fields.values():
+        search(field.annotation)
+    return found
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_key_says_what_it_means(file: str) -> None:
+    keys = [(t.__name__, name, f) for t in tables(FILES[file]) for name, f in t.model_fields.items()]
+    assert [f"{table}.{name}" for table, name, field in keys if not field.description] == []
+
+
+def test_every_column_of_a_recording_is_in_the_reference() -> None:
+    page = (ROOT / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
+    assert [name for name in {*KNOWN, *BOUNDS, *WORDS} if f"`{name}`" not in page] == []

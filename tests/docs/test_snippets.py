@@ -1,0 +1,29 @@
+"""Every command and every piece of code in the documentation runs and prints what the page says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+from tests.docs.snippets import blocks, check_page
+
+OTHERS = ROOT / "docs" / "example-effect"
+"""A package of its own, whose snippets need it installed: the tests of the catalogue run them."""
+PAGES = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").rglob("*.md")) if OTHERS not in p.parents)]
+RUNNING = [p for p in PAGES if any(b.runs and b.kind in ("sh", "python") for b in blocks(p))]
+
+
+@pytest.mark.parametrize("page", RUNNING, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_page_does_what_it_says(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert check_page(page, tmp_path) > 0
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_page_has_no_block_of_an_unknown_kind(page: Path) -> None:
+    """A misspelt language would keep a block from being run without a word."""
+    known = {"sh", "python", "text", "toml", "yaml", "json", "csv", ""}
+    unknown = [f"line {b.line}: {b.kind}" for b in blocks(page) if b.kind not in known and b.text.strip()]
+    assert not unknown
