@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from ltsim.adjust.adjustment import adjust
+from ltsim.adjust.estimate import adjust
 from ltsim.arrays import Bools, Ints
 from ltsim.check.faces import Faces, Mpe, faces_or_none
 from ltsim.check.visit import Gain, Visit, surprise

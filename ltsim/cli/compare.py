@@ -64,9 +64,7 @@ def compare(
         epochs.append(adjust(recording, misalignment() if calibrate else ideal(), robust=robust))
         epochs[-1].solution.require_success()
     first, later = epochs
-    found = compared(
-        first, later, stable=names_of(stable), scaled=scale, same_instrument=same_instrument, level=level
-    )
+    found = compared(first, later, stable=names_of(stable), scaled=scale, same_instrument=same_instrument, level=level)
     at = [first.recording.targets.index(d.target) for d in found.displacements]
     content = comparison_file(found, first.recording, later.recording, first.state.points[np.array(at)])
     if out is not None:

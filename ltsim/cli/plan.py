@@ -204,8 +204,6 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
         terminal.say(f"\nwritten to {out}")
 
 
-
-
 def show_next(terminal: Terminal, made: NextMeasurement) -> None:
     """The proposals, the best first."""
     if made.between:

@@ -190,9 +190,7 @@ def _best_cylinder(local: Floats) -> Feature:
     )
 
 
-def _refined_cylinder(
-    local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True
-) -> Feature:
+def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True) -> Feature:
     for _ in range(ITERATIONS):
         first, second = across(normal)
         arm = local - centre[..., None, :]

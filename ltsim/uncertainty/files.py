@@ -33,6 +33,7 @@ BUDGET = ResultTable(
     ),
 )
 
+
 class MonteCarloTold(Entry):
     """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
 

@@ -77,9 +77,7 @@ def draw(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, sett
         elif settings.most_trials < 2 * BATCH:
             stable = np.zeros(len(sigma), dtype=bool)
             break
-    return Drawn(
-        values, values.mean(axis=0), sigma, *intervals(values, settings.coverage), stable, tolerance
-    )
+    return Drawn(values, values.mean(axis=0), sigma, *intervals(values, settings.coverage), stable, tolerance)
 
 
 def _batch(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, seed: int, number: int) -> Floats:

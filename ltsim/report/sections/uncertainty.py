@@ -107,9 +107,7 @@ def _conformity(content: UncertaintyFile) -> list[Block]:
 def _budget(content: UncertaintyFile) -> list[Block]:
     shown: Sequence[Result] = content.results[:MOST_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
-    shares = {
-        name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources
-    }
+    shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
     figure = budget([f"{r.task}, {r.name}" for r in shown], shares)
     rows = [
         [r.task, r.name, p.source, p.type, style.number(p.standard_uncertainty, 2), r.unit, f"{100 * p.share:.1f}"]
