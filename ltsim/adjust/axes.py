@@ -16,11 +16,10 @@ from types import MappingProxyType
 import numpy as np
 
 from ltsim.adjust.estimate import adjust
-from ltsim.adjust.growth import robust_align
 from ltsim.adjust.start import reached_network
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align, robust_align
 from ltsim.recording.files import number, read_lines, shown
 from ltsim.recording.formats.point_list import read_points
 from ltsim.recording.recording import Recording

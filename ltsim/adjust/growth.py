@@ -13,7 +13,7 @@ from ltsim.adjust.rows import GaugeRows
 from ltsim.adjust.seeds import LEAST_BEAMS, multilaterate, relative_orientation
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rigid import holds_pose
 from ltsim.model.measurement import lift_of
@@ -22,25 +22,8 @@ from ltsim.recording.recording import Recording
 BEGINNINGS = ("frame", "cloud", "beams", "ranges")
 """How a network can begin: with known points, with what one station measured whole, with two stations' beams alone,
 with ranges alone."""
-ROBUST_PASSES = 8
-OUTLYING = 8.0
-"""Misses up to four times the median are noise: nothing to reweight."""
 PARALLEL = 1e-5
 """Mean squared sine below which beams do not meet in a point."""
-
-
-def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
-    """Rigid alignment by least absolute deviations (reweighted), so that a swapped target does not tilt it."""
-    rotation, translation = align(source, goal)
-    if len(source) < 4:
-        return rotation, translation
-    for _ in range(ROBUST_PASSES):
-        miss = np.linalg.norm(source @ rotation.T + translation - goal, axis=1)
-        floor = max(1e-5, 0.5 * float(np.median(miss)))
-        if miss.max() < OUTLYING * floor:
-            break
-        rotation, translation = align(source, goal, 1.0 / np.maximum(miss, floor))
-    return rotation, translation
 
 
 class Growth:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjust.frame import Frame
-from ltsim.adjust.growth import BEGINNINGS, Growth, robust_align
+from ltsim.adjust.growth import BEGINNINGS, Growth
 from ltsim.adjust.pairs import Pairs
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
 
-__all__ = ["robust_align", "start_network", "station_clouds"]
+__all__ = ["start_network", "station_clouds"]
 
 
 def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[Floats, Bools]:

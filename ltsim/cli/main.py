@@ -26,6 +26,7 @@ UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.
 VERBS = {
     "demo": "simulate, calibrate, repeat, hide, diagnose: one page",
     "simulate": "measure a virtual workshop once",
+    "check": "go or no-go in the field: two faces, drift, bumps",
     "adjust": "adjust the network of a recording, no instrument parameters",
     "calibrate": "find the instrument's parameters from a recording",
     "correct": "write the recording that an ideal tracker would have made",

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.adjust.start import robust_align, station_clouds
+from ltsim.adjust.start import station_clouds
 from ltsim.arrays import Floats
 from ltsim.diagnose.gross import GrossFinding
 from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
 

@@ -7,6 +7,10 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 
+ROBUST_PASSES = 8
+OUTLYING = 8.0
+"""Misses up to four times the median are noise: nothing to reweight."""
+
 
 def align(source: Floats, goal: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) with ``goal ~ source @ rotation.T + translation``.
@@ -39,3 +43,17 @@ def align(source: Floats, goal: Floats, weights: Floats | None = None) -> tuple[
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation = left @ flip @ right
     return rotation, centre_g - rotation @ centre_s
+
+
+def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    """Rigid alignment by least absolute deviations (reweighted), so that a swapped target does not tilt it."""
+    rotation, translation = align(source, goal)
+    if len(source) < 4:
+        return rotation, translation
+    for _ in range(ROBUST_PASSES):
+        miss = np.linalg.norm(source @ rotation.T + translation - goal, axis=1)
+        floor = max(1e-5, 0.5 * float(np.median(miss)))
+        if miss.max() < OUTLYING * floor:
+            break
+        rotation, translation = align(source, goal, 1.0 / np.maximum(miss, floor))
+    return rotation, translation

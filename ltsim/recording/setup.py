@@ -190,6 +190,8 @@ class Setup(Section):
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
+    started: str = ""
+    """When the time of the recording is 0: date and clock in ISO form, or the clock alone."""
     instrument: Instrument = Instrument()
     """The instrument, where one made the whole recording."""
     instruments: dict[str, Instrument] = Field(default_factory=dict)

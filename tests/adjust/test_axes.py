@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
 from ltsim.adjust.axes import in_axes_of_points, in_axes_of_three, read_axes
+from ltsim.adjust.estimate import adjust
 from ltsim.calibrate import adjust_network
 from ltsim.errors import RecordError
 from ltsim.geometry.rotations import from_rotation_vector

@@ -65,14 +65,14 @@ def face(text: str) -> int | None:
 
 
 def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
-    """Seconds since the earliest of clocks, dates or dates with clocks, and what had to be assumed.
+    """Seconds since the earliest of clocks, dates or dates with clocks, and that moment in ISO form.
 
     `order` is ``dmy`` or ``mdy`` for dates with strokes. None where a text is in no known form, or where
-    strokes leave the order open (the remark then begins with "?").
+    strokes leave the order open (the text is "?" then).
     """
     clocks = [_clock(text) for text in texts]
     if all(clock is not None for clock in clocks):
-        return _since(_unwrapped([clock for clock in clocks if clock is not None]))
+        return _since(_unwrapped([clock for clock in clocks if clock is not None]), dated=False)
     meanings: dict[str, list[datetime]] = {}
     for name, form, letters in _DATES:
         if (name == "mdy" and order == "dmy") or (name == "dmy" and order == "mdy" and "/" in form.pattern):
@@ -80,8 +80,8 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
         stamps = _all(texts, lambda text, f=form, k=letters: _stamp(text, f, k))  # type: ignore[misc]
         if stamps is not None:
             meanings.setdefault(name, stamps)
-    found = [_since([stamp - datetime.min for stamp in stamps]) for stamps in meanings.values()]
-    if any(one != found[0] for one in found):
+    found = [_since([stamp - datetime.min for stamp in stamps], dated=True) for stamps in meanings.values()]
+    if any(one[0] != found[0][0] for one in found):
         return None, "?"
     return found[0] if found else (None, "")
 
@@ -96,9 +96,11 @@ def _all(texts: Sequence[str], read: Callable[[str], datetime | None]) -> list[d
     return found
 
 
-def _since(spans: list[timedelta]) -> tuple[list[float], str]:
+def _since(spans: list[timedelta], *, dated: bool) -> tuple[list[float], str]:
     first = min(spans)
-    return [(span - first).total_seconds() for span in spans], ""
+    start = datetime.min + first
+    said = start.isoformat() if dated else start.time().isoformat()
+    return [(span - first).total_seconds() for span in spans], said
 
 
 def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:

@@ -57,7 +57,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     meaning = meaning_of(table, setup, hints, path)
     readings = np.array([meaning.readings(p) for p in table.pointings])
     faces, reduced = _faces(table, readings)
-    times, timed = _times(table, hints, path)
+    times, started, timed = _times(table, hints, path)
+    if started and not setup.started:
+        setup = setup.model_copy(update={"started": started})
     further, kept = _further(table)
     flat = table.column(("flat",)) is not None
     pointings = [
@@ -103,29 +105,28 @@ def _faces(table: Table, readings: np.ndarray) -> tuple[list[int], list[str]]:
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
 
 
-def _times(table: Table, hints: Hints, file: Path) -> tuple[list[float], list[str]]:
-    """Time [s] of each pointing; NaN throughout, with a word, where it cannot be read."""
+def _times(table: Table, hints: Hints, file: Path) -> tuple[list[float], str, list[str]]:
+    """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
     column = table.column(("time",)) or table.column(("date",))
     texts = [p.moment for p in table.pointings]
     nothing = [NAN] * len(texts)
     if column is None or not any(texts):
-        return nothing, []
+        return nothing, "", []
+    by_rows = "the order of the rows is taken as time"
     if not all(texts):
-        return nothing, [f"column '{shown(column.title)}' is empty in places: the order of the rows is taken as time"]
+        return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
     numbers = [cells.value(text) for text in texts]
     if all(number is not None for number in numbers):
         factor = FACTOR[column.unit or "s"]
-        return [float(number) * factor for number in numbers if number is not None], []
-    found, remark = cells.moments(texts, hints.date)
-    if found is None and remark:
+        return [float(number) * factor for number in numbers if number is not None], "", []
+    found, start = cells.moments(texts, hints.date)
+    if found is None and start:
         message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
         raise RecordError(message, file=file, row=table.pointings[0].line, column=shown(column.title))
     if found is None:
-        return nothing, [
-            f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}'): "
-            "the order of the rows is taken as time"
-        ]
-    return found, []
+        unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
+        return nothing, "", [f"{unknown}: {by_rows}"]
+    return found, start, []
 
 
 def _further(table: Table) -> tuple[list[tuple[dict[str, float], dict[str, str]]], list[str]]:

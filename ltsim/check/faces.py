@@ -1,0 +1,87 @@
+"""Two-face differences of a set-up, target by target, against what its maker guarantees or a stated limit.
+
+Half of face 1 minus face 2, as `ltsim.evaluate.two_face` has it. Its limit is the stated noise and, since a tracker
+within its specification has two-face differences too, the spread that the guaranteed errors of axes, beam and encoders
+would give at that place (`setup.toml`, [instrument.prior]). A limit of its own, A um + B um/m of the full difference as
+a length (the form of ASME B89.4.19), is compared as it stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ltsim.adjust.problem import prior_sigmas
+from ltsim.arrays import Bools, Floats
+from ltsim.evaluate.two_face import TwoFace, face_pairs, two_face
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class Mpe:
+    """Limit of a two-face difference as a length: `constant` [m] + `per_metre` * range."""
+
+    constant: float
+    per_metre: float
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Two-face half differences of one set-up.
+
+    Attributes
+    ----------
+    pairs : TwoFace
+    noise : (m, 3) float, [m, rad, rad]
+        Standard deviation of each half difference by the stated noise.
+    guarantee : (m, 3) float, [m, rad, rad]
+        Standard deviation of what the guaranteed errors of the instrument add.
+    over : (m, 3) bool
+        Beyond the limit.
+    limit : (m, 3) float
+        Largest half difference that passes.
+    """
+
+    pairs: TwoFace
+    noise: Floats
+    guarantee: Floats
+    over: Bools
+    limit: Floats
+
+    @classmethod
+    def of(cls, recording: Recording, construction: Construction, level: float, mpe: Mpe | None = None) -> Faces:
+        """The differences of a recording of one station; `level` is the chance of one false alarm over all of them.
+
+        Raises
+        ------
+        NetworkError
+            When no target was measured on both faces.
+        """
+        pairs = two_face(recording)
+        sigma = recording.sigma()
+        sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
+        noise = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
+        prior = prior_sigmas(recording, construction)[0]
+        change = [two_face(recording, construction, np.diag(prior)[k]).half - pairs.half for k in range(len(prior))]
+        guarantee = np.sqrt(np.sum(np.square(change), axis=0))
+        if mpe is None:
+            critical = stats.norm.isf(level / (2 * pairs.half.size))
+            limit = critical * np.hypot(noise, guarantee)
+        else:
+            metres = pairs.place[:, 0]
+            allowed = 0.5 * (mpe.constant + mpe.per_metre * metres)
+            limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
+        return cls(pairs, noise, guarantee, np.abs(pairs.half) > limit, limit)
+
+    @property
+    def systematic(self) -> Floats:
+        """(3,) root mean square of the half differences over their noise: 1 for an instrument without errors."""
+        return np.asarray(np.sqrt(np.mean((self.pairs.half / self.noise) ** 2, axis=0)))
+
+
+def faces_or_none(recording: Recording, construction: Construction, level: float, mpe: Mpe | None) -> Faces | None:
+    """The differences of a recording of one station; None where no target was measured on both faces."""
+    return Faces.of(recording, construction, level, mpe) if len(face_pairs(recording)) else None

@@ -1,0 +1,158 @@
+"""`ltsim check`: go or no-go in the field, from what was measured twice."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.check import Check, check_json, write_check
+from ltsim.check import check as check_of
+from ltsim.check.check import LEVEL, Item
+from ltsim.check.faces import Mpe
+from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.summary import recording_line, show_notes
+from ltsim.cli.terminal import Terminal
+from ltsim.errors import LtsimError, NetworkError, RecordError
+from ltsim.recording.files import is_number
+from ltsim.units import MICROMETRE
+
+Level = Annotated[
+    float, typer.Option("--level", min=1e-6, max=0.5, help="Chance of one false alarm in the whole recording.")
+]
+MpeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--mpe",
+        metavar="A,B",
+        help="Limit of two-face differences as lengths, A um + B um/m of the range; default by the stated noise and "
+        "what the maker guarantees.",
+    ),
+]
+Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows; say at once what goes wrong.")]
+POLL = 1.0
+"""[s] between two looks at the files of a recording that grows."""
+
+
+def check(
+    source: Source,
+    level: Level = LEVEL,
+    mpe: MpeOption = None,
+    watch: Watch = False,
+    out: Out = None,
+    format_name: FormatName = None,
+    hint: HintList = None,
+    columns: ColumnMap = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
+
+    One set-up is enough. What was measured on both faces or again later is compared with itself, the instrument's
+    errors fitted. Writes check.json, two_face.csv and check.svg to --out.
+
+    Example: ltsim check my-recording --mpe 20,6 --out my-check
+    """
+    terminal = Terminal(quiet, as_json)
+    limit = mpe_of(mpe)
+
+    def look() -> Check:
+        return check_of(recording_of(source, format_name, hint, columns), level=level, mpe=limit)
+
+    if watch:
+        follow(terminal, look, changes(source))
+        return 0
+    recording = recording_of(source, format_name, hint, columns)
+    show_notes(terminal, recording)
+    terminal.say(recording_line(recording))
+    with terminal.busy("checking"):
+        found = check_of(recording, level=level, mpe=limit)
+    if out is not None:
+        from ltsim.report.figures.check import check_figure  # most checks draw nothing
+        from ltsim.report.style import svg
+
+        write_check(found, out, {"check.svg": svg(check_figure(found))})
+    terminal.answer(check_json(found))
+    for item in found.items:
+        terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
+    terminal.say(found.sentence)
+    if out is not None:
+        terminal.say(f"written to {out}")
+    return 0 if found.passed else 1
+
+
+def mpe_of(text: str | None) -> Mpe | None:
+    """The limit that `A,B` states, um and um/m.
+
+    Raises
+    ------
+    RecordError
+        When it is no two numbers above or equal to 0.
+    """
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
+        raise RecordError(f"--mpe {text}: expected A,B in um and um/m, for instance 20,6")
+    return Mpe(float(parts[0]) * MICROMETRE, float(parts[1]) * MICROMETRE)
+
+
+def changes(source: Path) -> Iterator[None]:
+    """One step whenever the recording's files have changed, the first at once; without end."""
+    last: tuple[tuple[str, int, int], ...] | None = None
+    while True:
+        now = _state(source)
+        if now != last:
+            last = now
+            yield
+        time.sleep(POLL)
+
+
+def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
+    """Names, sizes and times of the files."""
+    files = sorted(source.iterdir()) if source.is_dir() else [source]
+    found = []
+    for file in files:
+        try:
+            known = file.stat()
+        except OSError:
+            continue  # replaced between listing and looking
+        found.append((file.name, known.st_size, known.st_mtime_ns))
+    return tuple(found)
+
+
+def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None]) -> None:
+    """Check at every step and say what is new: what no longer passes, and when all passes again.
+
+    A file that is being written (half a row) is looked at again at the next step.
+    """
+    known: set[tuple[str, str, tuple[str, ...]]] = set()
+    waiting = ""
+    for _ in steps:
+        try:
+            found = look()
+        except (RecordError, NetworkError) as problem:
+            waiting = _said_once(terminal, waiting, problem)
+            continue
+        waiting = ""
+        failed = [item for item in found.items if not item.passed]
+        for item in failed:
+            if _key(item) not in known:
+                terminal.say(f"\a{len(found.recording)} pointings: NO-GO {item.sentence}")
+        if (known and not failed) or not known.union(map(_key, failed)):
+            terminal.say(f"{len(found.recording)} pointings: {found.sentence}")
+        known = set(map(_key, failed))
+
+
+def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
+    return item.station, item.kind, item.targets
+
+
+def _said_once(terminal: Terminal, before: str, problem: LtsimError) -> str:
+    text = str(problem)
+    if text != before:
+        terminal.note(f"waiting: {text}")
+    return text
