@@ -193,6 +193,19 @@ class CourseEntry(Entry):
     constant: ChiSquareEntry
 
 
+class EventEntry(Entry):
+    """A step of one parameter that stands out of how it moves from one calibration to the next."""
+
+    from_: str = Field(alias="from")
+    to: str
+    name: str
+    difference: Finite
+    sigma: NotNegative
+    usual: NotNegative
+    unit: str
+    p_value: Finite
+
+
 class CalibrationOf(Entry):
     """One calibration of a history."""
 
@@ -210,6 +223,7 @@ class HistoryFile(ResultFile):
     parameters: tuple[CourseEntry, ...] = ()
     constant: ChiSquareEntry | None = None
     changes: tuple[ChangeEntry, ...] = ()
+    events: tuple[EventEntry, ...] = ()
     since_first: ChangeEntry
 
     @model_validator(mode="after")
