@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ltsim.api.pages import report, view
     from ltsim.api.planning import next_measurement, plan
     from ltsim.api.recovering import recover
+    from ltsim.api.tasks import check, compare, uncertainty
     from ltsim.api.workshop import scenario, simulate
 
     __version__: str
@@ -43,6 +44,9 @@ _HOME = {
     "view": "pages",
     "report": "pages",
     "catalogue": "catalogue",
+    "check": "tasks",
+    "compare": "tasks",
+    "uncertainty": "tasks",
 }
 """The module of `ltsim.api` in which each function is written."""
 
@@ -51,6 +55,8 @@ __all__ = [
     "calibrate",
     "campaign",
     "catalogue",
+    "check",
+    "compare",
     "convert",
     "correct",
     "diagnose",
@@ -65,6 +71,7 @@ __all__ = [
     "report",
     "scenario",
     "simulate",
+    "uncertainty",
     "verify",
     "view",
     "write",
@@ -96,8 +103,20 @@ def __dir__() -> list[str]:
 class _Room(ModuleType):
     """A room that bears the name of a verb: calling it calls the verb, once Python has bound it to that name."""
 
+    __doc__ = property(lambda self: self._verb.__doc__)  # help() shows the verb
+
+    @property
+    def _verb(self) -> Any:
+        return _load(self.__name__.rpartition(".")[2])
+
+    @property
+    def __signature__(self) -> Any:
+        from inspect import signature
+
+        return signature(self._verb)
+
     def __call__(self, *arguments: Any, **options: Any) -> Any:
-        return _load(self.__name__.rpartition(".")[2])(*arguments, **options)
+        return self._verb(*arguments, **options)
 
 
 class _FrontDoor(ModuleType):

@@ -12,6 +12,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.amplitude import Harmonic, harmonics
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, StationPose
+from ltsim.calibrate.events import Event, events
 from ltsim.calibrate.history import Change, History
 from ltsim.calibrate.result import SHOWN_UNITS, named
 from ltsim.calibrate.schema import (
@@ -24,6 +25,7 @@ from ltsim.calibrate.schema import (
     CombinationEntry,
     CourseEntry,
     DifferenceEntry,
+    EventEntry,
     FitEntry,
     HarmonicEntry,
     HistoryFile,
@@ -255,6 +257,7 @@ def history_file(history: History) -> HistoryFile:
         parameters=tuple(_course(history, k) for k in range(history.construction.size)),
         constant=ChiSquareEntry(**history.constancy().entry),
         changes=tuple(_change(history, change) for change in history.changes()),
+        events=tuple(_event(history, event) for event in events(history)),
         since_first=_change(history, history.change(0, len(history) - 1)),
     )
 
@@ -271,6 +274,21 @@ def _course(history: History, k: int) -> CourseEntry:
         spread=known.spread[k] / parameter.factor,
         constant=ChiSquareEntry(**history.constancy(k).entry),
     )
+
+
+def _event(history: History, event: Event) -> EventEntry:
+    parameter = history.construction.parameters[event.parameter]
+    content = {
+        "from": history.labels[event.step],
+        "to": history.labels[event.step + 1],
+        "name": parameter.name,
+        "difference": event.difference / parameter.factor,
+        "sigma": event.sigma / parameter.factor,
+        "usual": event.usual / parameter.factor,
+        "unit": parameter.unit,
+        "p_value": event.p_value,
+    }
+    return EventEntry.model_validate(content)
 
 
 def _change(history: History, change: Change) -> ChangeEntry:

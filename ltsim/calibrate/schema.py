@@ -279,6 +279,19 @@ class CourseEntry(Entry):
     """Test that it did not change."""
 
 
+class EventEntry(Entry):
+    """A step of one parameter that stands out of how it moves from one calibration to the next."""
+
+    from_: str = Field(alias="from")
+    to: str
+    name: str
+    difference: Finite
+    sigma: NotNegative
+    usual: NotNegative
+    unit: str
+    p_value: Finite
+
+
 class CalibrationOf(Entry):
     """One calibration of a history."""
 
@@ -304,6 +317,8 @@ class HistoryFile(ResultFile):
     """Test that nothing changed."""
     changes: tuple[ChangeEntry, ...] = ()
     """From each to the next."""
+    events: tuple[EventEntry, ...] = ()
+    """What stands out of the day-to-day changes."""
     since_first: ChangeEntry
     """From the first to the last."""
 

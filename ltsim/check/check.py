@@ -6,7 +6,7 @@ and within a test so does each target, gap or pointing that was looked at.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +24,7 @@ from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, misalignment
+from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.recording import Recording
 
 LEVEL = 0.01
@@ -68,14 +69,28 @@ class SetUp:
     rows: Ints
 
 
-@dataclass(frozen=True)
-class Check:
+@dataclass(frozen=True, repr=False)
+class Check(Shown):
     """All set-ups of a recording, and whether the stations agree with each other."""
 
     recording: Recording
     setups: tuple[SetUp, ...]
     network: Item | None
     level: float
+
+    def _lines(self) -> list[str]:
+        return [self.sentence]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"items": self._items}
+
+    def _items(self) -> Columns:
+        return by_row(
+            [
+                {"station": i.station, "kind": i.kind, "passed": i.passed, "p_value": i.p_value, "sentence": i.sentence}
+                for i in self.items
+            ]
+        )
 
     @property
     def items(self) -> tuple[Item, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from ltsim.errors import LtsimError, RecordError
 
 if TYPE_CHECKING:
     from ltsim.calibrate import Calibration
+    from ltsim.calibrate.events import Event
     from ltsim.calibrate.history import Change, History
     from ltsim.recording import Recording
     from ltsim.report.figures.history import Course
@@ -32,7 +34,12 @@ InstrumentName = Annotated[
     str | None, typer.Option("--instrument", metavar="NAME", help="Which, where a calibration holds several.")
 ]
 FailOnChange = Annotated[
-    bool, typer.Option("--fail-on-change", help="Exit with status 1 when the last differs from the first (for CI).")
+    bool,
+    typer.Option(
+        "--fail-on-change",
+        help="Exit with status 1 when an event stands out of the day-to-day changes or, with few calibrations, the "
+        "last differs from the first (for CI).",
+    ),
 ]
 LEVEL = 0.01
 
@@ -82,7 +89,14 @@ def history(
     show(terminal, found)
     if out is not None:
         terminal.say(f"\nwritten to {out}")
-    return 1 if fail_on_change and found.change(0, len(found) - 1).joint.p_value < LEVEL else 0
+    return 1 if fail_on_change and _has_changed(found) else 0
+
+
+def _has_changed(found: History) -> bool:
+    """An event where there are calibrations enough to tell one, otherwise any change from the first to the last."""
+    from ltsim.calibrate.events import can_tell, events
+
+    return bool(events(found)) if can_tell(found) else found.change(0, len(found) - 1).joint.p_value < LEVEL
 
 
 def _calibrations(
@@ -139,6 +153,8 @@ def _courses(found: History) -> list[Course]:
 
 def show(terminal: Terminal, found: History) -> None:
     """The course of each parameter, then what changed from one calibration to the next."""
+    from ltsim.calibrate.events import can_tell, events
+
     rows = []
     silent = []
     for k, parameter in enumerate(found.construction.parameters):
@@ -156,17 +172,41 @@ def show(terminal: Terminal, found: History) -> None:
     if silent:
         terminal.say(f"\nnothing is known of {', '.join(silent)}")
     terminal.say()
-    for change in found.changes():
-        terminal.say(_sentence(found, change))
-    terminal.say("since the first: " + _sentence(found, found.change(0, len(found) - 1)))
+    found_events = events(found)
+    for i, change in enumerate(found.changes()):
+        terminal.say(_sentence(found, change, [event for event in found_events if event.step == i]))
+    terminal.say("since the first: " + _sentence(found, found.change(0, len(found) - 1), found_events))
+    if not can_tell(found):
+        terminal.say(f"{len(found)} calibrations are too few to tell an event from how the instrument moves day by day")
 
 
-def _sentence(found: History, change: Change) -> str:
-    names = [found.construction.names[k] for k in change.changed()]
+def _sentence(found: History, change: Change, stood_out: Sequence[Event]) -> str:
+    """From one calibration to another, with the events between them."""
     test = change.joint
-    which = f", above all {', '.join(names)}" if names else ", in no single parameter for certain"
-    verdict = "changed" + which if test.p_value < LEVEL else "no change seen"
-    return f"{change.first} to {change.second}: chi2 {test.chi2:.1f}/{test.dof}, {chance(test.p_value)}: {verdict}"
+    said = _events(found, stood_out) if stood_out else _verdict(found, change)
+    return f"{change.first} to {change.second}: chi2 {test.chi2:.1f}/{test.dof}, {chance(test.p_value)}: {said}"
+
+
+def _verdict(found: History, change: Change) -> str:
+    from ltsim.calibrate.events import can_tell
+
+    if change.joint.p_value >= LEVEL:
+        return "no change seen"
+    if can_tell(found):
+        return "no more than it moves from one calibration to the next"
+    names = [found.construction.names[k] for k in change.changed()]
+    return "changed" + (f", above all {', '.join(names)}" if names else ", in no single parameter for certain")
+
+
+def _events(found: History, stood_out: Sequence[Event]) -> str:
+    """What stands out of the day-to-day changes, each parameter with its unit."""
+    parts = []
+    for event in stood_out:
+        parameter = found.construction.parameters[event.parameter]
+        value, sigma = digits(event.difference / parameter.factor, event.sigma / parameter.factor)
+        usual = f"{event.usual / parameter.factor:.2g} {parameter.unit}"
+        parts.append(f"{parameter.name} by {value} +- {sigma} {parameter.unit} (its usual step: {usual})")
+    return f"an event (a service, a blow): {'; '.join(parts)}"
 
 
 def chance(p_value: float) -> str:

@@ -12,7 +12,7 @@ Baarda, A testing procedure for use in geodetic networks (1968): the single hypo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,9 +26,12 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
+from ltsim.notebook import Columns, Shown
 from ltsim.uncertainty.inputs import CONTROL, LENGTHS, PRIORS, observed_rows, reach_of
+from ltsim.units import MICROMETRE
 
 POWER = 0.8
+AXES = tuple(enumerate("xyz"))
 ALIGNING = 6
 
 
@@ -70,8 +73,8 @@ class Displacement:
         return axes
 
 
-@dataclass(frozen=True)
-class Congruence:
+@dataclass(frozen=True, repr=False)
+class Congruence(Shown):
     """Two epochs compared.
 
     Attributes
@@ -95,6 +98,24 @@ class Congruence:
     level: float
     displacements: tuple[Displacement, ...]
     scale: float | None
+
+    def _lines(self) -> list[str]:
+        return [self.sentence, f"no motion at all: p = {self.p_value:.2g}; without what moved: p = {self.after:.2g}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"displacements": self._displacements}
+
+    def _displacements(self) -> Columns:
+        shift = np.array([d.shift for d in self.displacements]) / MICROMETRE
+        sigma = np.array([np.sqrt(np.diag(d.covariance)) for d in self.displacements]) / MICROMETRE
+        named = {f"{what}{axis}_um": list(v[:, i]) for what, v in (("d", shift), ("s", sigma)) for i, axis in AXES}
+        return {
+            "target": [d.target for d in self.displacements],
+            "moved": [d.moved for d in self.displacements],
+            **named,
+            "p_value": [d.p_value for d in self.displacements],
+            "visible_um": [d.surely / MICROMETRE for d in self.displacements],
+        }
 
     @property
     def moved(self) -> tuple[str, ...]:

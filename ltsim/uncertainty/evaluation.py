@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
+from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.recording import Recording
 from ltsim.solve.threads import in_one_thread
 from ltsim.uncertainty.inputs import Inputs
@@ -18,9 +19,12 @@ from ltsim.uncertainty.propagation import Propagated, Stretch, propagate
 from ltsim.uncertainty.spec import Task, Tasks
 from ltsim.uncertainty.verdict import Conformity, conformity
 
+MOST_TOLD = 8
+"""Results that stand in the few lines of an evaluation."""
 
-@dataclass(frozen=True)
-class Evaluation:
+
+@dataclass(frozen=True, repr=False)
+class Evaluation(Shown):
     """What tasks on a recording are worth.
 
     Attributes
@@ -45,6 +49,42 @@ class Evaluation:
     drawn: Drawn
     agrees: Bools
     curved: Floats
+
+    def _lines(self) -> list[str]:
+        coverage = self.tasks.monte_carlo.coverage
+        expanded = self.linear.expanded(coverage)
+        told = [
+            f"{task.name}, {o.name}: {self.linear.values[i] / o.factor:.6f} +- {expanded[i] / o.factor:.2g} {o.unit}"
+            for i, (task, o) in enumerate(self.results[:MOST_TOLD])
+        ]
+        more = len(self.results) - len(told)
+        head = f"{len(self.results)} results, {100 * coverage:g} % intervals, {self.drawn.trials} trials"
+        return [head, *told, *([f"and {more} more: to_pandas()"] if more > 0 else [])]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"results": self._results, "budget": self._budget}
+
+    def _results(self) -> Columns:
+        factor = np.array([output.factor for _, output in self.results])
+        return {
+            "task": [task.name for task, _ in self.results],
+            "result": [output.name for _, output in self.results],
+            "unit": [output.unit for _, output in self.results],
+            "value": list(self.linear.values / factor),
+            "standard_uncertainty": list(self.linear.sigma / factor),
+            "expanded_uncertainty": list(self.linear.expanded(self.tasks.monte_carlo.coverage) / factor),
+            "low": list(self.drawn.symmetric[:, 0] / factor),
+            "high": list(self.drawn.symmetric[:, 1] / factor),
+            "agrees": list(self.agrees),
+        }
+
+    def _budget(self) -> Columns:
+        rows = [
+            {"task": task.name, "result": o.name, "source": name, "type": self.linear.kinds[name], "share": share}
+            for i, (task, o) in enumerate(self.results)
+            for name, share in worst_first(self.linear.shares, i)
+        ]
+        return by_row(rows)
 
     @property
     def results(self) -> list[tuple[Task, Output]]:

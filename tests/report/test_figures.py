@@ -11,6 +11,7 @@ import pytest
 from matplotlib import image
 from matplotlib.figure import Figure
 
+from ltsim.check.check import check as check_of
 from ltsim.randomness import stream
 from ltsim.report import figures, style
 from ltsim.report.figures.history import Course, history_figure, told_apart
@@ -129,6 +130,20 @@ def z_scores() -> Figure:
     return figures.z_scores([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
 
 
+def budget() -> Figure:
+    return figures.budget(["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]})
+
+
+def check() -> Figure:
+    return figures.check_figure(check_of(samples.recording()))
+
+
+def displacements() -> Figure:
+    draws = stream(3, "figure").standard_normal((2, 6, 3))
+    moved = np.array([True, False, False, False, False, True])
+    return figures.displacements(1e3 * draws[0], 20 * draws[1], np.full((6, 3), 15.0), moved, ["T1"] * 5 + [MARKUP])
+
+
 def coverage() -> Figure:
     draws = stream(2, "figure").standard_normal((5, 400))
     return figures.coverage([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
@@ -137,7 +152,8 @@ def coverage() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        by_setting, correlation, coverage, criteria, distributions, evidence, floor_plan, history, parameters, power,
+        budget, by_setting, check, correlation, coverage, criteria, displacements, distributions, evidence,
+        floor_plan, history, parameters, power,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
     )
 }  # fmt: skip

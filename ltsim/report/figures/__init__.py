@@ -1,8 +1,11 @@
 """One figure a file: each a function from data to a matplotlib Figure."""
 
+from ltsim.report.figures.budget import budget
 from ltsim.report.figures.by_setting import Mean, by_setting
+from ltsim.report.figures.check import check_figure
 from ltsim.report.figures.correlation import correlation
 from ltsim.report.figures.criteria import Criterion, criteria
+from ltsim.report.figures.displacements import displacements, enlargement
 from ltsim.report.figures.distributions import Distribution, distributions
 from ltsim.report.figures.evidence import Candidate, evidence
 from ltsim.report.figures.floor_plan import floor_plan
@@ -27,11 +30,15 @@ __all__ = [
     "PowerCurve",
     "SigmaRow",
     "ZScores",
+    "budget",
     "by_setting",
+    "check_figure",
     "correlation",
     "coverage",
     "criteria",
+    "displacements",
     "distributions",
+    "enlargement",
     "evidence",
     "floor_plan",
     "parameters",

@@ -1,0 +1,119 @@
+"""What measured points are worth: tasks and their uncertainty, two epochs, go or no-go in the field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ltsim.adjust import Adjustment, adjust
+from ltsim.api.files import RecordingSource, recording_of
+from ltsim.check.check import Check
+from ltsim.check.check import check as check_of
+from ltsim.model.construction import ideal, stated_construction
+from ltsim.recording.recording import Recording
+from ltsim.uncertainty.epochs import Congruence
+from ltsim.uncertainty.epochs import compare as compared
+from ltsim.uncertainty.evaluation import Evaluation, evaluate_tasks
+from ltsim.uncertainty.spec import FORMAT, Tasks, load_tasks, tasks_from
+
+
+def uncertainty(recording: RecordingSource, tasks: str | Path | Mapping[str, Any] | Tasks) -> Evaluation:
+    """Say how well tasks (lengths, angles, features, ...) are known: by propagation and by Monte Carlo, with budgets.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    tasks : str, Path, mapping or Tasks
+        A task file, or its tables (``task``, ``type_b``, ...); `format` and `source` may be left out of tables.
+
+    Raises
+    ------
+    ModelError, SetupError
+        When a task names what does not exist or is not determined.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> length = {"name": "length", "kind": "distance", "targets": ["T01", "T12"]}
+    >>> found = lt.uncertainty(recording, {"task": [length], "monte_carlo": {"digits": 1}})
+    >>> found.to_pandas()[["task", "result", "unit"]]
+         task    result unit
+    0  length  distance   mm
+    """
+    given: Tasks
+    if isinstance(tasks, Tasks):
+        given = tasks
+    elif isinstance(tasks, Mapping):
+        given = tasks_from({"format": FORMAT, "source": "", **tasks}, "tasks")
+    else:
+        given = load_tasks(Path(tasks))
+    return evaluate_tasks(recording_of(recording), given)
+
+
+def compare(
+    first: RecordingSource,
+    second: RecordingSource,
+    *,
+    stable: Sequence[str] | None = None,
+    scaled: bool = False,
+    same_instrument: bool = False,
+    calibrate: bool = True,
+    level: float = 0.05,
+) -> Congruence:
+    """Say which points moved between two recordings, and which motion could not have been seen.
+
+    Parameters
+    ----------
+    first, second : Recording, str or Path
+    stable : sequence of str, optional
+        Points known not to have moved; default found by the test.
+    scaled : bool
+        Let the second recording have a scale of its own.
+    same_instrument : bool
+        One tracker with the same errors measured both.
+    calibrate : bool
+        Estimate the instrument's constants in each recording.
+    level : float
+        Probability that any point is told to have moved when none did.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> january, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.compare(january, january, same_instrument=True).moved
+    ()
+    """
+
+    def adjusted(recording: Recording) -> Adjustment:
+        found = adjust(recording, stated_construction(recording) if calibrate else ideal())
+        found.solution.require_success()
+        return found
+
+    epochs = adjusted(recording_of(first)), adjusted(recording_of(second))
+    return compared(*epochs, stable=stable, scaled=scaled, same_instrument=same_instrument, level=level)
+
+
+def check(recording: RecordingSource, *, level: float = 0.01) -> Check:
+    """Go or no-go in the field: two-face differences, repeated points, drift, bumps and scatter.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    level : float
+        Chance of one false alarm in the whole recording.
+
+    Raises
+    ------
+    NetworkError
+        When nothing was measured twice.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.check(recording).passed
+    True
+    """
+    return check_of(recording_of(recording), level=level)
