@@ -10,10 +10,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from ltsim.errors import RecordError, SetupError
-from ltsim.recording.settings import read_toml, sentence
+from ltsim.errors import SetupError
+from ltsim.recording.settings import load_settings
 from ltsim.recording.setup import Finite, Section
 from ltsim.simulate.scenario import Scenario, changed, load_scenario, scenario_to_toml
 
@@ -147,16 +147,7 @@ def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
     SetupError
         One sentence: file, key, what was found, what would be right.
     """
-    try:
-        data = read_toml(path, "campaign")
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
-    if "format" not in data:
-        raise SetupError(f'{path}: the key format is missing, expected format = "{FORMAT}"')
-    try:
-        campaign = Campaign.model_validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as problem:
-        raise SetupError(f"{path}: {sentence(problem.errors()[0], Campaign)}") from None
+    campaign = load_settings(path, Campaign, "campaign")
     return campaign, scenarios_of(campaign, path)
 
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import difflib
-import json
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from ltsim.effects import CATALOGUE
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording.files import shown
-from ltsim.recording.settings import read_toml, sentence
+from ltsim.recording.settings import checked, read_toml
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
 from ltsim.simulate.builtin import builtin_names
 from ltsim.simulate.scenario import Scenario, load_scenario
@@ -236,14 +235,10 @@ def _read(path: Path) -> dict[str, Any]:
 
 def plan_from(data: dict[str, Any], file: object) -> PlanFile:
     """Check the tables of a plan; `file` is named in errors."""
-    if "format" not in data:
-        raise SetupError(f'{file}: the key format is missing, expected format = "{FORMAT}"')
     try:
-        return PlanFile.model_validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as problem:
-        raise SetupError(f"{file}: {sentence(problem.errors()[0], PlanFile)}") from None
-    except (ValueError, RecursionError):
-        raise SetupError(f"{file}: holds a value that no plan can hold") from None
+        return checked(data, PlanFile, "plan", file)
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
 
 
 def _check(made: PlanFile, scenario: Scenario, file: object) -> None:

@@ -8,15 +8,16 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ltsim.errors import RecordError
+from ltsim.errors import RecordError, SetupError
 from ltsim.recording.files import check_name, read_text, shown
 from ltsim.recording.setup import Setup
 
+Settings = TypeVar("Settings", bound=BaseModel)
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
 
@@ -54,16 +55,44 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
     """Check a table of settings; `file` is named in the error."""
-    if "format" not in data:
-        raise RecordError('the key format is missing, expected format = "ltsim-recording/1"', file=file)
-    try:
-        setup = Setup.model_validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as problem:
-        raise RecordError(sentence(problem.errors()[0], Setup), file=file) from None
-    except (ValueError, RecursionError):
-        raise RecordError("holds a value that no set-up can hold", file=file) from None
+    setup = checked(data, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
+
+
+def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
+    """The tables of a file against their model; `kind` is what the file should be, `file` is named in errors.
+
+    Raises
+    ------
+    RecordError
+        One sentence: which key, what was found, what would be right. A misspelt key is told first.
+    """
+    expected = model.model_fields["format"].default
+    if "format" not in data:
+        raise RecordError(f'the key format is missing, expected format = "{expected}"', file=file)
+    try:
+        return model.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as problem:
+        found = problem.errors()
+        misspelt = [error for error in found if error["type"] == "extra_forbidden"]
+        raise RecordError(sentence((misspelt or found)[0], model), file=file) from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"holds a value that no {kind} can hold", file=file) from None
+
+
+def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
+    """A file that a person wrote, checked against its model.
+
+    Raises
+    ------
+    SetupError
+        One sentence: file, key, what was found, what would be right.
+    """
+    try:
+        return checked(read_toml(path, kind), model, kind, path)
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
 
 
 def _one_line(problem: Exception) -> str:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from ltsim.errors import RecordError, SetupError
 from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
-from ltsim.recording.settings import read_toml, sentence, to_toml
+from ltsim.recording.settings import checked, read_toml, to_toml
 from ltsim.recording.setup import Section, Vector
 from ltsim.simulate.builtin import builtin_names, builtin_path
 from ltsim.simulate.sections import (
@@ -96,17 +95,10 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
-    if "format" not in data:
-        raise SetupError(f'{file}: the key format is missing, expected format = "{FORMAT}"')
-    text = json.dumps(_with_preset(data), default=str)
     try:
-        scenario = Scenario.model_validate_json(text, strict=True)
-    except ValidationError as problem:
-        found = problem.errors()
-        misspelt = [error for error in found if error["type"] == "extra_forbidden"]
-        raise SetupError(f"{file}: {sentence((misspelt or found)[0], Scenario)}") from None
-    except (ValueError, RecursionError):
-        raise SetupError(f"{file}: holds a value that no scenario can hold") from None
+        scenario = checked(_with_preset(data), Scenario, "scenario", file)
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
     _check(scenario, file)
     return _with_files_beside(scenario, file)
 

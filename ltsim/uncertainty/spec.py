@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from ltsim.errors import RecordError, SetupError
-from ltsim.recording.settings import read_toml, sentence
+from ltsim.recording.settings import checked, load_settings
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
 
 FORMAT = "ltsim-tasks/1"
@@ -187,20 +187,17 @@ def load_tasks(path: Path) -> Tasks:
     SetupError
         One sentence: file, key, what was found, what would be right.
     """
+    return load_settings(path, Tasks, "task file")
+
+
+def tasks_from(data: Mapping[str, Any], file: object) -> Tasks:
+    """Check the tables of a task file; `file` is named in errors.
+
+    Raises
+    ------
+    SetupError
+    """
     try:
-        data = read_toml(path, "task file")
+        return checked(data, Tasks, "task file", file)
     except RecordError as problem:
         raise SetupError(str(problem)) from None
-    return tasks_from(data, path)
-
-
-def tasks_from(data: dict[str, Any], file: object) -> Tasks:
-    """Check the tables of a task file; `file` is named in errors."""
-    if "format" not in data:
-        raise SetupError(f'{file}: the key format is missing, expected format = "{FORMAT}"')
-    try:
-        return Tasks.model_validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as problem:
-        raise SetupError(f"{file}: {sentence(problem.errors()[0], Tasks)}") from None
-    except (ValueError, RecursionError):
-        raise SetupError(f"{file}: holds a value that no task file can hold") from None
