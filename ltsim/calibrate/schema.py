@@ -283,13 +283,21 @@ class EventEntry(Entry):
     """A step of one parameter that stands out of how it moves from one calibration to the next."""
 
     from_: str = Field(alias="from")
+    """Earlier calibration."""
     to: str
+    """The next one."""
     name: str
+    """Of the parameter."""
     difference: Finite
+    """Later minus earlier."""
     sigma: NotNegative
+    """Its standard deviation by the two calibrations."""
     usual: NotNegative
+    """Standard deviation of the parameter's own steps."""
     unit: str
+    """Of the three."""
     p_value: Finite
+    """Over all steps and parameters."""
 
 
 class CalibrationOf(Entry):
@@ -318,7 +326,7 @@ class HistoryFile(ResultFile):
     changes: tuple[ChangeEntry, ...] = ()
     """From each to the next."""
     events: tuple[EventEntry, ...] = ()
-    """What stands out of the day-to-day changes."""
+    """Steps that stand out; empty too where there are too few calibrations to tell."""
     since_first: ChangeEntry
     """From the first to the last."""
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltsim.check import Check, check_json, write_check
-from ltsim.check import check as check_of
-from ltsim.check.check import LEVEL, Item
-from ltsim.check.faces import Mpe
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
@@ -20,6 +16,11 @@ from ltsim.errors import LtsimError, NetworkError, RecordError
 from ltsim.recording.files import is_number
 from ltsim.units import MICROMETRE
 
+if TYPE_CHECKING:
+    from ltsim.check import Check, Item
+    from ltsim.check.faces import Mpe
+
+LEVEL = 0.01
 Level = Annotated[
     float, typer.Option("--level", min=1e-6, max=0.5, help="Chance of one false alarm in the whole recording.")
 ]
@@ -56,6 +57,9 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
+    from ltsim.check import check as check_of
+    from ltsim.check import check_json, write_check
+
     terminal = Terminal(quiet, as_json)
     limit = mpe_of(mpe)
 
@@ -97,6 +101,8 @@ def mpe_of(text: str | None) -> Mpe | None:
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
         raise RecordError(f"--mpe {text}: expected A,B in um and um/m, for instance 20,6")
+    from ltsim.check.faces import Mpe
+
     return Mpe(float(parts[0]) * MICROMETRE, float(parts[1]) * MICROMETRE)
 
 

@@ -157,10 +157,12 @@ def show_undetermined(terminal: Terminal, calibration: Calibration) -> None:
 def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
     """Readings that do not belong."""
     terminal.say(f"readings that do not belong ({len(calibration.outliers)}):")
+    recording = calibration.adjustment.recording if calibration.adjustment is not None else None
     for outlier in calibration.outliers[:MOST_SHOWN]:
+        where = f"row {outlier.row}" if recording is None else recording.where(outlier.row)
         left = ", left out of the adjustment" if outlier.left_out else ""
         terminal.say(
-            f"  row {outlier.row}: {outlier.station} to {outlier.target}, {outlier.observable} off by "
+            f"  {where}: {outlier.station} to {outlier.target}, {outlier.observable} off by "
             f"{float(f'{outlier.size:.3g}'):g} {outlier.unit} (w = {outlier.w:.1f}){left}"
         )
     if len(calibration.outliers) > MOST_SHOWN:

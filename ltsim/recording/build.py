@@ -29,6 +29,7 @@ class Pointing:
     time: float = NAN
     covariates: dict[str, float] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
+    source: str = ""
 
 
 def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
@@ -84,6 +85,7 @@ def recording_of(
         labels={w: tuple(check_text(p.labels.get(w, ""), file=file) for p in pointings) for w in words},
         has_clock=has_clock,
         notes=tuple(notes),
+        sources=tuple(p.source for p in pointings) if all(p.source for p in pointings) else (),
     )
 
 

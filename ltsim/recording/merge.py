@@ -109,4 +109,4 @@ def _pointing(row: _Row, in_columns: list[int]) -> Pointing:
     values = {kind: one.value for kind, one in row.values.items()}
     flat = "distance" in row.values and row.values["distance"].horizontal
     labels = {KIND_COLUMN: "horizontal"} if flat else {}
-    return Pointing(row.station, row.target, 1, **values, covariates=covariates, labels=labels)
+    return Pointing(row.station, row.target, 1, **values, covariates=covariates, labels=labels, source="")

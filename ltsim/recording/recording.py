@@ -54,6 +54,8 @@ class Recording(Shown):
         False where `time` is only the row order.
     notes : tuple of str
         What a reader decided about an ambiguous file, skipped or left out: one sentence each.
+    sources : tuple of str
+        File and line that each row was read from; empty for a native recording, whose rows are those of its table.
     """
 
     setup: Setup
@@ -69,6 +71,7 @@ class Recording(Shown):
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     has_clock: bool = True
     notes: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.station)
@@ -104,6 +107,10 @@ class Recording(Shown):
             **{name: column.tolist() for name, column in self.covariates.items()},
             **self.labels,
         }
+
+    def where(self, row: int) -> str:
+        """Row number `row` (from 1) in words, with the file and line that it was read from."""
+        return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
 
     @property
     def measured(self) -> Bools:
@@ -213,6 +220,7 @@ class Recording(Shown):
             readings=self.readings[keep],
             covariates={name: column[keep] for name, column in self.covariates.items()},
             labels={name: tuple(column[i] for i in keep) for name, column in self.labels.items()},
+            sources=tuple(self.sources[i] for i in keep) if self.sources else (),
         )
 
     def with_readings(self, readings: Floats) -> Recording:

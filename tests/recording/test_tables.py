@@ -191,6 +191,15 @@ def test_what_is_kept_and_what_is_left_out_is_said(tmp_path: Path) -> None:
     assert "'Hz [deg]' taken as a horizontal circle, clockwise (--hint azimuth=counter-clockwise" in said
 
 
+def test_rows_know_the_line_they_came_from(tmp_path: Path) -> None:
+    found = read(a_file_a_station(tmp_path / "a"))
+    assert found.where(1) == "row 1 (S1.csv, line 2)"
+    second = found.select(found.station == 1)
+    assert second.where(3) == "row 3 (S2.csv, line 4)"
+    write(found, tmp_path / "native")
+    assert read(tmp_path / "native").where(3) == "row 3"
+
+
 def test_the_sentence_shows_what_to_type(tmp_path: Path) -> None:
     with pytest.raises(RecordError) as refused:
         read(unnamed(tmp_path / "a.csv"))

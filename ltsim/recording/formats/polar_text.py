@@ -76,8 +76,10 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     azimuth, why = _sense(table, targets, hints, path, table.readings(angle, vertical, "counter-clockwise", length))
     readings = table.readings(angle, vertical, azimuth, length)
     pointings = [
-        Pointing(stations[s], targets[t], int(f), *r)
-        for s, t, f, r in zip(table.station, table.target, faces(readings), readings.tolist(), strict=True)
+        Pointing(stations[s], targets[t], int(f), distance, turn, up, source=f"{path.name}, line {line}")
+        for s, t, f, (distance, turn, up), (line, _) in zip(
+            table.station, table.target, faces(readings), readings.tolist(), rows, strict=True
+        )
     ]
     notes = [*notes, *said, *more, *why, NO_NOISE]
     return recording_of(pointings, Setup(title=path.stem), notes=notes, file=path)

@@ -73,6 +73,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             time=time,
             covariates=covariates,
             labels={KIND_COLUMN: "horizontal", **labels} if flat else labels,
+            source=f"{Path(str(p.file)).name}, line {p.line}",
         )
         for p, face, (distance, azimuth, elevation), time, (covariates, labels) in zip(
             table.pointings, faces, readings.tolist(), times, further, strict=True
