@@ -283,13 +283,21 @@ class EventEntry(Entry):
     """A step of one parameter that stands out of how it moves from one calibration to the next."""
 
     from_: str = Field(alias="from")
+    """The earlier calibration."""
     to: str
+    """The later one."""
     name: str
+    """Of the parameter."""
     difference: Finite
+    """Later minus earlier."""
     sigma: NotNegative
+    """Of the difference."""
     usual: NotNegative
+    """How far it moves from one calibration to the next otherwise."""
     unit: str
+    """Of all three."""
     p_value: Finite
+    """Chance of as much without a step."""
 
 
 class CalibrationOf(Entry):
