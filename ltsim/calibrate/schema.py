@@ -283,21 +283,21 @@ class EventEntry(Entry):
     """A step of one parameter that stands out of how it moves from one calibration to the next."""
 
     from_: str = Field(alias="from")
-    """Earlier calibration."""
+    """The earlier calibration."""
     to: str
-    """The next one."""
+    """The later one."""
     name: str
     """Of the parameter."""
     difference: Finite
     """Later minus earlier."""
     sigma: NotNegative
-    """Its standard deviation by the two calibrations."""
+    """Of the difference."""
     usual: NotNegative
-    """Standard deviation of the parameter's own steps."""
+    """How far it moves from one calibration to the next otherwise."""
     unit: str
-    """Of the three."""
+    """Of all three."""
     p_value: Finite
-    """Over all steps and parameters."""
+    """Chance of as much without a step."""
 
 
 class CalibrationOf(Entry):
