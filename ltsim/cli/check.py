@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import LtsimError, NetworkError, RecordError
@@ -47,6 +48,7 @@ def check(
     format_name: FormatName = None,
     hint: HintList = None,
     columns: ColumnMap = None,
+    force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -58,9 +60,11 @@ def check(
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.check import check as check_of
-    from ltsim.check import check_json, write_check
+    from ltsim.check import check_file, write_check
+    from ltsim.check.files import TWO_FACE, CheckFile
 
     terminal = Terminal(quiet, as_json)
+    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -74,17 +78,18 @@ def check(
     terminal.say(recording_line(recording))
     with terminal.busy("checking"):
         found = check_of(recording, level=level, mpe=limit)
+    content = check_file(found)
     if out is not None:
         from ltsim.report.figures.check import check_figure  # most checks draw nothing
         from ltsim.report.style import svg
 
-        write_check(found, out, {"check.svg": svg(check_figure(found))})
-    terminal.answer(check_json(found))
+        content = write_check(found, out, {"check.svg": svg(check_figure(found))})
+    terminal.answer(content.content())
     for item in found.items:
         terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
     terminal.say(found.sentence)
     if out is not None:
-        terminal.say(f"written to {out}")
+        terminal.say(f"written to {out}; for a page with pictures: ltsim report {out}")
     return 0 if found.passed else 1
 
 

@@ -72,7 +72,7 @@ def compare(
     at = [first.recording.targets.index(d.target) for d in found.displacements]
     content = comparison_file(found, first.recording, later.recording, first.state.points[at])
     if out is not None:
-        write_comparison(content, out)
+        content = write_comparison(content, out)
     terminal.answer(content.content())
     show(terminal, content)
     if out is not None:

@@ -65,11 +65,11 @@ def uncertainty(
         evaluation = evaluate_tasks(recording, tasks)
     content = told(evaluation, frame_of(evaluation.inputs.adjustment))
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
+    if out is not None:
+        content = write_uncertainty(content, out)
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
-    if out is not None:
-        write_uncertainty(content, out)
     terminal.answer(answer)
     show(terminal, content)
     if other is not None:

@@ -18,6 +18,7 @@ from ltsim.recording import Recording, read
 from ltsim.recording.files import write_text
 from ltsim.report.document import POLICY, Detail, Document, Section
 from ltsim.report.sections.calibration import calibration_section
+from ltsim.report.sections.check import check_section
 from ltsim.report.sections.comparison import comparison_section
 from ltsim.report.sections.diagnosis import diagnosis_section
 from ltsim.report.sections.further import next_section
@@ -49,6 +50,7 @@ KINDS: dict[str, Builder] = {
     "history.json": lambda part, _, __: history_section(part.folder),
     "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
     "uncertainty.json": lambda part, _, __: uncertainty_section(part.folder),
+    "check.json": lambda part, _, __: check_section(part.folder),
     "comparison.json": lambda part, _, __: comparison_section(part.folder),
     "next.json": lambda part, _, __: next_section(part.folder),
     "manifest.json": lambda part, _, __: _campaign_section(part.folder),

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile, HistoryFile
 from ltsim.campaign.schema import SUMMARY, ManifestFile, RecoveryFile, trials_table
 from ltsim.campaign.spec import Campaign
+from ltsim.check import files as checks
 from ltsim.diagnose import schema as diagnosis
 from ltsim.evaluate.schema import NOMINAL, CriteriaFile
 from ltsim.plan import schema as plan
@@ -40,6 +41,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     RecoveryFile,
     uncertainty.UncertaintyFile,
     comparison.ComparisonFile,
+    checks.CheckFile,
 )
 """Files that verbs write and the report reads."""
 
@@ -61,6 +63,7 @@ TABLES: dict[str, tuple[ResultTable, ...]] = {
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
     ManifestFile.FILE: (SUMMARY,),
+    checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     RecoveryFile.FILE: (trials_table(("PARAMETER",)),),

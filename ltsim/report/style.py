@@ -94,7 +94,12 @@ def svg(figure: Figure) -> str:
 
 def svg_uri(figure: Figure) -> str:
     """The figure as a `data:` address for an `img`; names in it can run nothing."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg(figure).encode()).decode()
+    return svg_text_uri(svg(figure))
+
+
+def svg_text_uri(text: str) -> str:
+    """The same of an SVG that is written already."""
+    return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()
 
 
 def png_uri(png: bytes) -> str:

@@ -108,10 +108,10 @@ def _vector(values: Floats) -> tuple[float, float, float]:
     return x, y, z
 
 
-def write_comparison(content: ComparisonFile, folder: Path) -> None:
-    """Write comparison.json and displacements.csv into a folder; raises RecordError."""
+def write_comparison(content: ComparisonFile, folder: Path) -> ComparisonFile:
+    """Write comparison.json and displacements.csv into a folder and give what was written; raises RecordError."""
     rows = [
         [d.target, d.moved, *d.place_mm, *d.shift_um, *d.sigma_um, *d.semi_axes_um, d.p_value, d.visible_um[1]]
         for d in content.displacements
     ]
-    write_result(folder, content, {DISPLACEMENTS.file: DISPLACEMENTS.text(rows)})
+    return write_result(folder, content, {DISPLACEMENTS.file: DISPLACEMENTS.text(rows)})

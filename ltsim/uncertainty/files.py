@@ -209,8 +209,8 @@ def _pair(ends: Sequence[float]) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def write_uncertainty(content: UncertaintyFile, folder: Path) -> None:
-    """Write uncertainty.json, uncertainty.csv (a row a result) and budget.csv (a row a result and source).
+def write_uncertainty(content: UncertaintyFile, folder: Path) -> UncertaintyFile:
+    """Write uncertainty.json, uncertainty.csv (a row a result) and budget.csv (a row a source); give what was written.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def write_uncertainty(content: UncertaintyFile, folder: Path) -> None:
         figures = r.value, r.standard_uncertainty, r.expanded_uncertainty, mc.standard_uncertainty, *mc.symmetric
         results.append([r.task, r.name, r.unit, *figures, mc.agrees, judged])
         parts += [[r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty] for p in r.budget]
-    write_result(folder, content, {RESULTS.file: RESULTS.text(results), BUDGET.file: BUDGET.text(parts)})
+    return write_result(folder, content, {RESULTS.file: RESULTS.text(results), BUDGET.file: BUDGET.text(parts)})
 
 
 def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str, float]]:

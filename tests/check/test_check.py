@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.check import Check, check, check_json
+from ltsim.check import Check, check, check_file
 from ltsim.check.check import best_bump
 from ltsim.check.faces import Mpe
 from ltsim.check.visit import Visit, surprise
@@ -249,4 +249,4 @@ def test_the_girder_epochs(shared: Path) -> None:
     gross = next(item for item in found.items if item.kind == "gross" and item.station == "Instrument_0")
     assert "K6" in gross.targets
     assert not found.passed
-    assert check_json(found)["sentence"].startswith("no-go: Instrument_0 to K6, row 81: 52")
+    assert check_file(found).sentence.startswith("no-go: Instrument_0 to K6, row 81: 52")
