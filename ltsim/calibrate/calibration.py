@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
@@ -116,6 +116,7 @@ class Calibration(Shown):
         Their names; one unnamed instrument is called ''.
     values, prior_sigma : (I, p) float [SI]
     covariance : (I p, I p) float [SI]
+        Zero for parameters that were held.
     fit : Fit
     undetermined : tuple of Combination
     frame : str
@@ -135,6 +136,10 @@ class Calibration(Shown):
         The noise found, where it was estimated from the readings.
     lost_targets : tuple of str
         Measured targets that the readings in use do not determine; they have no coordinates.
+    held : (I, p) bool
+        Parameters that were not estimated but held at their value.
+    informed : bool
+        Whether the prior came from earlier calibrations.
     notes : tuple of str
         What a reader should know of how this came about.
     recording : SourceEntry or None
@@ -162,9 +167,15 @@ class Calibration(Shown):
     robust: bool = False
     noise: tuple[NoiseRow, ...] = ()
     lost_targets: tuple[str, ...] = ()
+    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    informed: bool = False
     notes: tuple[str, ...] = ()
     recording: SourceEntry | None = None
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.held.shape != self.values.shape:
+            object.__setattr__(self, "held", np.zeros(self.values.shape, dtype=bool))
 
     @cached_property
     def sigma(self) -> Floats:
@@ -182,14 +193,15 @@ class Calibration(Shown):
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}" + ("" if fit.p_value is None else f", p {fit.p_value:.2g}")
-        known = int((self.sigma < SHARPER * self.prior_sigma).sum())
+        known = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
         lines = [
             f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",
             f"{len(self.stations)} stations and {len(self.targets)} targets in {self.frame}",
         ]
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
-            lines.append(f"{count} parameters, {known} better known than before; {undetermined}")
+            held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
+            lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
         if self.outliers:
             lines.append(f"{len(self.outliers)} readings do not belong")
         if self.criteria is not None:
@@ -215,6 +227,7 @@ class Calibration(Shown):
             "sigma": (self.sigma.ravel() / factor).tolist(),
             "unit": [p.unit for p in parameters],
             "prior_sigma": (self.prior_sigma.ravel() / factor).tolist(),
+            **({"held": self.held.ravel().tolist()} if self.held.any() else {}),
         }
 
     def _targets(self) -> Columns:

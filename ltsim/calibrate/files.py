@@ -34,7 +34,7 @@ from ltsim.calibrate.schema import (
     VerdictEntry,
 )
 from ltsim.errors import ModelError, RecordError
-from ltsim.model.construction import Construction, construction
+from ltsim.model.construction import Construction, with_parameters
 from ltsim.recording.files import shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import read_result, write_result
@@ -84,6 +84,8 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         if judged is None
         else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),
         lost_targets=calibration.lost_targets,
+        informed=calibration.informed,
+        notes=calibration.notes,
     )
 
 
@@ -101,6 +103,7 @@ def _parameters(calibration: Calibration) -> tuple[ParameterEntry, ...]:
             sigma=float(calibration.sigma[i, k] / parameter.factor),
             unit=parameter.unit,
             prior_sigma=float(calibration.prior_sigma[i, k] / parameter.factor),
+            held=bool(calibration.held[i, k]),
             **({"instrument": instrument} if several else {}),
         )
         for i, instrument in enumerate(calibration.instruments)
@@ -181,11 +184,12 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _calibration(content: CalibrationFile, file: Path) -> Calibration:
-    built = _construction(content.construction, file)
+    built = _construction(content, file)
     instruments = tuple(dict.fromkeys(row.instrument for row in content.parameters)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
     prior = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
     values, sigma, factor = np.zeros(len(place)), prior.copy(), np.ones(len(place))
+    held = np.zeros(len(place), dtype=bool)
     at = [_place(row, place, built, number, file) for number, row in enumerate(content.parameters, start=1)]
     for number, (k, row) in enumerate(zip(at, content.parameters, strict=True), start=1):
         if at.index(k) != number - 1:
@@ -194,6 +198,7 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         values[k] = row.value * factor[k]
         prior[k] = prior[k] if row.prior_sigma is None else row.prior_sigma * factor[k]
         sigma[k] = prior[k] if row.sigma is None else row.sigma * factor[k]
+        held[k] = row.held
     covariance = np.diag(sigma**2)
     if content.covariance:
         covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor[at], factor[at])
@@ -205,6 +210,8 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         values=values.reshape(shape),
         prior_sigma=prior.reshape(shape),
         covariance=covariance,
+        held=held.reshape(shape),
+        informed=content.informed,
         fit=Fit(**content.fit.model_dump()),
         undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),
         frame=content.frame,
@@ -237,9 +244,9 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
     return (f"{file}: {which} not in the file and taken as zero: {named(names)}",)
 
 
-def _construction(name: str, file: Path) -> Construction:
+def _construction(content: CalibrationFile, file: Path) -> Construction:
     try:
-        return construction(name)
+        return with_parameters(content.construction, [row.name for row in content.parameters])
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
 

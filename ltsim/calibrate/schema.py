@@ -70,6 +70,8 @@ class ParameterEntry(Entry):
     """Of value and sigmas."""
     prior_sigma: Positive | None = None
     """What was known before, one standard deviation."""
+    held: bool = False
+    """Not estimated: held at this value."""
     instrument: str = ""
     """Where there are several."""
 
@@ -210,6 +212,10 @@ class CalibrationFile(ResultFile):
     """Which test to trust."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
+    informed: bool = False
+    """Earlier calibrations were the prior."""
+    notes: tuple[str, ...] = ()
+    """What a reader should know of how this came about."""
 
     @model_validator(mode="after")
     def _covariance_is_square(self) -> Self:
