@@ -286,6 +286,7 @@ class History(Shown):
             values=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=known.spread[None],
+            correction=None,
         )
 
 
@@ -311,6 +312,7 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
         prior_sigma=calibration.prior_sigma[i : i + 1],
         covariance=calibration.covariance[at, at],
         held=calibration.held[i : i + 1],
+        correction=None,
     )
 
 
@@ -336,6 +338,7 @@ def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
             prior_sigma=c.prior_sigma[:, keep],
             covariance=c.covariance[np.ix_(keep, keep)],
             held=c.held[:, keep],
+            correction=None,
         )
         for c in calibrations
     )

@@ -27,6 +27,7 @@ from ltsim.calibrate.result import (
     undetermined_of,
     verdict_of,
 )
+from ltsim.calibrate.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
@@ -43,6 +44,7 @@ def calibrate_network(
     noise_from_data: bool = False,
     datum: Sequence[str] | None = None,
     choice: Choice | None = None,
+    weigh: bool = True,
 ) -> Calibration:
     """Estimate the parameters of an instrument from a network, with everything else that is unknown.
 
@@ -61,6 +63,8 @@ def calibrate_network(
         Targets that define the datum by inner constraints; default those that the set-up chose.
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
+    weigh : bool
+        Find out what of the estimates is worth applying (`calibrate.worth`), unless the choice brings a prior.
 
     Raises
     ------
@@ -80,8 +84,11 @@ def calibrate_network(
     chosen = choice or Choice()
     found = _adjusted(recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
     calibration = _calibration(recording, found, "network", advise=advise, robust=robust)
-    notes = (*calibration.notes, *disagreement(calibration))
-    return replace(calibration, notes=notes, informed=chosen.prior is not None)
+    informed = chosen.prior is not None
+    if weigh and not informed:
+        calibration = replace(calibration, correction=correction_of(found, calibration.names))
+        calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
+    return replace(calibration, notes=(*calibration.notes, *disagreement(calibration)), informed=informed)
 
 
 def adjust_network(

@@ -53,6 +53,8 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     if calibration.names:
         terminal.say()
         terminal.say(parameter_table(calibration))
+    if calibration.correction is not None:
+        terminal.say("\n".join([calibration.correction.line, *calibration.correction.sentences]))
     if calibration.undetermined:
         terminal.say()
         show_undetermined(terminal, calibration)
