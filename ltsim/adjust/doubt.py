@@ -98,7 +98,7 @@ def _without_known_points(adjustment: Adjustment) -> Adjustment | None:
     unknown = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
     setup = recording.setup.model_copy(update={"targets": unknown})
     try:
-        found = adjust(recording.replace(setup=setup), adjustment.construction)
+        found = adjust(recording.replace(setup=setup), adjustment.construction, prior=adjustment.problem.prior)
     except LtsimError:
         return None
     return found if found.solution.converged else None

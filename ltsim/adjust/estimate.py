@@ -13,6 +13,7 @@ from ltsim.adjust.copies import copied_rows
 from ltsim.adjust.datum import InnerDatum, moved_to_datum, stated_datum
 from ltsim.adjust.loose import without_loose
 from ltsim.adjust.marks import Marks
+from ltsim.adjust.prior import ParameterPrior
 from ltsim.adjust.problem import WEAK, NetworkProblem
 from ltsim.adjust.screening import screened
 from ltsim.adjust.snooping import snooped
@@ -43,6 +44,7 @@ def adjust(
     robust: bool = False,
     variance_components: Grouping | None = None,
     held_to: float = WEAK,
+    prior: ParameterPrior | None = None,
 ) -> Adjustment:
     """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -68,6 +70,8 @@ def adjust(
     held_to : float
         Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
         readings hardly determine from wandering off.
+    prior : ParameterPrior, optional
+        What is known of the instrument parameters; default what the set-up states.
 
     Returns
     -------
@@ -94,14 +98,14 @@ def adjust(
         tied = ~lost[recording.target]
         usable = recording.with_readings(np.where(tied[:, None], recording.readings, np.nan))
         (position, rotation, points), gross = screened(usable, *reached)
-        parameters = np.zeros((len(recording.instruments), built.size))
+        parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
         start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
-    whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to)
+    whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to, prior=prior)
     start = replace(start, position=whole.marks.on_marks(start.position, start.points))
     whole = without_loose(whole, start)
     problem, solution = find(whole, start)

@@ -10,13 +10,12 @@ import scipy.sparse as sp
 
 from ltsim.adjust.layout import Layout
 from ltsim.adjust.marks import Marks
+from ltsim.adjust.prior import ParameterPrior, prior_sigmas
 from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
 from ltsim.adjust.structure import Structure
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State
-from ltsim.recording.recording import Recording
 from ltsim.solve.blocks import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
@@ -39,8 +38,8 @@ class NetworkProblem:
     model : MeasurementModel
     sigma : (n, 3) float
         Standard deviations of the readings.
-    prior_sigma : (I, p) float
-        Of the instrument parameters; infinite for none.
+    prior : ParameterPrior
+        Of the instrument parameters.
     extra_sigma : (q,) float
         Of the further effects' parameters; infinite for none.
     free : (6, f) float
@@ -53,7 +52,7 @@ class NetworkProblem:
 
     model: MeasurementModel
     sigma: Floats
-    prior_sigma: Floats
+    prior: ParameterPrior
     extra_sigma: Floats
     free: Floats
     use: Bools
@@ -72,8 +71,12 @@ class NetworkProblem:
         sigma: Floats | None = None,
         use: Bools | None = None,
         held_to: float = WEAK,
+        prior: ParameterPrior | None = None,
     ) -> NetworkProblem:
-        """The problem of a model; `use` (n, 3) leaves readings out, further effects are `held_to` so many priors."""
+        """The problem of a model; `use` (n, 3) leaves readings out, further effects are `held_to` so many priors.
+
+        The `prior` of the instrument parameters is by default what the set-up states.
+        """
         recording = model.recording
         marks = Marks.of(recording)
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording)
@@ -82,7 +85,7 @@ class NetworkProblem:
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
-            prior_sigma=prior_sigmas(recording, model.construction),
+            prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
             extra_sigma=held_to * _plausible_sizes(model),
             free=free_motions(control, known_marks, levels),
             use=used,
@@ -109,6 +112,11 @@ class NetworkProblem:
         return self.structure.layout
 
     @property
+    def prior_sigma(self) -> Floats:
+        """Prior standard deviations (I, p) [SI] of the instrument parameters; infinite for none."""
+        return self.prior.sigma
+
+    @property
     def unseen_targets(self) -> Bools:
         """(T,) True where no reading to a target is in use and no set-up stands on it."""
         return self.structure.unseen
@@ -131,7 +139,7 @@ class NetworkProblem:
         marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
         held = np.zeros(self.structure.held)
-        prior = -(state.instrument / self.prior_sigma)[np.isfinite(self.prior_sigma)]
+        prior = self.prior.residual(state.instrument)
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
         return np.concatenate([pointings, gauge, control, marks, levels.ravel(), held, prior, extra, datum])
@@ -179,14 +187,17 @@ class NetworkProblem:
             layout.pose[self.known_marks.target, :3][self.known_marks.axes][:, None],
             np.repeat(layout.pose[self.levels.station, 3:], 2, axis=0),
             self.structure.held_columns,
-            layout.instrument[np.isfinite(self.prior_sigma)][:, None],
+            self._prior_columns(),
             layout.extra[np.isfinite(self.extra_sigma)][:, None],
             np.broadcast_to(anchors, (self.free.shape[1], len(anchors))),
         ]
 
     def _values(self, state: State, prediction: Prediction) -> list[Floats]:
         """Whitened derivatives (rows, width) that belong to `_columns`."""
-        by = [prediction.by_pose, prediction.by_target, prediction.by_instrument, prediction.by_extra]
+        by_instrument = prediction.by_instrument
+        if self.prior.held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
+            by_instrument = np.where(self.prior.held[self.model.recording.instrument][:, None], 0.0, by_instrument)
+        by = [prediction.by_pose, prediction.by_target, by_instrument, prediction.by_extra]
         pointings = np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None]
         direction = self.gauge.directions(state.points)
         gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
@@ -197,10 +208,17 @@ class NetworkProblem:
             self.known_marks.weights(),
             self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
             self.structure.held_directions(state) / DATUM_SIGMA[0],
-            1.0 / self.prior_sigma[np.isfinite(self.prior_sigma)],
+            self.prior.roots if self.prior.correlated else 1.0 / self.prior_sigma[np.isfinite(self.prior_sigma)],
             1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
             self._datum_values(state),
         ]
+
+    def _prior_columns(self) -> Ints:
+        """Columns (m, 1) of the prior's rows, or (m, p) where it correlates parameters."""
+        own = self.layout.instrument
+        if self.prior.correlated:
+            return np.repeat(own, own.shape[1], axis=0)
+        return own[np.isfinite(self.prior_sigma)][:, None]
 
     def _gauge_by_extra(self, state: State) -> Floats:
         """Change (g, q) of the known lengths per unit of the further effects' parameters."""
@@ -231,14 +249,6 @@ class NetworkProblem:
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
         unknown = self.layout.size - self.free.shape[1] - self.structure.held
         return int(self.use.sum()) + known - unknown
-
-
-def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
-    """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
-    setup = recording.setup
-    chosen = [setup.instruments.get(name, setup.instrument).prior for name in recording.instruments]
-    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
-    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
 
 
 def _plausible_sizes(model: MeasurementModel) -> Floats:

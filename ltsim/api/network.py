@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,15 @@ from ltsim.calibrate import (
 from ltsim.calibrate import (
     correct as corrected_by,
 )
+from ltsim.calibrate.choice import Choice
 from ltsim.calibrate.history import History
+from ltsim.calibrate.known import Known
 from ltsim.calibrate.result import gross_rows
 from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
 from ltsim.evaluate import Criteria, read_nominal
 from ltsim.evaluate import evaluate as criteria_of
 from ltsim.evaluate import verify as verified
-from ltsim.model.construction import Construction
-from ltsim.model.construction import construction as construction_called
+from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
 
 METHODS = ("network", "distance", "distance-l1")
@@ -79,6 +80,12 @@ def calibrate(
     robust: bool = False,
     noise_from_data: bool = False,
     datum: Sequence[str] | None = None,
+    parameters: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    hold: Mapping[str, float] | None = None,
+    prior: CalibrationSource | History | None = None,
+    harmonics: int | None = None,
+    degree: int | None = None,
     advise: bool = True,
 ) -> Calibration:
     """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
@@ -94,6 +101,17 @@ def calibrate(
         Denavit-Hartenberg chain, 78); by default what the set-up states.
     robust, noise_from_data, datum
         As of `adjust`; with method `network` only.
+    parameters : sequence of str, optional
+        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`); with
+        ``@NAME`` those of one instrument. The others are held at zero.
+    without : sequence of str
+        Parameters to hold at zero.
+    hold : mapping of str to float, optional
+        Parameters to hold at a value, in the parameter's unit.
+    prior : Calibration, History, str or Path, optional
+        What earlier calibrations found, with its covariance, as the prior; method `network` only.
+    harmonics, degree : int, optional
+        Orders of a D-H chain's error functions; 2 by default.
     advise : bool
         Say which further measurements would determine what is not determined.
 
@@ -118,13 +136,29 @@ def calibrate(
     """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
-    built = construction_called(construction) if isinstance(construction, str) else construction
+    if isinstance(construction, Construction):
+        if harmonics is not None or degree is not None:
+            raise ModelError("harmonics and degree go with a construction's name: this one is built already")
+        built: Construction | None = construction
+    else:
+        built = _named_construction(construction, harmonics, degree)
+    known = None if prior is None else Known.of(prior)
+    choice = Choice(parameters, tuple(without), dict(hold or {}), known)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum}
     if method == "network":
-        return calibrate_network(recording_of(recording), built, advise=advise, **options)
-    if any(options.values()):
-        raise ModelError(f"robust, noise_from_data and datum go with the method network, not {method}")
-    return calibrate_distance(recording_of(recording), built, method=method, advise=advise)
+        return calibrate_network(recording_of(recording), built, advise=advise, choice=choice, **options)
+    if any(options.values()) or known is not None:
+        raise ModelError(f"robust, noise_from_data, datum and prior go with the method network, not {method}")
+    return calibrate_distance(recording_of(recording), built, method=method, advise=advise, choice=choice)
+
+
+def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
+    """The construction of a name; None for what the set-up states."""
+    if name is not None:
+        return built_construction(name, harmonics, degree)
+    if harmonics is not None or degree is not None:
+        raise ModelError("harmonics and degree go with the construction dh")
+    return None
 
 
 def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:

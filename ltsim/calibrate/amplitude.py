@@ -53,7 +53,8 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
     return amplitude, float(np.sqrt(0.5 * np.trace(covariance))), None, None
 
 
-def _cosine_and_sine(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+def cosine_and_sine(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+    """Each harmonic among parameters: its name, the places of its cosine and its sine."""
     for i, name in enumerate(names):
         found = _COSINE.match(name)
         if found:
@@ -67,7 +68,7 @@ def harmonics(calibration: Calibration) -> list[Harmonic]:
     found = []
     size = calibration.construction.size
     for number, instrument in enumerate(calibration.instruments):
-        for name, i, j in _cosine_and_sine(calibration.construction.names):
+        for name, i, j in cosine_and_sine(calibration.construction.names):
             at = np.array([i, j]) + number * size
             values = calibration.values.ravel()[at]
             covariance = calibration.covariance[np.ix_(at, at)]

@@ -10,14 +10,14 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown, by_entry
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
-from ltsim.units import MILLIMETRE
+from ltsim.units import MICROMETRE, MILLIMETRE
 
 SHARPER = 0.975
 """Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
@@ -103,6 +103,39 @@ class NoiseRow:
     unit: str
 
 
+@dataclass(frozen=True)
+class Correction:
+    """What is applied of a calibration, and what is expected of it.
+
+    Attributes
+    ----------
+    values : (I, p) float [SI]
+        Parameters to take out of readings.
+    prior_scale : float
+        Most likely scale of the prior, in stated sigmas; `plausible_scale` from and to with 95 % on each side.
+    uncorrected, corrected : float, [m]
+        Expected error (rms) of a new point as those measured, in one set-up's frame.
+    left_out : tuple of str
+        Parameters that are not applied because targets that were held out are better without.
+    sentences : tuple of str
+        What a person should know of it.
+    """
+
+    values: Floats
+    prior_scale: float
+    plausible_scale: tuple[float, float]
+    uncorrected: float
+    corrected: float
+    left_out: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()
+
+    @property
+    def line(self) -> str:
+        """The expected error of a new point without and with the correction."""
+        before, after = self.uncorrected / MICROMETRE, self.corrected / MICROMETRE
+        return f"expected error of a new point: {before:.2g} um as read, {after:.2g} um corrected"
+
+
 @dataclass(frozen=True, repr=False)
 class Calibration(Shown):
     """Instrument parameters with their covariance, and the network they were found in.
@@ -116,6 +149,7 @@ class Calibration(Shown):
         Their names; one unnamed instrument is called ''.
     values, prior_sigma : (I, p) float [SI]
     covariance : (I p, I p) float [SI]
+        Zero for parameters that were held.
     fit : Fit
     undetermined : tuple of Combination
     frame : str
@@ -135,6 +169,12 @@ class Calibration(Shown):
         The noise found, where it was estimated from the readings.
     lost_targets : tuple of str
         Measured targets that the readings in use do not determine; they have no coordinates.
+    held : (I, p) bool
+        Parameters that were not estimated but held at their value.
+    informed : bool
+        Whether the prior came from earlier calibrations.
+    correction : Correction, optional
+        What is taken out of readings and what that is expected to be worth; without one, the estimates themselves.
     notes : tuple of str
         What a reader should know of how this came about.
     recording : SourceEntry or None
@@ -162,15 +202,27 @@ class Calibration(Shown):
     robust: bool = False
     noise: tuple[NoiseRow, ...] = ()
     lost_targets: tuple[str, ...] = ()
+    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    informed: bool = False
+    correction: Correction | None = None
     notes: tuple[str, ...] = ()
     recording: SourceEntry | None = None
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.held.shape != self.values.shape:
+            object.__setattr__(self, "held", np.zeros(self.values.shape, dtype=bool))
 
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviations (I, p) of the parameters [SI]."""
         deviation: Floats = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
         return deviation
+
+    @property
+    def applied(self) -> Floats:
+        """Parameters (I, p) [SI] to take out of readings."""
+        return self.values if self.correction is None else self.correction.values
 
     @property
     def noise_estimated(self) -> bool:
@@ -182,18 +234,21 @@ class Calibration(Shown):
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}" + ("" if fit.p_value is None else f", p {fit.p_value:.2g}")
-        known = int((self.sigma < SHARPER * self.prior_sigma).sum())
+        known = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
         lines = [
             f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",
             f"{len(self.stations)} stations and {len(self.targets)} targets in {self.frame}",
         ]
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
-            lines.append(f"{count} parameters, {known} better known than before; {undetermined}")
+            held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
+            lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
         if self.outliers:
             lines.append(f"{len(self.outliers)} readings do not belong")
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
+        if self.correction is not None:
+            lines += [self.correction.line, *self.correction.sentences]
         return [*lines, *self.notes]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:
@@ -215,6 +270,7 @@ class Calibration(Shown):
             "sigma": (self.sigma.ravel() / factor).tolist(),
             "unit": [p.unit for p in parameters],
             "prior_sigma": (self.prior_sigma.ravel() / factor).tolist(),
+            **({"held": self.held.ravel().tolist()} if self.held.any() else {}),
         }
 
     def _targets(self) -> Columns:
@@ -232,7 +288,7 @@ class Calibration(Shown):
         return flat_names(self.construction.names, self.instruments)
 
     def values_for(self, recording: Recording) -> Floats:
-        """Parameters (p,) or, where instruments differ, (n, p) of each pointing of a recording.
+        """Parameters to apply (p,) or, where instruments differ, (n, p) of each pointing of a recording.
 
         A calibration of one instrument is applied to any recording; one of several needs the same names.
 
@@ -242,7 +298,7 @@ class Calibration(Shown):
             When the recording names an instrument that the calibration does not know.
         """
         if len(self.instruments) == 1:
-            return self.values[0]
+            return self.applied[0]
         unknown = [name for name in recording.instruments if name not in self.instruments]
         if unknown:
             raise RecordError(
@@ -250,7 +306,7 @@ class Calibration(Shown):
                 + ", ".join(self.instruments)
             )
         at = np.array([self.instruments.index(name) for name in recording.instruments])
-        values: Floats = self.values[at[recording.instrument]]
+        values: Floats = self.applied[at[recording.instrument]]
         return values
 
 

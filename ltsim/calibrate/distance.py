@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
-from ltsim.adjust.problem import prior_sigmas
 from ltsim.calibrate.calibration import Calibration, Combination, Fit, flat_names
+from ltsim.calibrate.choice import Choice
 from ltsim.calibrate.correct import corrected_readings
 from ltsim.calibrate.distance_solver import Estimate, solve_distances
 from ltsim.calibrate.objective import DistanceProblem
@@ -36,6 +36,7 @@ def calibrate_distance(
     *,
     method: str = "distance",
     advise: bool = True,
+    choice: Choice | None = None,
 ) -> Calibration:
     """Estimate the parameters of an instrument by making distances agree (eq. 9 and 10).
 
@@ -51,6 +52,8 @@ def calibrate_distance(
         `distance`: least squares; `distance-l1`: least absolute deviations.
     advise : bool
         Compute which further measurements would cure undetermined combinations.
+    choice : Choice, optional
+        Which parameters to estimate; default all.
 
     Raises
     ------
@@ -60,11 +63,13 @@ def calibrate_distance(
         When the final adjustment does not converge.
     """
     built = construction or stated_construction(recording)
-    prior = prior_sigmas(recording, built)
+    known = (choice or Choice()).applied(recording, built)
+    prior, held = known.sigma, known.held
     source = SourceEntry.of(recording)
     recording, _ = tied_readings(recording)
     usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
-    estimate = solve_distances(DistanceProblem(usable, built, prior), METHODS[method])
+    start = np.where(held, known.mean / prior, 0.0).ravel()
+    estimate = solve_distances(DistanceProblem(usable, built, prior), METHODS[method], start=start, held=held.ravel())
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
@@ -82,6 +87,7 @@ def calibrate_distance(
         values=values,
         prior_sigma=prior,
         covariance=estimate.covariance * np.outer(scale, scale),
+        held=held,
         fit=_fit(propagation),
         undetermined=_undetermined(adjustment, built, estimate, advise=advise),
         frame=frame_of(adjustment),

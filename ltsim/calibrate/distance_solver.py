@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.objective import DistanceProblem, Distances, centring, set_pairs
 from ltsim.errors import NetworkError
 from ltsim.remedies.undetermined import DETERMINED, Direction
@@ -102,8 +102,14 @@ def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_
     return Rows(sp.csr_array(matrix), residual, matrix @ distances.by_parameter, sp.csr_array(noise))
 
 
-def solve_distances(problem: DistanceProblem, norm: Literal["squares", "absolute"]) -> Estimate:
-    """Minimise eq. 9 from zero.
+def solve_distances(
+    problem: DistanceProblem,
+    norm: Literal["squares", "absolute"],
+    *,
+    start: Floats | None = None,
+    held: Bools | None = None,
+) -> Estimate:
+    """Minimise eq. 9 from zero, or from `start` (q,), where unknowns that are `held` (q,) stay.
 
     Raises
     ------
@@ -111,12 +117,12 @@ def solve_distances(problem: DistanceProblem, norm: Literal["squares", "absolute
         When no pair of targets was seen from two stations (or faces), and no gauge.
     """
     size = problem.prior_sigma.size
-    start = mean_rows(problem, problem.at(np.zeros(size)))
-    if not np.any(start.by_unknown):
+    unknowns: Floats = np.zeros(size) if start is None else start
+    rows = mean_rows(problem, problem.at(unknowns))
+    if not np.any(rows.by_unknown):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
-    kept, left_out = determined(start)
-    unknowns: Floats = np.zeros(size)
-    moved, rows, iterations = np.inf, start, 0
+    kept, left_out = determined(rows, None if held is None else ~held)
+    moved, iterations = np.inf, 0
     while iterations < CAP and not moved < CLOSED:
         iterations += 1
         rows = _rows(problem, unknowns, norm)
@@ -134,10 +140,12 @@ def _rows(problem: DistanceProblem, unknowns: Floats, norm: str) -> Rows:
     return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
 
 
-def determined(rows: Rows) -> tuple[Floats, tuple[Direction, ...]]:
-    """Combinations (q, k) to estimate, and those to leave at zero with their gains."""
-    normal = rows.by_unknown.T @ rows.by_unknown
-    strength, vectors = np.linalg.eigh(normal)
+def determined(rows: Rows, free: Bools | None = None) -> tuple[Floats, tuple[Direction, ...]]:
+    """Combinations (q, k) of the `free` (q,) unknowns to estimate, and those to leave at zero with their gains."""
+    chosen = np.ones(rows.by_unknown.shape[1], dtype=bool) if free is None else free
+    strength, own = np.linalg.eigh(rows.by_unknown[:, chosen].T @ rows.by_unknown[:, chosen])
+    vectors = np.zeros((len(chosen), len(own)))
+    vectors[chosen] = own
     known = strength > 1e-12 * strength[-1]
     carried = np.asarray((rows.by_noise.T @ (rows.by_unknown @ vectors)).T)
     variance = np.full(len(strength), np.inf)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.amplitude import Harmonic, harmonics
-from ltsim.calibrate.calibration import Calibration, Combination, Fit, StationPose
+from ltsim.calibrate.calibration import Calibration, Combination, Correction, Fit, StationPose
 from ltsim.calibrate.events import Event, events
 from ltsim.calibrate.history import Change, History
 from ltsim.calibrate.result import SHOWN_UNITS, named
@@ -23,6 +24,7 @@ from ltsim.calibrate.schema import (
     ChangeEntry,
     ChiSquareEntry,
     CombinationEntry,
+    CorrectionEntry,
     CourseEntry,
     DifferenceEntry,
     EventEntry,
@@ -36,11 +38,14 @@ from ltsim.calibrate.schema import (
     VerdictEntry,
 )
 from ltsim.errors import ModelError, RecordError
-from ltsim.model.construction import Construction, construction
+from ltsim.model.construction import Construction, with_parameters
 from ltsim.recording.files import shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import read_result, write_result
-from ltsim.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE
+from ltsim.units import ARCSECOND, DEGREE, FACTOR, MICROMETRE, MILLIMETRE
+
+SAME = 1e-9
+"""Relative difference of what is applied from the estimate, below which it is the estimate."""
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile:
@@ -86,6 +91,9 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         if judged is None
         else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),
         lost_targets=calibration.lost_targets,
+        informed=calibration.informed,
+        correction=_correction(calibration.correction),
+        notes=calibration.notes,
     )
 
 
@@ -96,6 +104,7 @@ def _factors(calibration: Calibration) -> Floats:
 
 def _parameters(calibration: Calibration) -> tuple[ParameterEntry, ...]:
     several = len(calibration.instruments) > 1
+    instruments: list[dict[str, Any]] = [{"instrument": i} if several else {} for i in calibration.instruments]
     return tuple(
         ParameterEntry(
             name=parameter.name,
@@ -103,11 +112,41 @@ def _parameters(calibration: Calibration) -> tuple[ParameterEntry, ...]:
             sigma=float(calibration.sigma[i, k] / parameter.factor),
             unit=parameter.unit,
             prior_sigma=float(calibration.prior_sigma[i, k] / parameter.factor),
-            **({"instrument": instrument} if several else {}),
+            held=bool(calibration.held[i, k]),
+            **_applied(calibration, i, k),
+            **named_instrument,
         )
-        for i, instrument in enumerate(calibration.instruments)
+        for i, named_instrument in enumerate(instruments)
         for k, parameter in enumerate(calibration.construction.parameters)
     )
+
+
+def _applied(calibration: Calibration, instrument: int, parameter: int) -> dict[str, Any]:
+    """The applied value in the parameter's unit where it is not the estimate."""
+    value, applied = calibration.values[instrument, parameter], calibration.applied[instrument, parameter]
+    factor = calibration.construction.parameters[parameter].factor
+    return {} if abs(applied - value) <= SAME * abs(value) else {"applied": float(applied / factor)}
+
+
+def _correction(correction: Correction | None) -> CorrectionEntry | None:
+    if correction is None:
+        return None
+    return CorrectionEntry(
+        prior_scale=correction.prior_scale,
+        plausible_scale=correction.plausible_scale,
+        uncorrected_um=correction.uncorrected / MICROMETRE,
+        corrected_um=correction.corrected / MICROMETRE,
+        left_out=correction.left_out,
+        sentences=correction.sentences,
+    )
+
+
+def _read_correction(entry: CorrectionEntry | None, applied: Floats) -> Correction | None:
+    if entry is None:
+        return None
+    before, after = entry.uncorrected_um * MICROMETRE, entry.corrected_um * MICROMETRE
+    scale = entry.prior_scale, entry.plausible_scale
+    return Correction(applied, *scale, before, after, entry.left_out, entry.sentences)
 
 
 def _harmonic(harmonic: Harmonic) -> HarmonicEntry:
@@ -183,11 +222,12 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _calibration(content: CalibrationFile, file: Path) -> Calibration:
-    built = _construction(content.construction, file)
+    built = _construction(content, file)
     instruments = tuple(dict.fromkeys(row.instrument for row in content.parameters)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
     prior = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
     values, sigma, factor = np.zeros(len(place)), prior.copy(), np.ones(len(place))
+    held, applied = np.zeros(len(place), dtype=bool), np.zeros(len(place))
     at = [_place(row, place, built, number, file) for number, row in enumerate(content.parameters, start=1)]
     for number, (k, row) in enumerate(zip(at, content.parameters, strict=True), start=1):
         if at.index(k) != number - 1:
@@ -196,6 +236,8 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         values[k] = row.value * factor[k]
         prior[k] = prior[k] if row.prior_sigma is None else row.prior_sigma * factor[k]
         sigma[k] = prior[k] if row.sigma is None else row.sigma * factor[k]
+        held[k] = row.held
+        applied[k] = values[k] if row.applied is None else row.applied * factor[k]
     covariance = np.diag(sigma**2)
     if content.covariance:
         covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor[at], factor[at])
@@ -207,6 +249,9 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         values=values.reshape(shape),
         prior_sigma=prior.reshape(shape),
         covariance=covariance,
+        held=held.reshape(shape),
+        informed=content.informed,
+        correction=_read_correction(content.correction, applied.reshape(shape)),
         fit=Fit(**content.fit.model_dump()),
         undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),
         frame=content.frame,
@@ -239,9 +284,9 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
     return (f"{file}: {which} not in the file and taken as zero: {named(names)}",)
 
 
-def _construction(name: str, file: Path) -> Construction:
+def _construction(content: CalibrationFile, file: Path) -> Construction:
     try:
-        return construction(name)
+        return with_parameters(content.construction, [row.name for row in content.parameters])
     except ModelError as problem:
         raise RecordError(str(problem), file=file) from None
 

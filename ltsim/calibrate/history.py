@@ -132,7 +132,11 @@ class History(Shown):
             raise RecordError("the calibrations hold different parameters, expected one construction for all")
         if not named[0][1].construction.size:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
-        chosen = tuple(one_instrument(calibration, instrument, label) for label, calibration in named)
+        for label, calibration in named:
+            if calibration.informed:
+                message = "was calibrated with earlier calibrations as its prior (--prior)"
+                raise RecordError(f"{label} {message}; expected calibrations that know nothing of each other")
+        chosen = _estimated([one_instrument(calibration, instrument, label) for label, calibration in named])
         for (label, _), calibration in zip(named, chosen, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
             if len(unsure):
@@ -282,6 +286,7 @@ class History(Shown):
             values=(values * unit)[None],
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=known.spread[None],
+            correction=None,
         )
 
 
@@ -306,6 +311,36 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
         values=calibration.values[i : i + 1],
         prior_sigma=calibration.prior_sigma[i : i + 1],
         covariance=calibration.covariance[at, at],
+        held=calibration.held[i : i + 1],
+        correction=None,
+    )
+
+
+def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
+    """Calibrations (of one instrument) with the parameters that none of them held.
+
+    Raises
+    ------
+    RecordError
+        When there is none.
+    """
+    held = np.any([c.held[0] for c in calibrations], axis=0)
+    if not held.any():
+        return tuple(calibrations)
+    if held.all():
+        raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
+    keep = np.flatnonzero(~held)
+    return tuple(
+        replace(
+            c,
+            construction=c.construction.only(keep),
+            values=c.values[:, keep],
+            prior_sigma=c.prior_sigma[:, keep],
+            covariance=c.covariance[np.ix_(keep, keep)],
+            held=c.held[:, keep],
+            correction=None,
+        )
+        for c in calibrations
     )
 
 

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.adjust.doubt import require_result
+from ltsim.adjust.prior import ParameterPrior
 from ltsim.calibrate.calibration import Calibration
+from ltsim.calibrate.choice import Choice
+from ltsim.calibrate.conflict import disagreement
 from ltsim.calibrate.result import (
     criteria_of,
     directions_of,
@@ -20,6 +27,7 @@ from ltsim.calibrate.result import (
     undetermined_of,
     verdict_of,
 )
+from ltsim.calibrate.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
@@ -35,6 +43,8 @@ def calibrate_network(
     robust: bool = False,
     noise_from_data: bool = False,
     datum: Sequence[str] | None = None,
+    choice: Choice | None = None,
+    weigh: bool = True,
 ) -> Calibration:
     """Estimate the parameters of an instrument from a network, with everything else that is unknown.
 
@@ -51,6 +61,10 @@ def calibrate_network(
         Estimate the noise of each observable of each instrument, and of the levels, from the residuals.
     datum : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up chose.
+    choice : Choice, optional
+        Which parameters to estimate and from what prior; default all, from what the set-up states.
+    weigh : bool
+        Find out what of the estimates is worth applying (`calibrate.worth`), unless the choice brings a prior.
 
     Raises
     ------
@@ -58,13 +72,23 @@ def calibrate_network(
         When stations share too few targets, most pointings or the known points contradict the rest, or control points
         leave nothing to a datum that was asked for.
     ModelError
-        When the datum names a target that does not exist, or too few.
+        When the datum names a target that does not exist, or too few, or the choice a parameter.
+    SetupError
+        When the set-up states a prior of a parameter that does not exist.
+    RecordError
+        When the choice's prior belongs to other instruments or another construction.
     ConvergenceError
         When the adjustment does not converge.
     """
     built = construction or stated_construction(recording)
-    found = _adjusted(recording, built, robust, noise_from_data, datum)
-    return _calibration(recording, found, "network", advise=advise, robust=robust)
+    chosen = choice or Choice()
+    found = _adjusted(recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
+    calibration = _calibration(recording, found, "network", advise=advise, robust=robust)
+    informed = chosen.prior is not None
+    if weigh and not informed:
+        calibration = replace(calibration, correction=correction_of(found, calibration.names))
+        calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
+    return replace(calibration, notes=(*calibration.notes, *disagreement(calibration)), informed=informed)
 
 
 def adjust_network(
@@ -80,11 +104,17 @@ def adjust_network(
 
 
 def _adjusted(
-    recording: Recording, construction: Construction, robust: bool, noise_from_data: bool, datum: Sequence[str] | None
+    recording: Recording,
+    construction: Construction,
+    robust: bool,
+    noise_from_data: bool,
+    datum: Sequence[str] | None,
+    prior: ParameterPrior | None = None,
 ) -> Adjustment:
     grouping: Grouping | None = "instrument" if noise_from_data else None
     modes = [RangeMode()] if construction.size and MODE_COLUMN in recording.circumstances else []
-    found = adjust(recording, construction, effects=modes, robust=robust, variance_components=grouping, datum=datum)
+    how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
+    found = adjust(recording, construction, effects=modes, **how)
     found.solution.require_success()
     require_result(found)
     if datum and not found.problem.free.shape[1]:
@@ -95,7 +125,9 @@ def _adjusted(
 def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
     at = adjustment.problem.layout.instrument.ravel()
-    covariance = adjustment.kept_covariance[at[:, None], at]
+    held = adjustment.problem.prior.held
+    free = ~held.ravel()
+    covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)
     prior = adjustment.problem.prior_sigma
     values = adjustment.state.instrument
     return Calibration(
@@ -105,6 +137,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         values=values,
         prior_sigma=prior,
         covariance=covariance,
+        held=held,
         fit=fit_of(adjustment),
         undetermined=undetermined_of(adjustment, construction, directions_of(covariance, prior), advise=advise),
         frame=frame_of(adjustment),

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.problem import prior_sigmas
+from ltsim.adjust.prior import prior_sigmas
 from ltsim.arrays import Floats, Ints
 from ltsim.calibrate.distance_solver import Estimate
 from ltsim.model.construction import Construction

@@ -70,6 +70,10 @@ class ParameterEntry(Entry):
     """Of value and sigmas."""
     prior_sigma: Positive | None = None
     """What was known before, one standard deviation."""
+    held: bool = False
+    """Not estimated: held at this value."""
+    applied: Known = None
+    """What to take out of readings, where that is not the value."""
     instrument: str = ""
     """Where there are several."""
 
@@ -172,6 +176,23 @@ class VerdictEntry(Entry):
     """Whether to scale standard deviations by sigma0."""
 
 
+class CorrectionEntry(Entry):
+    """What of the estimates is applied, and what is expected of it."""
+
+    prior_scale: Positive
+    """Most likely size of the parameters, in prior sigmas."""
+    plausible_scale: tuple[Positive, Positive]
+    """The same from and to, each with 95 %."""
+    uncorrected_um: NotNegative
+    """Expected error (rms) of a new point as it is read."""
+    corrected_um: NotNegative
+    """The same after the correction."""
+    left_out: tuple[str, ...] = ()
+    """Parameters that are not applied: targets that were held out are predicted better without them."""
+    sentences: tuple[str, ...] = ()
+    """The same for a person."""
+
+
 class CalibrationFile(ResultFile):
     """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
 
@@ -210,6 +231,12 @@ class CalibrationFile(ResultFile):
     """Which test to trust."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
+    correction: CorrectionEntry | None = None
+    """What of the estimates is worth applying; null where that was not asked."""
+    informed: bool = False
+    """Earlier calibrations were the prior."""
+    notes: tuple[str, ...] = ()
+    """What a reader should know of how this came about."""
 
     @model_validator(mode="after")
     def _covariance_is_square(self) -> Self:

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjust.problem import prior_sigmas
+from ltsim.adjust.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibrate.distance import METHODS
 from ltsim.calibrate.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances

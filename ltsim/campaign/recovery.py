@@ -224,7 +224,7 @@ def run_trial(
 def calibrated(recording: Recording, method: str, construction: Construction) -> Calibration:
     """Calibrate by one of the methods."""
     if method == "network":
-        return calibrate_network(recording, construction, advise=False)
+        return calibrate_network(recording, construction, advise=False, weigh=False)
     return calibrate_distance(recording, construction, method=method, advise=False)
 
 

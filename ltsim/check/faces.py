@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from ltsim.adjust.problem import prior_sigmas
+from ltsim.adjust.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats
 from ltsim.evaluate.two_face import TwoFace, face_pairs, two_face
 from ltsim.model.construction import Construction

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special, stats
 
-from ltsim.adjust.problem import prior_sigmas
+from ltsim.adjust.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import from_polar, wrap
 from ltsim.model.construction import Construction

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -60,6 +61,34 @@ ConstructionOption = Annotated[
         "default: what the set-up states."
     ),
 ]
+ParameterList = Annotated[
+    str | None,
+    typer.Option(
+        "--parameters",
+        metavar="NAME,...",
+        help="Estimate these alone, hold the others at zero; a beginning stands for several (azimuth-eccentricity), "
+        "NAME@INSTRUMENT for those of one instrument.",
+    ),
+]
+WithoutList = Annotated[
+    str | None, typer.Option("--without", metavar="NAME,...", help="Parameters not to estimate: they are held at zero.")
+]
+HoldList = Annotated[
+    list[str] | None,
+    typer.Option("--hold", metavar="NAME=VALUE", help="A parameter to hold at a value, in its unit; can be repeated."),
+]
+PriorFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--prior", metavar="FILE", help="What was known before, in place of the set-up: a calibration or a history."
+    ),
+]
+Harmonics = Annotated[
+    int | None, typer.Option("--harmonics", metavar="N", help="Order of a D-H chain's joint errors, 0 to 4; default 2.")
+]
+Degree = Annotated[
+    int | None, typer.Option("--degree", metavar="N", help="Degree of a D-H chain's range errors, 0 to 9; default 2.")
+]
 
 
 def calibrate(
@@ -69,6 +98,12 @@ def calibrate(
     robust: Robust = False,
     noise_from_data: NoiseFromData = False,
     datum: Datum = None,
+    parameters: ParameterList = None,
+    without: WithoutList = None,
+    hold: HoldList = None,
+    prior: PriorFile = None,
+    harmonics: Harmonics = None,
+    degree: Degree = None,
     out: Out = None,
     points: PointsFile = None,
     format_name: FormatName = None,
@@ -87,8 +122,11 @@ def calibrate(
     """
     terminal = Terminal(quiet, as_json)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": names_of(datum)}
-    if method is not Method.NETWORK and any(options.values()):
-        raise SetupError(f"--robust, --noise-from-data and --datum go with --method network, not {method.value}")
+    if method is not Method.NETWORK and any([*options.values(), prior]):
+        message = "--robust, --noise-from-data, --datum and --prior go with --method network"
+        raise SetupError(f"{message}, not {method.value}")
+    options |= {"parameters": names_of(parameters), "without": names_of(without) or (), "hold": held_values(hold)}
+    options |= {"prior": prior, "harmonics": harmonics, "degree": degree}
     claim_results(out, points, adjusted=False, force=force)
     recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)
@@ -97,6 +135,21 @@ def calibrate(
     with terminal.busy("calibrating"):
         found = lt.calibrate(recording, method=method.value, construction=built, **options)
     finish(terminal, found, out, points)
+
+
+def held_values(pairs: list[str] | None) -> dict[str, float]:
+    """Values by name from `NAME=VALUE` texts; raises SetupError."""
+    held: dict[str, float] = {}
+    for pair in pairs or []:
+        name, _, text = pair.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not name.strip() or not math.isfinite(value):
+            raise SetupError(f"--hold {pair}: expected NAME=VALUE with a number, e.g. beam-tilt=2.5")
+        held[name.strip()] = value
+    return held
 
 
 def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, force: bool) -> None:

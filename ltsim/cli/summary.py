@@ -53,6 +53,8 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     if calibration.names:
         terminal.say()
         terminal.say(parameter_table(calibration))
+    if calibration.correction is not None:
+        terminal.say("\n".join([calibration.correction.line, *calibration.correction.sentences]))
     if calibration.undetermined:
         terminal.say()
         show_undetermined(terminal, calibration)
@@ -128,8 +130,24 @@ def parameter_table(calibration: Calibration) -> str:
         prior = f"{calibration.prior_sigma.ravel()[i] / factor:.3g}"
         rows.append([calibration.names[i], value, sigma, prior, parameters[i].unit])
     text = table(["parameter", "value", "sigma", "prior", "unit"], rows)
-    silent = len(calibration.names) - len(shown)
-    return text + (f"\n({silent} more parameters keep their prior)" if silent else "")
+    held = [i for i, is_held in enumerate(calibration.held.ravel().tolist()) if is_held]
+    silent = len(calibration.names) - len(shown) - len(held)
+    if silent:
+        text += f"\n({silent} more parameters keep their prior)"
+    return text + held_line(calibration, held)
+
+
+def held_line(calibration: Calibration, held: list[int]) -> str:
+    """Which parameters were held and where, those at zero counted if they are many."""
+    if not held:
+        return ""
+    parameters = calibration.construction.parameters * len(calibration.instruments)
+    values = {i: float(calibration.values.ravel()[i]) / parameters[i].factor for i in held}
+    some = [f"{calibration.names[i]} = {value:g} {parameters[i].unit}" for i, value in values.items() if value]
+    zero = [calibration.names[i] for i, value in values.items() if not value]
+    if zero:
+        some.append(f"{', '.join(zero) if len(zero) <= MOST_SHOWN else f'{len(zero)} parameters'} = 0")
+    return f"\nheld, not estimated: {'; '.join(some)}"
 
 
 def _informed(calibration: Calibration, i: int) -> bool:

@@ -51,6 +51,8 @@ class Parameter:
 
     def sigma_from(self, prior: Prior) -> float:
         """Prior standard deviation [SI] under a maker's guarantee."""
+        if self.name in prior.parameters:
+            return prior.parameters[self.name] * self.factor
         if self.prior_kind is None:
             return self.prior_sigma
         return {

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Parameter, SlotEffect, Term, one
-from ltsim.errors import NetworkError, unknown_name
+from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
 from ltsim.kinematics.chain import Chain, Motion, point, point_and_derivatives
 from ltsim.kinematics.dh import DH
@@ -58,6 +58,12 @@ class Construction:
         if name not in self.names:
             raise unknown_name("instrument parameter", name, self.names)
         return self.names.index(name)
+
+    def only(self, places: Iterable[int]) -> Construction:
+        """The same chain with some of the parameters."""
+        kept = [int(k) for k in places]
+        parameters, terms = tuple(self.parameters[k] for k in kept), tuple(self.terms[k] for k in kept)
+        return Construction(self.name, self.chain, parameters, terms)
 
     @cached_property
     def _moving(self) -> tuple[Motion, Motion, Motion]:
@@ -260,6 +266,44 @@ def construction(name: str) -> Construction:
     if name not in known:
         raise unknown_name("construction", name, known)
     return known[name]()
+
+
+HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
+
+
+def built_construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
+    """Give a construction by its name, a D-H chain with other orders than 2 where they are given.
+
+    Raises
+    ------
+    ModelError
+        When there is no such construction, it has no orders to choose, or an order is out of bounds.
+    """
+    if harmonics is None and degree is None:
+        return construction(name)
+    if name != "dh":
+        raise ModelError(f"harmonics and degree belong to the construction dh, not to {name}")
+    for what, order, highest in (("harmonics", harmonics, HIGHEST_ORDER), ("degree", degree, HIGHEST_DEGREE)):
+        if order is not None and not 0 <= order <= highest:
+            raise ModelError(f"{what} is {order}, expected 0 to {highest}")
+    return dh(2 if harmonics is None else harmonics, 2 if degree is None else degree)
+
+
+def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
+    """Give a construction by its name, a D-H chain of the orders that the names of its `parameters` need."""
+    if name != "dh":
+        return construction(name)
+    ends = [p.rpartition("_") for p in parameters]
+    orders = [(SUFFIX.index(end) + 1) // 2 for front, _, end in ends if not front.startswith("T.") and end in SUFFIX]
+    powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
+    return dh(max(orders, default=2), min(max(powers, default=2), HIGHEST_DEGREE))
+
+
+@cache
+def every_parameter_name() -> frozenset[str]:
+    """Names of the parameters of all constructions, of the D-H chain to its highest orders."""
+    built = misalignment(), steering_mirror(), dh(HIGHEST_ORDER, HIGHEST_DEGREE)
+    return frozenset(name for one_of in built for name in one_of.names)
 
 
 def stated_construction(recording: Recording) -> Construction:

@@ -69,6 +69,8 @@ class Prior(Section):
     """Of every angular misalignment and every encoder term."""
     offset_mm: Positive = 0.020
     """Of every offset of an axis or the beam."""
+    parameters: dict[str, Positive] = Field(default_factory=dict)
+    """Of single parameters by name, each in the parameter's unit; they take the place of the kinds above."""
 
 
 class Limits(Section):

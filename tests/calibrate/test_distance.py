@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from ltsim.adjust.problem import prior_sigmas
+from ltsim.adjust.prior import prior_sigmas
 from ltsim.calibrate import calibrate_distance, calibrate_network
 from ltsim.calibrate.distance_solver import mean_rows, pair_rows, solve_distances
 from ltsim.calibrate.objective import DistanceProblem

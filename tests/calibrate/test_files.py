@@ -149,7 +149,7 @@ def test_corrected_readings_are_those_of_an_ideal_tracker(make, drawn) -> None:
     truth = drawn(misalignment(), 3, 1)
     recording = make(truth, faces=(1, 2), noise=0.0)
     found = calibrate_network(recording, advise=False)
-    exact = type(found)(**{**vars(found), "values": truth[None]})
+    exact = type(found)(**{**vars(found), "values": truth[None], "correction": None})
     corrected = correct(recording, exact)
     ideal = make(np.zeros(16), faces=(1, 2), noise=0.0)
     assert np.abs(corrected.readings - ideal.readings).max() < 1e-12

@@ -1,0 +1,71 @@
+"""What is known of the instrument parameters before the readings: a normal prior, or a value that is held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """A normal prior of the parameters of each instrument; instruments are independent of each other.
+
+    Attributes
+    ----------
+    mean : (I, p) float [SI]
+    covariance : (I, p, p) float [SI]
+    held : (I, p) bool
+        Parameters that stay at their mean whatever the readings say.
+    """
+
+    mean: Floats
+    covariance: Floats
+    held: Bools
+
+    @classmethod
+    def independent(cls, sigma: Floats) -> ParameterPrior:
+        """Independent priors around zero with standard deviations (I, p) [SI]; infinite for none."""
+        covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
+        return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations (I, p) [SI]."""
+        deviation: Floats = np.sqrt(np.einsum("ipp->ip", self.covariance))
+        return deviation
+
+    @cached_property
+    def correlated(self) -> bool:
+        """Whether any two parameters are."""
+        return bool(np.any(self.covariance[:, ~np.eye(self.mean.shape[1], dtype=bool)]))
+
+    @cached_property
+    def roots(self) -> Floats:
+        """Matrices (I, p, p) that make the parameters' deviations from their mean standard normal."""
+        sigma = self.sigma
+        correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
+        lower = np.linalg.cholesky(correlation)
+        roots: Floats = np.linalg.inv(lower) / sigma[:, None, :]
+        return roots
+
+    def residual(self, values: Floats) -> Floats:
+        """Whitened rows (m,) of values (I, p): one a parameter with a prior."""
+        gap = self.mean - values
+        if self.correlated:
+            return np.einsum("iqp,ip->iq", self.roots, gap).ravel()
+        finite = np.isfinite(self.sigma)
+        return gap[finite] / self.sigma[finite]
+
+
+def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
+    """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
+    setup = recording.setup
+    chosen = [setup.instruments.get(name, setup.instrument).prior for name in recording.instruments]
+    rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
+    return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
