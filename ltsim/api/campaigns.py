@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ltsim.campaign.statistics import Results
 
 
-
 def campaign(
     source: str | Path | Mapping[str, Any],
     *,
