@@ -204,15 +204,21 @@ def make_plan(
 
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
     """Refuse a grid of set-ups that no memory holds."""
-    corners = np.array(file.floor.corners_mm or [(0.0, 0.0), scenario.workshop.size_mm[:2]])
-    rows = 1.0 + np.ptp(corners, axis=0) / file.search.grid_mm
-    count = float(np.prod(rows)) * file.search.yaws * file.search.heights
+    outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or _corners(scenario)]
+    sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
+    rows = 1.0 + sizes / file.search.grid_mm
+    count = float(np.prod(rows, axis=1).sum()) * file.search.yaws * file.search.heights
     if count > MOST_SETUPS:
         raise SetupError(
-            f"search: a grid of {file.search.grid_mm:g} mm over {np.ptp(corners, axis=0)[0]:g} x "
-            f"{np.ptp(corners, axis=0)[1]:g} mm has {count:.2g} set-ups, the most is {MOST_SETUPS}; "
+            f"search: a grid of {file.search.grid_mm:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has "
+            f"{count:.2g} set-ups, the most is {MOST_SETUPS}; "
             "give a larger grid_mm or a smaller floor"
         )
+
+
+def _corners(scenario: Scenario) -> tuple[tuple[float, float], ...]:
+    wide, deep, _ = scenario.workshop.size_mm
+    return (0.0, 0.0), (wide, deep)
 
 
 def _starts(file: PlanFile, n: int, f: int, count: int, faces: int) -> int:
@@ -353,7 +359,9 @@ def sight_table(site: Site, survey: Survey) -> Visibility:
 
 
 def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Construction, way: Survey) -> Evaluated | None:
-    """The scenario's own layout, worked in the same way."""
+    """The scenario's own layout, worked in the same way; none in a hall that the plan itself describes."""
+    if file.workshop is not None:
+        return None
     own = survey_of(scenario).replace(
         faces=way.faces,
         repeats=way.repeats,

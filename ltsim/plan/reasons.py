@@ -46,6 +46,8 @@ def _headline(plan: Plan) -> list[str]:
 
 def _against_reference(plan: Plan) -> list[str]:
     reference, chosen = plan.reference, plan.chosen
+    if plan.file.workshop is not None:
+        return []
     if reference is None:
         return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
     sentences = []
