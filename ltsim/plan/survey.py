@@ -148,6 +148,17 @@ class Survey:
             readings=np.full((len(station), 3), np.nan),
         )
 
+    def without(self, station: int) -> Survey:
+        """The survey without one station."""
+        keep = np.arange(len(self.position)) != station
+        return self.replace(
+            station_names=tuple(n for n, k in zip(self.station_names, keep, strict=True) if k),
+            position=self.position[keep],
+            yaw=self.yaw[keep],
+            seen=self.seen[keep],
+            rank=None if self.rank is None else self.rank[keep],
+        )
+
     def replace(self, **changes: Any) -> Survey:
         """A copy with some fields changed."""
         return replace(self, **changes)

@@ -17,6 +17,7 @@ from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile, Surface
 from ltsim.plan.survey import Survey
+from ltsim.plan.tolerances import importance
 from ltsim.recording.recording import Recording
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import Placing
@@ -88,6 +89,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         survey=with_stations(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
+            importance=importance(plan),
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move
             if plan.budget.minutes_per_move is None

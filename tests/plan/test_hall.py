@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.errors import SetupError
+from ltsim.plan.files import plan_file
 from ltsim.plan.floor import Floor, ground_of
 from ltsim.plan.outlines import fault, inside
 from ltsim.plan.points import read_points
 from ltsim.plan.site import may_stand
 from ltsim.plan.spec import load_plan
+from ltsim.plan.tolerances import radius
 from ltsim.scene.meshes import cylinder, read_mesh, together
 from ltsim.scene.visibility import visibility
 from ltsim.simulate.workshop import planned, sight_limits
@@ -165,3 +168,42 @@ def test_a_cylinder_hides_what_its_diameter_covers() -> None:
 def test_exact_cad_is_refused_with_what_would_be_right(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="export it from the CAD system as STL, OBJ or GLB"):
         read_mesh(tmp_path / "machine.step", "mm")
+
+
+def test_a_radius_holds_the_stated_share_of_errors() -> None:
+    rng = np.random.default_rng(4)
+    shapes = [np.diag([1.0, 0, 0]), np.eye(3), np.diag([4.0, 1.0, 0.25]), [[2.0, 0.9, 0], [0.9, 1, 0], [0, 0, 0.1]]]
+    covariance = np.array(shapes)
+    limit = radius(covariance, 0.95)
+    assert limit[:2] == pytest.approx([1.95996, 2.79548], rel=1e-5)
+    for one, most in zip(covariance, limit, strict=True):
+        errors = rng.multivariate_normal(np.zeros(3), one, 200_000, method="eigh")
+        assert np.mean(np.linalg.norm(errors, axis=1) < most) == pytest.approx(0.95, abs=0.003)
+
+
+def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) -> None:
+    goal = '[goal]\nrobust = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.03\n[search]'
+    counts = {}
+    for robust in ("no", "station"):
+        hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
+        made = lt.plan(hall)
+        assert made.kept is not None
+        assert made.kept.good
+        counts[robust] = len(made.chosen.survey.position)
+        content = plan_file(made)
+        assert content.tolerances_kept
+        assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
+        stations = [loss for loss in content.losses if loss.lost in made.chosen.survey.station_names]
+        assert len(stations) == counts[robust]
+        assert all(loss.kept for loss in stations) == (robust == "station")
+        assert any(f"{counts[robust]} stations are the fewest found" in sentence for sentence in content.reasons)
+    assert counts["no"] < counts["station"]
+
+
+def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: Path) -> None:
+    goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmost = 2\n[budget]\nrepeats = [1]\n[search]"
+    hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
+    made = lt.plan(hall)
+    assert made.kept is not None
+    assert not made.kept.good
+    assert "Not all tolerances can be kept at 95 %" in plan_file(made).reasons[0]
