@@ -159,7 +159,8 @@ def pictures_of(made: Plan) -> dict[str, bytes]:
         value = next(iter(made.reference.qualities.values()))
         if len(made.reference.qualities) == 1:
             layouts.append(Layout("the scenario's own", own.seconds / 60, value, "reference"))
-    figures = floor_plan(from_scenario(planned_scenario(made)), coordinates=True), trade_off(layouts)
+    drawn = floor_plan(from_scenario(planned_scenario(made)), coordinates=True, ground=made.file.floor)
+    figures = drawn, trade_off(layouts)
     found = {}
     for name, figure in zip(PICTURES, figures, strict=True):
         buffer = BytesIO()

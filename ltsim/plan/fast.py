@@ -113,6 +113,7 @@ class Reducer:
         rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
         other = rows[: rows.shape[0] - self._rank_free].toarray()
         self._other_blocks(other, problem.layout.target, problem.layout.pose, problem.layout.instrument[0])
+        self._weight = survey.weight
         self._motion = rigid_motion(survey.points) @ self._free
 
     def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, instrument: Ints) -> None:
@@ -308,7 +309,7 @@ class Reducer:
         return rows / DATUM_SIGMA[: rows.shape[1], None] * POSE_SCALE
 
     def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
-        """Point error (B,) [m] with inner constraints: trace of the targets' covariance less its rigid part.
+        """Point error (B,) [m] with inner constraints, root mean square, weighted as the survey says.
 
         Effects are not estimated here, only the instrument's parameters.
 
@@ -328,18 +329,23 @@ class Reducer:
         first = size - len(self.prior_sigma) - 3 * gauge
         for g in range(gauge):
             carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
-        flat = carry.reshape(layouts, 3 * (count + gauge), size)
-        total = np.einsum("beii->b", inverse) + np.einsum("bik,bki->b", flat @ covariance, np.swapaxes(flat, 1, 2))
-        if self._rank_free:
-            at = np.atleast_2d(mesh)
-            at = np.concatenate([at, np.broadcast_to(self._gauge, (len(at), gauge))], axis=1)
-            motion = self._motion.reshape(-1, 3, self._rank_free)[at]
-            rows = motion.reshape(len(at), -1, self._rank_free)
-            held = np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows)
-            moved = np.swapaxes(flat, 1, 2) @ rows
-            shared = np.swapaxes(moved, 1, 2) @ covariance @ moved
-            spread = inverse @ motion[:, :count]
-            shared += np.einsum("btif,btig->bfg", np.broadcast_to(motion[:, :count], spread.shape), spread)
-            total = total - np.einsum("bfg,bgf->b", np.broadcast_to(held, shared.shape), shared)
-        rms: Floats = POSE_SCALE * np.sqrt(total / (count + gauge))
+        at = np.atleast_2d(mesh)
+        at = np.concatenate([at, np.broadcast_to(self._gauge, (len(at), gauge))], axis=1)
+        motion = np.broadcast_to(
+            self._motion.reshape(-1, 3, self._rank_free)[at], (layouts, count + gauge, 3, self._rank_free)
+        )
+        # Inner constraints: what is left of each target's errors without the rigid motion of all of them.
+        axes = 3 * (count + gauge)
+        rows = motion.reshape(layouts, axes, self._rank_free)
+        held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)
+        flat = carry.reshape(layouts, axes, size)
+        left = flat - rows @ (held @ flat)
+        part = held.reshape(layouts, self._rank_free, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
+        moved = np.einsum("beij,befj->beif", inverse, part)
+        common = np.einsum("befi,beig->bfg", part, moved)
+        own = ((left @ covariance) * left).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
+        own += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
+        own[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum("beif,beif->be", motion[:, :count], moved)
+        weight = np.broadcast_to(self._weight[at], own.shape)
+        rms: Floats = POSE_SCALE * np.sqrt(np.sum(weight * own, axis=1) / weight.sum(axis=1))
         return rms

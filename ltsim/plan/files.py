@@ -45,11 +45,17 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "frame": "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, "
         "counter-clockwise from x",
         **_evaluated_json(chosen),
+        "reflectors": _reflectors(chosen, plan),
         "reference": None if plan.reference is None else _evaluated_json(plan.reference),
         "fewest_stations": None if few is None else _option_json(few),
         "tradeoff": [_option_json(option) for option in plan.options],
         "reflector_changes": [_change(change) for change in plan.changes.told],
         "starts": [_number(value) for value in plan.spread],
+        "tolerances_kept": None if plan.kept is None else plan.kept.good,
+        "losses": [
+            {"lost": k.lost, "kept": k.good, "ratio": _number(k.ratio), "worst": k.worst, "unseen": k.unseen}
+            for k in plan.losses
+        ],
         "settings": plan.file.model_dump(mode="json"),
         "seed": plan.file.search.seed,
     }
@@ -128,7 +134,7 @@ def _stations(layout: Evaluated) -> list[dict[str, Any]]:
     return rows
 
 
-def _reflectors(layout: Evaluated) -> list[dict[str, Any]]:
+def _reflectors(layout: Evaluated, plan: Plan | None = None) -> list[dict[str, Any]]:
     rows = []
     for t, name in enumerate(layout.survey.target_names):
         place = [round(float(v) / MILLIMETRE, 1) for v in layout.survey.points[t]]
@@ -141,6 +147,9 @@ def _reflectors(layout: Evaluated) -> list[dict[str, Any]]:
                 "stations_seeing": int(layout.survey.seen[:, t].sum()),
             }
         )
+        if plan is not None and plan.kept is not None and name in plan.kept.radius:
+            rows[-1]["within_mm"] = round(plan.kept.radius[name] / MILLIMETRE, 5)
+            rows[-1]["tolerance_mm"] = plan.demands.tolerance[name] / MILLIMETRE
     return rows
 
 

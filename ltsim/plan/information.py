@@ -124,8 +124,8 @@ class LayoutInformation:
 
     @property
     def target_rms(self) -> float:
-        """[m] root mean square point error over all targets."""
-        return float(np.sqrt(np.mean(self.target_sigma**2)))
+        """[m] root mean square point error over all targets, weighted as the survey says."""
+        return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
 
     def parameters(self) -> list[dict[str, object]]:
         """One row a parameter, in the unit a person reads it in."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,24 +16,23 @@ from ltsim.plan.fast import Reducer
 from ltsim.plan.improvement import Expected, Predictor
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import Objective
-from ltsim.plan.reflectors import choose_reflectors
-from ltsim.plan.search import Layout, Searcher
 from ltsim.plan.sights import with_reachable_sights
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile
+from ltsim.plan.starts import Layouts, gathered, search_one
 from ltsim.plan.survey import Survey
-from ltsim.plan.workshop import fixed_of, objective_of, site_of, staying, survey_of
+from ltsim.plan.tolerances import Demands, Kept, after_losses, holds, judged
+from ltsim.plan.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulate.physics import planned_construction
 from ltsim.simulate.scenario import Scenario
 from ltsim.units import MILLIMETRE
-from ltsim.workers import parallel
 
 MOST_SETUPS = 200_000
 """Set-ups of a grid that one search holds in memory."""
-ROUNDS = 2
-"""Times stations and reflectors are chosen in turn."""
+FEWEST = 2
+"""Stations of a network."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +102,12 @@ class Plan(Shown):
         The curve, cheapest first.
     changes : Changes
         Single reflectors of the chosen layout moved, added, left out.
+    demands : Demands
+        Tolerances of points.
+    kept : Kept or None
+        How the chosen layout stands to them; None without any.
+    losses : tuple of Kept
+        How it stands to them without each station, then without each sight of such a point.
     spread : tuple of float
         Values that the starts of the chosen way ended at, best first.
     """
@@ -116,6 +121,9 @@ class Plan(Shown):
     options: tuple[Option, ...]
     spread: tuple[float, ...]
     changes: Changes
+    demands: Demands
+    kept: Kept | None = None
+    losses: tuple[Kept, ...] = ()
 
     def _lines(self) -> list[str]:
         qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())
@@ -169,21 +177,12 @@ def make_plan(
     """
     _check_size(file, scenario)
     built = construction or planned_construction(scenario)
-    count = file.stations.count or len(scenario.stations)
-    faces = scenario.work.faces
-    file = with_reachable_sights(file, site_of(file, scenario, stations=count, faces=faces))
-    ways = [(n, f) for f in sorted({*file.budget.faces, faces}) for n in sorted({*file.stations.tries, count})]
-    tasks = [(n, f, start) for n, f in ways for start in range(_starts(file, n, f, count, faces))]
-    found: dict[tuple[int, int], list[tuple[float, int, Survey]]] = {}
-    for done, (n, f, start, layout) in enumerate(_searched(file, scenario, tasks, built, jobs), 1):
-        progress("searching layouts", done / len(tasks))
-        if layout is not None:
-            found.setdefault((n, f), []).append((layout[0], start, layout[1]))
-    if (count, faces) not in found:
-        # The same search again, for its sentence.
-        _search_one(file, scenario, count, faces, 0, built)
-    options = _options(file, scenario, found, built)
-    best = _chosen(file, options, count, faces, scenario.work.repeats)
+    progress("searching layouts", 0.0)
+    demands = Demands.of(file)
+    if demands and file.stations.count is None:
+        file, found, options, best = _fewest(file, scenario, demands, built, jobs, progress)
+    else:
+        found, options, best = _at_count(file := _reachable(file, scenario), scenario, built, jobs, progress)
     site = site_of(
         file, scenario, stations=len(best.survey.position), faces=len(best.survey.faces), repeats=best.survey.repeats
     )
@@ -198,76 +197,94 @@ def make_plan(
         chosen=evaluated(site, best.survey, objective, built),
         options=options,
         spread=tuple(sorted(value for value, _, _ in own)),
+        demands=demands,
+        kept=judged(best.survey, demands, built) if demands else None,
+        losses=tuple(kept for kind in ("station", "sight") for kept in after_losses(best.survey, demands, built, kind))
+        if demands
+        else (),
         changes=reflector_changes(site, best.survey, fixed_of(file, scenario, best.survey), objective, built),
     )
 
 
+def _reachable(file: PlanFile, scenario: Scenario) -> PlanFile:
+    count = file.stations.count or len(scenario.stations)
+    return with_reachable_sights(file, site_of(file, scenario, stations=count, faces=scenario.work.faces))
+
+
+def _at_count(
+    file: PlanFile, scenario: Scenario, built: Construction, jobs: int, progress: Progress
+) -> tuple[Layouts, tuple[Option, ...], Option]:
+    """Layouts, curve and choice for a stated number of stations and those of the curve."""
+    count, faces = file.stations.count or len(scenario.stations), scenario.work.faces
+    ways = [(n, f) for f in sorted({*file.budget.faces, faces}) for n in sorted({*file.stations.tries, count})]
+    tasks = [(n, f, start) for n, f in ways for start in range(_starts(file, n, f, count, faces))]
+    found = gathered(file, scenario, tasks, built, jobs, lambda share: progress("searching layouts", share))
+    if (count, faces) not in found:
+        # The same search again, for its sentence.
+        search_one(file, scenario, count, faces, 0, built)
+    options = _options(file, scenario, found, built)
+    return found, options, _chosen(file, options, count, faces, scenario.work.repeats)
+
+
+def _fewest(
+    file: PlanFile, scenario: Scenario, demands: Demands, built: Construction, jobs: int, progress: Progress
+) -> tuple[PlanFile, Layouts, tuple[Option, ...], Option]:
+    """One station more at a time until the tolerances are kept; of the ways that keep them the quickest.
+
+    Where none keeps them, the one that comes nearest.
+    """
+    if "seen_from" not in file.stations.model_fields_set:
+        least = 1 if demands.robust == "no" else 2
+        file = file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": least})})
+    faces = sorted({*file.budget.faces, scenario.work.faces})
+    first = max(FEWEST, len(file.stations.fixed), 2 if demands.robust == "no" else 3)
+    counts = range(first, max(first, file.stations.most) + 1)
+    found: Layouts = {}
+    judgements: list[tuple[float, Option]] = []
+    for k, n in enumerate(counts):
+
+        def tell(share: float, done: int = k) -> None:
+            progress("searching layouts", (done + share) / len(counts))
+
+        tasks = [(n, f, start) for f in faces for start in range(file.search.starts)]
+        made = gathered(file, scenario, tasks, built, jobs, tell)
+        found |= made
+        paid = [o for o in _options(file, scenario, made, built) if o.hours <= (file.budget.hours or np.inf)]
+        results = [(holds(option.survey, demands, built), option) for option in paid]
+        judgements += [(ratio, option) for (_, ratio), option in results]
+        good = [option for (kept, _), option in results if kept]
+        if good:
+            return file, found, _options(file, scenario, found, built), min(good, key=lambda o: o.hours)
+    if not judgements:
+        raise SetupError(
+            f"no layout of {counts[0]} to {counts[-1]} stations has every point in sight of {file.stations.seen_from}"
+            f"{' within budget.hours' if file.budget.hours else ''}; widen the floor or give more stations.most"
+        )
+    nearest = min(judgements, key=lambda one: (one[0], one[1].hours))[1]
+    return file, found, _options(file, scenario, found, built), nearest
+
+
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
     """Refuse a grid of set-ups that no memory holds."""
-    corners = np.array(file.floor.corners_mm or [(0.0, 0.0), scenario.workshop.size_mm[:2]])
-    rows = 1.0 + np.ptp(corners, axis=0) / file.search.grid_mm
-    count = float(np.prod(rows)) * file.search.yaws * file.search.heights
+    outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or _corners(scenario)]
+    sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
+    rows = 1.0 + sizes / file.search.grid_mm
+    count = float(np.prod(rows, axis=1).sum()) * file.search.yaws * file.search.heights
     if count > MOST_SETUPS:
         raise SetupError(
-            f"search: a grid of {file.search.grid_mm:g} mm over {np.ptp(corners, axis=0)[0]:g} x "
-            f"{np.ptp(corners, axis=0)[1]:g} mm has {count:.2g} set-ups, the most is {MOST_SETUPS}; "
+            f"search: a grid of {file.search.grid_mm:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has "
+            f"{count:.2g} set-ups, the most is {MOST_SETUPS}; "
             "give a larger grid_mm or a smaller floor"
         )
 
 
+def _corners(scenario: Scenario) -> tuple[tuple[float, float], ...]:
+    wide, deep, _ = scenario.workshop.size_mm
+    return (0.0, 0.0), (wide, deep)
+
+
 def _starts(file: PlanFile, n: int, f: int, count: int, faces: int) -> int:
     return file.search.starts if (n, f) == (count, faces) else file.search.starts_of_the_curve
-
-
-Found = tuple[int, int, int, tuple[float, Survey] | None]
-
-
-def _searched(
-    file: PlanFile, scenario: Scenario, tasks: Sequence[tuple[int, int, int]], built: Construction, jobs: int
-) -> Iterator[Found]:
-    """Each task's layout as it comes; None where the rules allow none."""
-    if jobs == 1:
-        yield from (_task(file, scenario, task, built) for task in tasks)
-        return
-    # A construction holds functions that cannot travel; workers build the scenario's own.
-    work = ((file, scenario, task, None) for task in tasks)
-    yield from parallel(_task, work, min(jobs, len(tasks)), ordered=False)
-
-
-def _task(file: PlanFile, scenario: Scenario, task: tuple[int, int, int], built: Construction | None) -> Found:
-    n, f, start = task
-    try:
-        return n, f, start, _search_one(file, scenario, n, f, start, built or planned_construction(scenario))
-    except SetupError:
-        return n, f, start, None
-
-
-def _search_one(
-    file: PlanFile, scenario: Scenario, stations: int, faces: int, start: int, built: Construction
-) -> tuple[float, Survey]:
-    """One start: stations, then reflectors where they are free, and stations again."""
-    site = site_of(file, scenario, stations=stations, faces=faces)
-    objective = objective_of(file, site.survey)
-    settings = file.search
-    stays = staying(file, scenario)
-
-    def searcher(where: Site) -> Searcher:
-        return Searcher(where, objective, built, settings.grid_mm * 1e-3, settings.yaws, settings.heights)
-
-    found = searcher(site).from_start(settings.seed, start)
-    survey = _moved(site, found)
-    for _ in range(0 if stays.all() else ROUNDS):
-        survey = choose_reflectors(site, survey, stays, objective, built)
-        count = int(stays.sum())
-        stays = np.arange(len(survey.points)) < count
-        site = site.replace(survey=survey, aimed=np.full(len(survey.points), bool(site.aimed.any())))
-        again = searcher(site).from_start(settings.seed, 0)
-        survey, found = _moved(site, again), again
-    return found.value, survey
-
-
-def _moved(site: Site, layout: Layout) -> Survey:
-    return site.survey.replace(position=layout.position, yaw=layout.yaw, seen=site.seen(layout.position))
 
 
 def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[float, dict[str, float]]:
@@ -285,7 +302,7 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
 def _options(
     file: PlanFile,
     scenario: Scenario,
-    found: dict[tuple[int, int], list[tuple[float, int, Survey]]],
+    found: Layouts,
     built: Construction,
 ) -> tuple[Option, ...]:
     """The best layout of every way of working, with each number of repeats; cheapest first."""
@@ -296,6 +313,8 @@ def _options(
             repeated = survey.replace(repeats=repeats)
             value, qualities = measure(repeated, objective_of(file, repeated), built)
             made.append(Option(repeated, value, qualities))
+    if not made:
+        return ()
     made.sort(key=lambda option: (option.hours, option.value))
     best = np.minimum.accumulate([option.value for option in made])
     earlier = np.r_[np.inf, best[:-1]]
@@ -353,7 +372,9 @@ def sight_table(site: Site, survey: Survey) -> Visibility:
 
 
 def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Construction, way: Survey) -> Evaluated | None:
-    """The scenario's own layout, worked in the same way."""
+    """The scenario's own layout, worked in the same way; none in a hall that the plan itself describes."""
+    if file.workshop is not None:
+        return None
     own = survey_of(scenario).replace(
         faces=way.faces,
         repeats=way.repeats,

@@ -8,7 +8,7 @@ from ltsim.errors import NetworkError
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.plan.planner import Evaluated, Option, Plan, measure
-from ltsim.plan.survey import Survey
+from ltsim.plan.tolerances import sentences
 from ltsim.plan.workshop import objective_of
 from ltsim.units import DEGREE, MICROMETRE
 
@@ -21,7 +21,7 @@ CRITERION_WORDS = {
 
 def reasons(plan: Plan) -> list[str]:
     """The sentences, the answer first."""
-    found = [*_headline(plan), *_against_reference(plan), *_what_each_station_does(plan)]
+    found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
     found += [*_yaw(plan), *_limits(plan), *_curve(plan), *plan.changes.sentences()]
     found += [*_undetermined(plan), *_search(plan)]
     return found
@@ -44,8 +44,27 @@ def _headline(plan: Plan) -> list[str]:
     return [f"{plan.chosen.survey.words}; {_quality_words(plan, plan.chosen.qualities)}."]
 
 
+def _tolerances(plan: Plan) -> list[str]:
+    if plan.kept is None:
+        return []
+    found = sentences(plan.demands, plan.kept, plan.losses)
+    if plan.file.stations.count is None and plan.kept.good:
+        counts = sorted({len(option.survey.position) for option in plan.options})
+        fewer = (
+            f"{counts[0]} to {counts[-2]} were tried before and do not"
+            if len(counts) > 2
+            else (f"{counts[0]} were tried before and do not" if len(counts) == 2 else "fewer make no network")
+        )
+        lost = {"no": "", "sight": ", with any one sight blocked too", "station": ", with any one station lost too"}
+        words = lost[plan.demands.robust]
+        found.insert(1, f"{counts[-1]} stations are the fewest found that keep them{words}: {fewer}.")
+    return found
+
+
 def _against_reference(plan: Plan) -> list[str]:
     reference, chosen = plan.reference, plan.chosen
+    if plan.file.workshop is not None:
+        return []
     if reference is None:
         return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
     sentences = []
@@ -97,24 +116,12 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
     return sentences
 
 
-def without(survey: Survey, station: int) -> Survey:
-    """The survey without one station."""
-    keep = np.arange(len(survey.position)) != station
-    return survey.replace(
-        station_names=tuple(n for n, k in zip(survey.station_names, keep, strict=True) if k),
-        position=survey.position[keep],
-        yaw=survey.yaw[keep],
-        seen=survey.seen[keep],
-        rank=None if survey.rank is None else survey.rank[keep],
-    )
-
-
 def _what_each_station_does(plan: Plan) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
     chosen = plan.chosen
     sentences = []
     for s, name in enumerate(chosen.survey.station_names):
-        left = without(chosen.survey, s)
+        left = chosen.survey.without(s)
         try:
             information = LayoutInformation.of(left, chosen.information.construction)
         except NetworkError as problem:

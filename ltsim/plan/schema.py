@@ -110,6 +110,10 @@ class ReflectorEntry(Entry):
     """Expected error of the point."""
     stations_seeing: int = 0
     """How many."""
+    within_mm: Known = None
+    """Distance that its error keeps at the goal's level; of points with a tolerance."""
+    tolerance_mm: Known = None
+    """What it may be."""
 
 
 class ParameterEntry(Entry):
@@ -245,6 +249,21 @@ class ChangeEntry(Entry):
     """Factor on that one's standard deviation."""
 
 
+class LossEntry(Entry):
+    """What remains of the tolerances when a station or a sight is lost."""
+
+    lost: str
+    """The station, or the sight, in words."""
+    kept: bool
+    """All tolerances hold."""
+    ratio: Known = None
+    """Largest error over its tolerance; null where a point has no place any more."""
+    worst: str = ""
+    """The point with that ratio."""
+    unseen: tuple[str, ...] = ()
+    """Points with a tolerance that nobody sees any more."""
+
+
 class PlanResult(ResultFile, LayoutEntry):
     """`plan.json`: from `plan`."""
 
@@ -269,6 +288,10 @@ class PlanResult(ResultFile, LayoutEntry):
     """Value that each independent search found."""
     reflector_changes: tuple[ChangeEntry, ...] = ()
     """One reflector moved, added or left out, the best first."""
+    tolerances_kept: bool | None = None
+    """All points keep their tolerances; null without any."""
+    losses: tuple[LossEntry, ...] = ()
+    """What remains of the tolerances without each station, and without each sight of such a point."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """The plan file."""
     seed: int | None = None

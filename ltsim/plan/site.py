@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.plan.outlines import EDGE, Area, KeepOut
 from ltsim.plan.survey import Survey
 from ltsim.scene.visibility import Blocker, SightLimits, visibility
 
@@ -24,12 +26,12 @@ class Site:
     ----------
     survey : Survey
         The layout to start from: targets, gauge, noise, order of work.
-    floor : (k, 2) float, [m]
-        Corners of the area where tripods may stand, in order around it.
-    heights : (float, float), [m]
-        Lowest and highest centre of the instrument.
+    areas : tuple of Area
+        Where tripods may stand: in one of them.
     limits : SightLimits
     obstacles : Blocker or None
+    keep_outs : tuple of KeepOut
+        Where none may stand, whatever the areas say.
     spacing : float, [m]
         Least distance between stations.
     play : float, [m]
@@ -47,11 +49,11 @@ class Site:
     """
 
     survey: Survey
-    floor: Floats
-    heights: tuple[float, float]
+    areas: tuple[Area, ...]
     limits: SightLimits
     aimed: Bools
     obstacles: Blocker | None = None
+    keep_outs: tuple[KeepOut, ...] = ()
     spacing: float = 1.0
     play: float = 0.0
     least: int = 1
@@ -60,18 +62,18 @@ class Site:
     place_names: tuple[str, ...] = ()
     reflector_spacing: float = 0.3
 
+    @property
+    def heights(self) -> tuple[float, float]:
+        """[m]: lowest and highest centre of the instrument in any area."""
+        return min(area.heights[0] for area in self.areas), max(area.heights[1] for area in self.areas)
+
     def replace(self, **changes: Any) -> Site:
         """A copy with some fields changed."""
         return replace(self, **changes)
 
     def allowed(self, position: Floats) -> Bools:
         """(N,): a tripod may stand there."""
-        low, high = self.heights
-        good = inside(self.floor, position[:, :2])
-        good &= (position[:, 2] > low - 1e-9) & (position[:, 2] < high + 1e-9)
-        if self.obstacles is not None and good.any():
-            good[good] = ~self.obstacles.encloses(position[good])
-        return good
+        return may_stand(self.areas, self.keep_outs, self.obstacles, position)
 
     def seen(self, position: Floats, points: Floats | None = None) -> Bools:
         """(N, T): targets in sight, also with some play; nests left aside (they are aimed later)."""
@@ -112,29 +114,34 @@ class Site:
 
     def grid(self, step: float, yaws: int, heights: int) -> tuple[Floats, Floats]:
         """Candidate set-ups on a grid: positions (N, 3) that are allowed, each with `yaws` turns; yaw (N,)."""
-        low, high = self.floor.min(axis=0), self.floor.max(axis=0)
-        count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
-        axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
-        span = self.heights[1] - self.heights[0]
-        levels = np.linspace(*self.heights, heights if span > 1e-9 else 1)
-        grid = np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)
-        grid = grid[self.allowed(grid)]
+        grid = np.concatenate([over(area, step, heights) for area in self.areas])
+        grid = np.unique(grid[self.allowed(grid)], axis=0)
         turns = np.arange(yaws) * (2 * np.pi / yaws)
         return np.repeat(grid, yaws, axis=0), np.tile(turns, len(grid))
 
 
-def inside(polygon: Floats, points: Floats) -> Bools:
-    """(N,): points (N, 2) inside a polygon (k, 2) or within a nanometre of its edge."""
-    start, end = polygon, np.roll(polygon, -1, axis=0)
-    x, y = points[:, 0, None], points[:, 1, None]
-    spans = (start[:, 1] > y) != (end[:, 1] > y)
-    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
-    left = x < start[:, 0] + (y - start[:, 1]) * (end[:, 0] - start[:, 0]) / rise
-    crossings: Bools = (spans & left).sum(axis=1) % 2 == 1
-    way = end - start
-    along = np.einsum("nki,ki->nk", points[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-30)
-    foot = start + np.clip(along, 0, 1)[:, :, None] * way
-    return crossings | (np.linalg.norm(points[:, None] - foot, axis=2) < 1e-9).any(axis=1)
+def may_stand(
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Blocker | None, position: Floats
+) -> Bools:
+    """(N,): a tripod may stand under an instrument at positions (N, 3) [m]."""
+    good = np.zeros(len(position), dtype=bool)
+    for area in areas:
+        good |= area.holds(position)
+    for place in keep_outs:
+        good &= ~place.holds(position[:, :2])
+    if obstacles is not None and good.any():
+        good[good] = ~obstacles.encloses(position[good])
+    return good
+
+
+def over(area: Area, step: float, heights: int) -> Floats:
+    """Grid (N, 3) [m] over the rectangle around an area, at its heights."""
+    low, high = area.outline.min(axis=0), area.outline.max(axis=0)
+    count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+    bottom, top = area.heights
+    levels = np.linspace(bottom, top, heights if top - bottom > EDGE else 1)
+    return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)
 
 
 def spread(count: int, whole: Ints) -> Ints:

@@ -11,32 +11,18 @@ from pydantic import Field, model_validator
 
 from ltsim.effects import CATALOGUE
 from ltsim.errors import RecordError, SetupError
+from ltsim.plan.floor import Floor
+from ltsim.plan.hall import TABLES, USUAL_HEIGHT_MM, hall_scenario, with_points
+from ltsim.plan.points import Point, read_points
 from ltsim.recording.files import shown
 from ltsim.recording.settings import checked, read_toml
-from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
+from ltsim.recording.setup import NonNegative, Positive, Section, Vector
 from ltsim.simulate.builtin import builtin_names
 from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.simulate.sections import Instrument, Smr, Work, Workshop
 
 FORMAT = "ltsim-plan/1"
-Corner = tuple[Finite, Finite]
 Few = Annotated[int, Field(ge=2, le=40)]
-
-
-class Floor(Section):
-    """Where tripods may stand; by default the whole floor but a margin along the walls."""
-
-    corners_mm: Annotated[tuple[Corner, ...], Field(min_length=3)] | None = None
-    """Corners of the floor, x and y, in order round it; the room's without it."""
-    margin_mm: NonNegative = 600.0
-    """Distance to keep from the walls, where no corners are given."""
-    height_mm: tuple[Positive, Positive] | None = None
-    """Lowest and highest centre of the head; those of the scenario's stations where it is not given."""
-
-    @model_validator(mode="after")
-    def _low_then_high(self) -> Floor:
-        if self.height_mm is not None and self.height_mm[0] > self.height_mm[1]:
-            raise ValueError("it should give the lower height_mm first")
-        return self
 
 
 class Stations(Section):
@@ -47,6 +33,8 @@ class Stations(Section):
 
     count: Few | None = None
     """How many; the scenario's number where it is not given."""
+    most: Few = 8
+    """The largest number that is tried for the goal's tolerances, where no count is given."""
     tries: tuple[Few, ...] = ()
     """Numbers of stations of the trade-off curve."""
     fixed: tuple[str, ...] = ()
@@ -113,8 +101,21 @@ class Budget(Section):
     """What the whole work may take; without it the scenario's way of working is kept."""
 
 
+class Tolerance(Section):
+    """A demand on points: all of a group within a distance, at the level of the goal."""
+
+    group: str = ""
+    """As the list of points names it; without it all points of the list."""
+    within_mm: Positive
+    """Largest distance of a point from where it truly is, in the datum of all reflectors."""
+
+
 class Goal(Section):
-    """What a layout is for: weights of its qualities (0: of no interest)."""
+    """What a layout is for: weights of its qualities (0: of no interest), and tolerances that points must keep.
+
+    With tolerances and no number of stations, the fewest stations that keep them are looked for, and the targets are
+    weighed alone unless the file says otherwise.
+    """
 
     instrument: NonNegative = 1.0
     """Weight of how well the instrument's parameters become known."""
@@ -133,6 +134,12 @@ class Goal(Section):
         "mesh-expansion",
     )
     """What a diagnosis should see."""
+    tolerances: tuple[Tolerance, ...] = ()
+    """Tables `[[goal.tolerances]]`; one of a point's own, in the list of points, goes before them."""
+    level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
+    """Share of cases in which a point must be within its tolerance."""
+    robust: Literal["no", "sight", "station"] = "no"
+    """Tolerances must hold too when any one sight, or any one station, is lost."""
 
     @model_validator(mode="after")
     def _something(self) -> Goal:
@@ -166,7 +173,18 @@ class PlanFile(Section):
     title: str = ""
     """Free text."""
     scenario: str = "paper-workshop"
-    """A built-in scenario, or a file beside this one."""
+    """A built-in scenario, or a file beside this one; not with a `[workshop]` of the plan's own."""
+    points: str | tuple[Point, ...] = ()
+    """Points to measure: the name of a CSV file beside this one, or tables `[[points]]`."""
+    workshop: Workshop | None = None
+    """The hall, in place of a scenario, as in a scenario file; heads stand at 1400 to 1800 mm unless
+    the floor says so."""
+    instrument: Instrument | None = None
+    """The tracker of that hall, as in a scenario file."""
+    smr: Smr | None = None
+    """Its reflectors, as in a scenario file."""
+    work: Work | None = None
+    """Order and clock of the work there, as in a scenario file."""
     floor: Floor = Floor()
     """Where tripods may stand."""
     stations: Stations = Stations()
@@ -179,6 +197,11 @@ class PlanFile(Section):
     """What a layout is for."""
     search: Search = Search()
     """How hard to look."""
+
+    @property
+    def listed(self) -> tuple[Point, ...]:
+        """The points, once their file is read."""
+        return () if isinstance(self.points, str) else self.points
 
 
 def plan_names() -> tuple[str, ...]:
@@ -215,10 +238,36 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     if data.get("format") == "ltsim-scenario/1":
         return PlanFile(scenario=name), load_scenario(path)
     made = plan_from(data, path)
-    beside = path.parent / made.scenario
-    scenario = load_scenario(beside if beside.is_file() else made.scenario)
+    made = made.model_copy(update=_given(made, path))
+    scenario = _scenario(made, data, path)
     _check(made, scenario, path)
     return made, scenario
+
+
+def _given(made: PlanFile, path: Path) -> dict[str, Any]:
+    """What the file leaves to others: the points of its list, and defaults that follow from other keys."""
+    points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
+    changes: dict[str, Any] = {"points": points}
+    if made.workshop is not None and made.floor.height_mm is None:
+        changes["floor"] = made.floor.model_copy(update={"height_mm": USUAL_HEIGHT_MM})
+    wanted = made.goal.tolerances or any(point.tolerance_mm is not None for point in points)
+    if wanted and not {"instrument", "targets", "diagnosis"} & made.goal.model_fields_set:
+        changes["goal"] = made.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
+    return changes
+
+
+def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
+    """The scenario that a plan file names, or that of its own tables."""
+    points = made.listed
+    own = [name for name in TABLES if name in data]
+    if made.workshop is None and own:
+        raise SetupError(f"{path}: [{own[0]}] goes with a [workshop] of the plan's own; the scenario states its own")
+    if made.workshop is not None:
+        if "scenario" in data:
+            raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
+        return hall_scenario(made, data, points, path)
+    beside = path.parent / made.scenario
+    return with_points(load_scenario(beside if beside.is_file() else made.scenario), points, path)
 
 
 def _near(name: str) -> str:
@@ -247,12 +296,18 @@ def _check(made: PlanFile, scenario: Scenario, file: object) -> None:
     def known(key: str, wanted: tuple[str, ...], names: tuple[str, ...]) -> None:
         for name in wanted:
             if name not in names:
-                near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.4) or names[:8])
+                near = (
+                    ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.4) or names[:8]) or "none is named"
+                )
                 raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
 
     known("stations.fixed", made.stations.fixed, tuple(scenario.stations))
     known("reflectors.keep", made.reflectors.keep, scenario.target_names)
     known("goal.effects", made.goal.effects, tuple(effect.name for effect in CATALOGUE))
+    groups = {point.group for point in made.listed if point.group}
+    known("goal.tolerances", tuple(t.group for t in made.goal.tolerances if t.group), tuple(sorted(groups)))
+    if made.goal.tolerances and not made.listed:
+        raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
     if made.goal.diagnosis and not made.goal.effects:
         raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
     count = made.stations.count or len(scenario.stations)

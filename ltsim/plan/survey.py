@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ class Survey:
         Place of each target in each station's visit; default as listed.
     face_by_face : bool
         All targets on one face, then on the other; else both faces of each target at once.
+    importance : mapping of str to float
+        Weight of targets by name in the root mean square of point errors; one where not named.
     """
 
     setup: Setup
@@ -56,6 +59,7 @@ class Survey:
     seconds_per_move: float = 1200.0
     rank: Ints | None = None
     face_by_face: bool = True
+    importance: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
@@ -86,6 +90,12 @@ class Survey:
             f"{len(self.position)} stations, {len(self.points)} reflectors, {faces}, {rounds}: {self.pointings} "
             f"pointings in {self.seconds / 3600:.1f} h"
         )
+
+    @property
+    def weight(self) -> Floats:
+        """(T,): how much the squared error of each target counts, one on average."""
+        weight = np.array([self.importance.get(name, 1.0) for name in self.target_names], dtype=np.float64)
+        return weight / weight.mean() if weight.any() else np.ones_like(weight)
 
     @property
     def rotation(self) -> Floats:
@@ -136,6 +146,17 @@ class Survey:
             repeat=repeat.astype(np.int64),
             time=time.astype(np.float64),
             readings=np.full((len(station), 3), np.nan),
+        )
+
+    def without(self, station: int) -> Survey:
+        """The survey without one station."""
+        keep = np.arange(len(self.position)) != station
+        return self.replace(
+            station_names=tuple(n for n, k in zip(self.station_names, keep, strict=True) if k),
+            position=self.position[keep],
+            yaw=self.yaw[keep],
+            seen=self.seen[keep],
+            rank=None if self.rank is None else self.rank[keep],
         )
 
     def replace(self, **changes: Any) -> Survey:

@@ -12,10 +12,12 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
+from ltsim.plan.floor import ground_of
 from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile, Surface
 from ltsim.plan.survey import Survey
+from ltsim.plan.tolerances import importance
 from ltsim.recording.recording import Recording
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import Placing
@@ -81,29 +83,23 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
     """The freedom of a plan with a number of stations and a way of measuring."""
     survey = survey_of(scenario)
     mm = MILLIMETRE
-    heights = plan.floor.height_mm
     levels = survey.position[:, 2]
     layout = planned(scenario)
-    wide, high, _ = scenario.workshop.size_mm
-    margin = plan.floor.margin_mm
-    if plan.floor.corners_mm is None and 2 * margin >= min(wide, high):
-        raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {high:g} mm")
-    corners = plan.floor.corners_mm or (
-        (margin, margin), (wide - margin, margin), (wide - margin, high - margin), (margin, high - margin),
-    )  # fmt: skip
+    areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
     places, names = candidate_places(plan)
     wanted = plan.stations.seen_from
     return Site(
         survey=with_stations(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
+            importance=importance(plan),
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move
             if plan.budget.minutes_per_move is None
             else 60.0 * plan.budget.minutes_per_move,
         ),
-        floor=np.array(corners, dtype=np.float64) * mm,
-        heights=(float(levels.min()), float(levels.max())) if heights is None else (heights[0] * mm, heights[1] * mm),
+        areas=areas,
+        keep_outs=keep_outs,
         limits=sight_limits(scenario, scenario.instrument),
         play=plan.stations.play_mm * mm,
         aimed=~layout.reaimed,

@@ -22,11 +22,15 @@ from ltsim.geometry.rotations import about_z
 from ltsim.units import FACTOR
 
 SUFFIXES = (".stl", ".obj", ".glb", ".ply")
+EXACT = (".step", ".stp", ".iges", ".igs")
+"""CAD files that hold no triangles."""
 MAX_BYTES = 512 * 1024 * 1024
 GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
 END = 1e-6
 CHUNK = 2_000_000
+SIDES = 64
+"""Of a cylinder: 0.1 % more than its diameter at the corners."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,14 @@ def box(size: Floats) -> Floats:
     return triangles
 
 
+def cylinder(diameter: float, height: float) -> Floats:
+    """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
+    mesh = trimesh.creation.cylinder(radius=0.5 * diameter / np.cos(np.pi / SIDES), height=height, sections=SIDES)
+    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
+    triangles[:, :, 2] += 0.5 * height
+    return triangles
+
+
 def read_mesh(path: Path, unit: str) -> Floats:
     """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`.
 
@@ -151,6 +163,8 @@ def read_mesh(path: Path, unit: str) -> Floats:
         One sentence: the file is missing, of another kind, too large, damaged or without surface.
     """
     if path.suffix.lower() not in SUFFIXES:
+        if path.suffix.lower() in EXACT:
+            raise SetupError(f"{path}: holds exact surfaces; export it from the CAD system as STL, OBJ or GLB")
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
     try:
         if path.stat().st_size > MAX_BYTES:

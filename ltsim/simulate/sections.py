@@ -41,7 +41,7 @@ misalignments that a knock leaves.
 
 
 class Obstacle(Section):
-    """Something that stands in the workshop: a CAD file, or a box that stands on its place."""
+    """Something that stands in the workshop: a CAD file, or a box or an upright cylinder on its place."""
 
     name: str = ""
     """What messages and pictures call it."""
@@ -51,15 +51,17 @@ class Obstacle(Section):
     """Unit of the file's coordinates."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box, in place of a file."""
+    cylinder_mm: tuple[Positive, Positive] | None = None
+    """Diameter and height of an upright cylinder, in place of a file."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Where its origin goes; of a box, the middle of its base."""
+    """Where its origin goes; of a box or a cylinder, the middle of its base."""
     yaw_deg: Angle = 0.0
     """Turn about the vertical."""
 
     @model_validator(mode="after")
     def _one_shape(self) -> Obstacle:
-        if (self.file is None) == (self.box_mm is None):
-            raise ValueError("it should have either file or box_mm")
+        if sum(shape is not None for shape in (self.file, self.box_mm, self.cylinder_mm)) != 1:
+            raise ValueError("it should have one of file, box_mm and cylinder_mm")
         return self
 
 

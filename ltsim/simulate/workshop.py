@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
-from ltsim.scene.meshes import Obstacles, box, placed, read_mesh, together
+from ltsim.scene.meshes import Obstacles, box, cylinder, placed, read_mesh, together
 from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
 from ltsim.simulate.gauge import frame_of, in_workshop
 from ltsim.simulate.scenario import Scenario
@@ -119,8 +119,11 @@ def obstacles_of(scenario: Scenario) -> Obstacles | None:
             triangles = read_mesh(Path(entry.file), entry.unit)
         elif entry.box_mm is not None:
             triangles = box(np.array(entry.box_mm) * MILLIMETRE)
+        elif entry.cylinder_mm is not None:
+            diameter, height = np.array(entry.cylinder_mm) * MILLIMETRE
+            triangles = cylinder(float(diameter), float(height))
         else:
-            raise SetupError("an obstacle has neither file nor box_mm")
+            raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
         parts.append(placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE))
     return together(parts) if parts else None
 

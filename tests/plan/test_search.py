@@ -12,9 +12,10 @@ from ltsim.model.construction import misalignment
 from ltsim.plan.criteria import a_criterion, d_criterion
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.plan.outlines import Area, inside
 from ltsim.plan.reflectors import choose_reflectors
 from ltsim.plan.search import Searcher
-from ltsim.plan.site import Site, inside
+from ltsim.plan.site import Site
 from ltsim.scene.meshes import box, placed, together
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
 from tests.plan.fixtures import survey
@@ -24,7 +25,7 @@ FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
 
 def site(stations: int = 3, **changes: object) -> Site:
     made = survey((1,), stations)
-    whole = Site(made, FLOOR, (1.5, 2.1), SightLimits(), aimed=np.zeros(28, dtype=bool), least=stations)
+    whole = Site(made, (Area(FLOOR, (1.5, 2.1)),), SightLimits(), aimed=np.zeros(28, dtype=bool), least=stations)
     return whole.replace(**changes)
 
 

@@ -87,7 +87,7 @@ WRONG = [
         r"effects\.1\.stations names 'S9', which is not one of S1",
     ),
     ("[targets.C]", '[instrument]\npreset = "best"\n[targets.C]', r"instrument\.preset"),
-    ("[targets.C]", "[[workshop.obstacles]]\nname = 'x'\n[targets.C]", "either file or box_mm"),
+    ("[targets.C]", "[[workshop.obstacles]]\nname = 'x'\n[targets.C]", "one of file, box_mm and cylinder_mm"),
 ]
 
 

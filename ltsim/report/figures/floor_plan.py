@@ -12,17 +12,24 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Floats, Ints
-from ltsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, RED, SKY, new_figure, quiet_axis, shorten, styled
+from ltsim.plan.floor import Floor, FloorArea
+from ltsim.plan.outlines import distance
+from ltsim.report.labels import Label, place_labels
+from ltsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, new_figure, quiet_axis, shorten, styled
 from ltsim.report.workshop import Workshop
-from ltsim.units import DEGREE
+from ltsim.units import DEGREE, MILLIMETRE
 
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
 MOST_LABELS = 60
 MOST_PLACES = 16
+ON_A_WALL = 0.35
+"""[m] from a side of the floor within which its wall is taken to hold a target."""
 
 
 @styled
-def floor_plan(workshop: Workshop, *, reference: Floats | None = None, coordinates: bool = False) -> Figure:
+def floor_plan(
+    workshop: Workshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
+) -> Figure:
     """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
 
     Parameters
@@ -32,6 +39,8 @@ def floor_plan(workshop: Workshop, *, reference: Floats | None = None, coordinat
         Stations of another layout, to compare with.
     coordinates : bool
         List where each tripod goes beside the picture.
+    ground : Floor, optional
+        Areas for tripods, what stays free, and doors of a plan.
     """
     figure = new_figure(5.4, layout="compressed")
     ax = figure.subplots()
@@ -40,8 +49,8 @@ def floor_plan(workshop: Workshop, *, reference: Floats | None = None, coordinat
     ax.add_patch(
         Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
     )
-    for i, wall in enumerate(workshop.walls):
-        ax.plot(wall[:2, 0], wall[:2, 1], color=INK, linewidth=3.0, zorder=1, label="wall" if i == 0 else None)
+    _walls(ax, workshop)
+    names = _ground(ax, ground) if ground is not None else []
     _obstacles(ax, workshop)
     _hidden(ax, workshop)
     _shadows(ax, workshop)
@@ -56,12 +65,49 @@ def floor_plan(workshop: Workshop, *, reference: Floats | None = None, coordinat
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     _limits(ax, workshop)
+    labels_of = [*_station_labels(workshop), *names]
+    if len(workshop.targets) <= MOST_LABELS:
+        labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
     if coordinates and len(workshop.stations) <= MOST_PLACES:
         blank, places = _places(workshop)
         handles, labels = [*handles, *blank], [*labels, *places]
     figure.legend(handles, labels, loc="outside right upper")
+    place_labels(figure, ax, labels_of, np.concatenate([workshop.position[:, :2], workshop.points[:, :2]]))
     return figure
+
+
+def _walls(ax: Axes, workshop: Workshop) -> None:
+    """Sides of the floor that hold targets."""
+    word: str | None = "wall with targets"
+    for start, end in zip(workshop.floor, np.roll(workshop.floor, -1, axis=0), strict=True):
+        if np.any(distance(np.stack([start, end]), workshop.points[:, :2]) < ON_A_WALL):
+            ax.plot([start[0], end[0]], [start[1], end[1]], color=INK, linewidth=3.0, zorder=1, label=word)
+            word = None
+
+
+def _ground(ax: Axes, ground: Floor) -> list[Label]:
+    """Areas for tripods, what stays free, doors; their names."""
+    mm, names = MILLIMETRE, []
+    own = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
+    for i, area in enumerate(own):
+        corners = np.array(area.corners_mm) * mm
+        word = "area for tripods" if i == 0 else None
+        ax.add_patch(Polygon(corners, facecolor="#009E7318", edgecolor=GREEN, linewidth=0.9, zorder=0.5, label=word))
+        for hole in area.holes_mm:
+            ax.add_patch(Polygon(np.array(hole) * mm, facecolor="white", edgecolor=GREEN, linewidth=0.9, zorder=0.6))
+        names.append(Label(area.name, corners.min(axis=0), 7.0, colour="#00664B", away=0.25 * np.pi))
+    for i, place in enumerate(ground.keep_outs):
+        corners = np.array(place.corners_mm) * mm
+        word = "kept free" if i == 0 else None
+        ax.add_patch(Polygon(corners, facecolor="#FFFFFFCC", edgecolor=PURPLE, hatch="////", zorder=0.7, label=word))
+        names.append(Label(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", away=0.5 * np.pi))
+    for i, door in enumerate(ground.doors):
+        ends = np.array([door.from_mm, door.to_mm]) * mm
+        ax.plot(*ends.T, color="white", linewidth=5.0, zorder=1.5)
+        ax.plot(*ends.T, color=PURPLE, linewidth=2.0, zorder=1.6, label="door" if i == 0 else None)
+        names.append(Label(door.name, ends.mean(axis=0), 7.0, colour="#8A3A66"))
+    return [label for label in names if label.text]
 
 
 def _limits(ax: Axes, workshop: Workshop) -> None:
@@ -134,33 +180,20 @@ def _targets(ax: Axes, workshop: Workshop) -> None:
                 label=span,
             )
         low = high
-    if len(workshop.targets) <= MOST_LABELS:
-        _label_targets(ax, workshop)
 
 
-def _label_targets(ax: Axes, workshop: Workshop) -> None:
-    """One label for targets that stand above each other, written away from the middle of the floor."""
-    middle = workshop.floor.mean(axis=0)
-    reach = 0.035 * float(np.ptp(workshop.floor, axis=0).max())
+def _target_labels(workshop: Workshop) -> list[Label]:
+    """One label for targets that stand above each other, away from the middle of the floor where that is free."""
+    middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
+    reach = 0.035 * float(size.max())
+    labels = []
     for members in _stacks(workshop.points[:, :2], reach):
         place = workshop.points[members, :2].mean(axis=0)
-        text = _joined([workshop.targets[i] for i in members])
-        away = place - middle
+        away = (place - middle) / size
         sideways = abs(away[0]) > abs(away[1])
-        offset = (9.0 * np.sign(away[0]), 0.0) if sideways else (0.0, 9.0 * np.sign(away[1]))
-        ax.annotate(
-            text,
-            tuple(place),
-            xytext=offset,
-            textcoords="offset points",
-            fontsize=6.2,
-            color="#4A5056",
-            zorder=5,
-            ha=("left" if away[0] > 0 else "right") if sideways else "center",
-            va="center" if sideways else ("bottom" if away[1] > 0 else "top"),
-            rotation=0 if sideways else 90,
-            bbox={"boxstyle": "square,pad=0.1", "facecolor": "#FFFFFFCC", "edgecolor": "none"},
-        )
+        turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
+        labels.append(Label(_joined([workshop.targets[i] for i in members]), place, away=turn))
+    return labels
 
 
 def _stacks(places: Floats, reach: float) -> list[list[int]]:
@@ -203,17 +236,6 @@ def _stations(ax: Axes, workshop: Workshop) -> None:
             zorder=6,
             arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
         )
-        ax.annotate(
-            shorten(workshop.stations[s], 16),
-            (x, y),
-            xytext=(-4 if tick[s, 0] > 0 else 4, -4 if tick[s, 1] > 0 else 4),
-            textcoords="offset points",
-            ha="right" if tick[s, 0] > 0 else "left",
-            va="top" if tick[s, 1] > 0 else "bottom",
-            fontweight="bold",
-            fontsize=9,
-            zorder=7,
-        )
     ax.scatter(
         workshop.position[:, 0],
         workshop.position[:, 1],
@@ -224,6 +246,14 @@ def _stations(ax: Axes, workshop: Workshop) -> None:
         zorder=6,
         label="station, tick to azimuth 0",
     )
+
+
+def _station_labels(workshop: Workshop) -> list[Label]:
+    """Names of stations, away from their ticks."""
+    return [
+        Label(shorten(name, 16), place[:2], 9.0, bold=True, colour=INK, away=float(yaw) + 1.25 * np.pi)
+        for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
+    ]
 
 
 def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.plan.floor import Floor
 from ltsim.plan.schema import LayoutEntry, OptionEntry, PlanResult
 from ltsim.recording.result_file import companion, read_result
 from ltsim.report import figures, style
@@ -98,7 +99,8 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
-    floor = figures.floor_plan(workshop, reference=places, coordinates=True)
+    ground = Floor.model_validate(content.settings.get("floor", {}))
+    floor = figures.floor_plan(workshop, reference=places, coordinates=True, ground=ground)
     blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
         blocks.append(scene(workshop, interactive=detail == "turn"))
