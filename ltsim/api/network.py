@@ -28,7 +28,7 @@ from ltsim.evaluate import verify as verified
 from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
 
-METHODS = ("network", "distance", "distance-l1")
+METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
 CalibrationSource = Calibration | str | Path
 """A calibration, its file, or the folder that holds it."""
 
@@ -86,6 +86,7 @@ def calibrate(
     prior: CalibrationSource | History | None = None,
     harmonics: int | None = None,
     degree: int | None = None,
+    box: float | None = None,
     advise: bool = True,
 ) -> Calibration:
     """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
@@ -94,8 +95,8 @@ def calibrate(
     ----------
     recording : Recording, str or Path
     method : str
-        `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective, least squares or least
-        absolute deviations).
+        `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective over what the readings
+        determine, least squares or least absolute deviations), `equation-9` or `equation-9-l1` (its own minimum).
     construction : str or Construction, optional
         `misalignment` (source in the head, 16 parameters), `steering-mirror` (21) or `dh` (the paper's
         Denavit-Hartenberg chain, 78); by default what the set-up states.
@@ -112,6 +113,8 @@ def calibrate(
         What earlier calibrations found, with its covariance, as the prior; method `network` only.
     harmonics, degree : int, optional
         Orders of a D-H chain's error functions; 2 by default.
+    box : float, optional
+        Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     advise : bool
         Say which further measurements would determine what is not determined.
 
@@ -145,11 +148,13 @@ def calibrate(
     known = None if prior is None else Known.of(prior)
     choice = Choice(parameters, tuple(without), dict(hold or {}), known)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum}
+    if box is not None and not method.startswith("equation-9"):
+        raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
     if method == "network":
         return calibrate_network(recording_of(recording), built, advise=advise, choice=choice, **options)
     if any(options.values()) or known is not None:
         raise ModelError(f"robust, noise_from_data, datum and prior go with the method network, not {method}")
-    return calibrate_distance(recording_of(recording), built, method=method, advise=advise, choice=choice)
+    return calibrate_distance(recording_of(recording), built, method=method, advise=advise, choice=choice, box=box)
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:

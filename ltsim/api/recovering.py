@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from ltsim.api.workshop import ScenarioSource, scenario
-from ltsim.campaign.recovery import Recovery
+from ltsim.campaign.recovery import Errors, Recovery, errors_of
 from ltsim.campaign.recovery import recover as trials_of
-from ltsim.errors import SetupError
+from ltsim.errors import SetupError, unknown_name
 from ltsim.model.construction import construction as construction_called
 from ltsim.simulate.physics import construction_of
 
@@ -18,11 +19,12 @@ def recover(
     trials: int = 200,
     method: str = "network",
     construction: str | None = None,
+    errors: Errors | None = None,
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
 ) -> Recovery:
-    """Draw an instrument from its prior, measure, calibrate, compare with the truth; many times.
+    """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
 
     Parameters
     ----------
@@ -30,6 +32,8 @@ def recover(
     trials : int
     method, construction
         As of `calibrate`; the construction is by default the scenario's.
+    errors : str, optional
+        `drawn` from the prior, or as the scenario has them `stated`; default the latter where it states any.
     seed, jobs : int
     progress : callable
         Told of every trial that is done.
@@ -50,8 +54,12 @@ def recover(
     if own.name == "dh" and construction not in (None, "dh"):
         raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
     calibrator = own if construction is None else construction_called(construction)
+    mode = errors or errors_of(built)
+    if mode not in ("drawn", "stated"):
+        raise unknown_name("mode of errors", mode, ("drawn", "stated"))
     found = []
-    for trial in trials_of(built, trials, seed=seed, jobs=jobs, method=method, construction=calibrator):
+    how: dict[str, Any] = {"method": method, "construction": calibrator, "errors": mode}
+    for trial in trials_of(built, trials, seed=seed, jobs=jobs, **how):
         found.append(trial)
         progress(1)
-    return Recovery(calibrator.names_of(tuple(built.trackers)), tuple(found))
+    return Recovery(calibrator.names_of(tuple(built.trackers)), tuple(found), mode)

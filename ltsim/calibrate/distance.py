@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
@@ -11,6 +9,7 @@ from ltsim.calibrate.calibration import Calibration, Combination, Fit
 from ltsim.calibrate.choice import Choice
 from ltsim.calibrate.correct import corrected_readings
 from ltsim.calibrate.distance_solver import Estimate, solve_distances
+from ltsim.calibrate.equation_9 import Norm, solve_equation_9, with_minimum
 from ltsim.calibrate.objective import DistanceProblem
 from ltsim.calibrate.propagation import Propagation
 from ltsim.calibrate.result import (
@@ -27,7 +26,9 @@ from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 
-METHODS: dict[str, Literal["squares", "absolute"]] = {"distance": "squares", "distance-l1": "absolute"}
+METHODS: dict[str, Norm] = {"distance": "squares", "distance-l1": "absolute"}
+AS_PRINTED: dict[str, Norm] = {"equation-9": "squares", "equation-9-l1": "absolute"}
+"""Methods that leave no combination out, however little the readings tell of it."""
 
 
 def calibrate_distance(
@@ -37,6 +38,7 @@ def calibrate_distance(
     method: str = "distance",
     advise: bool = True,
     choice: Choice | None = None,
+    box: float | None = None,
 ) -> Calibration:
     """Estimate the parameters of an instrument by making distances agree (eq. 9 and 10).
 
@@ -49,11 +51,14 @@ def calibrate_distance(
     construction : Construction, optional
         Default: the geometric misalignment model with its 16 parameters.
     method : str
-        `distance`: least squares; `distance-l1`: least absolute deviations.
+        `distance`: least squares over the combinations that the readings determine, `distance-l1`: least absolute
+        deviations; `equation-9` and `equation-9-l1`: the same over all, the minimum of the objective as printed.
     advise : bool
         Compute which further measurements would cure undetermined combinations.
     choice : Choice, optional
         Which parameters to estimate; default all.
+    box : float, optional
+        Bound on every parameter, in prior sigmas; methods `equation-9` and `equation-9-l1` only.
 
     Raises
     ------
@@ -69,7 +74,12 @@ def calibrate_distance(
     recording, _ = tied_readings(recording)
     usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
     start = np.where(held, known.mean / prior, 0.0).ravel()
-    estimate = solve_distances(DistanceProblem(usable, built, prior), METHODS[method], start=start, held=held.ravel())
+    problem, notes = DistanceProblem(usable, built, prior), tuple[str, ...]()
+    if method in AS_PRINTED:
+        estimate = solve_equation_9(problem, AS_PRINTED[method], box=box, start=start, held=held.ravel())
+    else:
+        estimate = solve_distances(problem, METHODS[method], start=start, held=held.ravel())
+        notes = with_minimum(problem, METHODS[method], estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
@@ -99,7 +109,7 @@ def calibrate_distance(
         outliers=outliers_of(adjustment),
         lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
         recording=source,
-        notes=notes_on_modes(adjustment),
+        notes=(*notes_on_modes(adjustment), *notes),
         adjustment=adjustment,
     )
 

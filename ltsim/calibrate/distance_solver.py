@@ -4,7 +4,7 @@ Least squares and least absolute deviations, both by Gauss-Newton from zero; a s
 solution. The objective as printed estimates up to 78 parameters without asking whether the data hold them; here the
 unknowns are scaled by their priors, the objective's normal matrix is decomposed, and only combinations whose estimate
 is more certain than the prior (gain above one half) are estimated. The others stay at zero and keep their prior
-uncertainty: nothing is estimated blindly.
+uncertainty: nothing is estimated blindly. So this is eq. 9 over part of its unknowns; `equation_9` finds its minimum.
 
 The objective ignores that distances share points, so its own covariance would be too small. The covariance given
 here propagates the stated noise of every reading (and of the gauge) through the estimator.
@@ -109,7 +109,9 @@ def solve_distances(
     start: Floats | None = None,
     held: Bools | None = None,
 ) -> Estimate:
-    """Minimise eq. 9 from zero, or from `start` (q,), where unknowns that are `held` (q,) stay.
+    """Minimise eq. 9 over the combinations that the readings determine: not its own minimum (`equation_9`).
+
+    From zero, or from `start` (q,), where unknowns that are `held` (q,) stay.
 
     Raises
     ------
@@ -125,19 +127,25 @@ def solve_distances(
     moved, iterations = np.inf, 0
     while iterations < CAP and not moved < CLOSED:
         iterations += 1
-        rows = _rows(problem, unknowns, norm)
+        rows = compared_rows(problem, unknowns, norm)
         step = kept @ _step(rows.by_unknown @ kept, rows.residual, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    spread, noise = _uncertainty(rows, kept, norm)
+    spread, noise = uncertainty(rows, kept, norm)
     prior = np.stack([d.vector for d in left_out], axis=1) if left_out else np.zeros((size, 0))
-    total = float(np.sum(rows.residual**2) if norm == "squares" else np.sum(np.abs(rows.residual)))
+    total = objective(rows, norm)
     return Estimate(unknowns, spread + prior @ prior.T, noise, left_out, total, iterations, moved < CLOSED)
 
 
-def _rows(problem: DistanceProblem, unknowns: Floats, norm: str) -> Rows:
+def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: str) -> Rows:
+    """The rows whose sum of squares, or of absolute values, is eq. 9."""
     distances = problem.at(unknowns)
     return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
+
+
+def objective(rows: Rows, norm: str) -> float:
+    """Eq. 9 [m^2], or its sum of absolute values [m]."""
+    return float(np.sum(rows.residual**2) if norm == "squares" else np.sum(np.abs(rows.residual)))
 
 
 def determined(rows: Rows, free: Bools | None = None) -> tuple[Floats, tuple[Direction, ...]]:
@@ -168,7 +176,7 @@ def _least_squares(design: Floats, goal: Floats) -> Floats:
     return np.asarray(x, dtype=np.float64)
 
 
-def _uncertainty(rows: Rows, kept: Floats, norm: str) -> tuple[Floats, Floats]:
+def uncertainty(rows: Rows, kept: Floats, norm: str) -> tuple[Floats, Floats]:
     """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
 
     For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,

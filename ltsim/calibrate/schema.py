@@ -200,7 +200,7 @@ class CalibrationFile(ResultFile):
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
     """Which format and version this file is in."""
     method: str = "network"
-    """`network`, `distance` or `distance-l1`."""
+    """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`."""
     construction: str
     """Which model of the instrument: `misalignment`, `dh` or `ideal`."""
     fit: FitEntry = FitEntry()

@@ -109,6 +109,8 @@ class RecoveryFile(ResultFile):
     """Which format and version this file is in."""
     passed: bool
     """All checks passed."""
+    errors: Literal["drawn", "stated"] = "drawn"
+    """Whether the instrument's errors were drawn from the prior, or as the scenario states them."""
     trials: Whole
     """How many."""
     converged: Whole

@@ -41,6 +41,8 @@ class Method(StrEnum):
     NETWORK = "network"
     DISTANCE = "distance"
     DISTANCE_L1 = "distance-l1"
+    EQUATION_9 = "equation-9"
+    EQUATION_9_L1 = "equation-9-l1"
 
 
 class ConstructionName(StrEnum):
@@ -52,7 +54,11 @@ class ConstructionName(StrEnum):
 
 
 MethodOption = Annotated[
-    Method, typer.Option(help="Rigorous network adjustment, or the paper's distance objective (least squares or l1).")
+    Method,
+    typer.Option(
+        help="Rigorous network adjustment; the paper's distance objective over what the readings determine (least "
+        "squares or l1), or its own minimum, which fits the rest to the noise (equation-9)."
+    ),
 ]
 ConstructionOption = Annotated[
     ConstructionName | None,
@@ -89,6 +95,10 @@ Harmonics = Annotated[
 Degree = Annotated[
     int | None, typer.Option("--degree", metavar="N", help="Degree of a D-H chain's range errors, 0 to 9; default 2.")
 ]
+Box = Annotated[
+    float | None,
+    typer.Option("--box", metavar="N", help="With --method equation-9: no parameter beyond N prior sigmas."),
+]
 
 
 def calibrate(
@@ -104,6 +114,7 @@ def calibrate(
     prior: PriorFile = None,
     harmonics: Harmonics = None,
     degree: Degree = None,
+    box: Box = None,
     out: Out = None,
     points: PointsFile = None,
     format_name: FormatName = None,
@@ -126,7 +137,7 @@ def calibrate(
         message = "--robust, --noise-from-data, --datum and --prior go with --method network"
         raise SetupError(f"{message}, not {method.value}")
     options |= {"parameters": names_of(parameters), "without": names_of(without) or (), "hold": held_values(hold)}
-    options |= {"prior": prior, "harmonics": harmonics, "degree": degree}
+    options |= {"prior": prior, "harmonics": harmonics, "degree": degree, "box": box}
     claim_results(out, points, adjusted=False, force=force)
     recording = recording_of(source, format_name, hint, columns, frame)
     show_notes(terminal, recording)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import typer
 
 import ltsim as lt
 from ltsim.cli.calibrate import Method, MethodOption
 from ltsim.cli.options import Json, Out, Quiet, Seed
-from ltsim.cli.places import Force, claim
+from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
 from ltsim.workers import MOST
@@ -31,6 +34,25 @@ RecoverJobs = Annotated[
         "--jobs", "-j", min=1, max=MOST, help="Processes to work with; default all cores, one for few trials."
     ),
 ]
+
+
+class ErrorsMode(StrEnum):
+    """Which errors the instrument has."""
+
+    DRAWN = "drawn"
+    STATED = "stated"
+
+
+ErrorsOption = Annotated[
+    ErrorsMode | None,
+    typer.Option(
+        "--errors", help="Errors drawn from the prior, or as the scenario states them; default stated where it does."
+    ),
+]
+JunitFile = Annotated[
+    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI.")
+]
+MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
 FEW = 100
 """Trials that take less time than starting further processes."""
 
@@ -42,15 +64,18 @@ def recover(
     construction: ConstructionChoice = None,
     seed: Seed = 0,
     jobs: RecoverJobs = None,
+    errors: ErrorsOption = None,
+    junit: JunitFile = None,
     out: Out = None,
     force: Force = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Draw an instrument from its prior, measure, calibrate, compare with the truth; many times.
+    """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
 
-    Exit status 1, naming what fails, when z-scores are not standard normal: mean, standard deviation, coverage of every
-    parameter, chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
+    Errors are those that the scenario states, or drawn from the prior where it states none. Exit status 1, naming what
+    fails: z-scores of every parameter (with drawn errors standard normal; with stated ones no wider, the value inside
+    its interval as often as promised), chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
 
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
@@ -59,8 +84,10 @@ def recover(
 
     terminal = Terminal(quiet, as_json)
     claim(out, RecoveryFile, ("trials.csv",), force=force)
+    claim_file(junit, force=force)
     workers = jobs or (1 if trials < FEW else os.cpu_count() or 1)
     how: dict[str, Any] = {"method": method.value, "construction": construction, "seed": seed, "jobs": workers}
+    how["errors"] = None if errors is None else errors.value
     with terminal.progress("trials", trials) as step:
         result = lt.recover(scenario, trials=trials, progress=step, **how)
     content = recovery_file(result, seed)
@@ -68,6 +95,8 @@ def recover(
         from ltsim.recording.result_file import write_result
 
         content = write_result(out, content, {"trials.csv": trials_csv(result)})
+    if junit is not None:
+        junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())
     terminal.say(recovery_table(result))
     failures = result.failures()
@@ -76,7 +105,7 @@ def recover(
     if failures:
         raise typer.Exit(1)
     terminal.say(
-        f"{trials} trials: everything is recovered within its stated uncertainty "
+        f"{trials} trials, errors {MODES[result.errors]}: everything is recovered within its stated uncertainty "
         f"(a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
     )
 
@@ -88,11 +117,24 @@ def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
     checks = result.checks()
     return RecoveryFile(
         passed=all(check.passed for check in checks),
+        errors=result.errors,
         trials=len(result.trials),
         converged=len(result.converged),
         seed=seed,
         checks=tuple(CheckEntry(**vars(check), passed=check.passed) for check in checks),
     )
+
+
+def junit_xml(result: Recovery, suite: str) -> str:
+    """The checks as JUnit XML: a test case each."""
+    checks = result.checks()
+    failed = str(sum(not check.passed for check in checks))
+    root = Element("testsuite", name=f"ltsim recover {suite}", tests=str(len(checks)), failures=failed, errors="0")
+    for check in checks:
+        case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic)
+        if not check.passed:
+            SubElement(case, "failure", message=check.sentence())
+    return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def trials_csv(result: Recovery) -> str:

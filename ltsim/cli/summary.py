@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
     "network": "network adjustment",
-    "distance": "distances, least squares (the paper's)",
-    "distance-l1": "distances, least absolute deviations (the paper's)",
+    "distance": "distances, least squares (the paper's), over what the readings determine",
+    "distance-l1": "distances, least absolute deviations (the paper's), over what the readings determine",
+    "equation-9": "distances, the minimum of the paper's eq. 9, least squares",
+    "equation-9-l1": "distances, the minimum of the paper's eq. 9, least absolute deviations",
 }
 MOST_SHOWN = 12
 

@@ -154,7 +154,7 @@ def test_what_is_applied_is_kept_in_the_file(tmp_path) -> None:
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0, 1000.0])
 @pytest.mark.parametrize("noise", [1.0, 10.0])
 def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: float) -> None:
-    """The same with whole calibrations: python -m pytest -m long tests/calibrate/test_worth.py."""
+    """The same with whole calibrations: python -m pytest -m long -s tests/calibrate/test_worth.py."""
     ratios = []
     for seed in range(60):
         values = drawn(BUILT, seed)

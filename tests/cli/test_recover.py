@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -35,6 +36,20 @@ def test_fails_with_status_1_when_the_model_lacks_something(capsys, tmp_path: Pa
     printed = capsys.readouterr()
     assert "chi-square fails: chi2/dof of all trials" in printed.err
     assert "recovered within" not in printed.out
+
+
+def test_junit_names_every_check_and_what_failed(capsys, tmp_path: Path) -> None:
+    file, junit = tmp_path / "wobbly.toml", tmp_path / "junit.xml"
+    file.write_text(builtin_text("paper-workshop-two-face") + WOBBLE)
+    assert run(["recover", str(file), "--trials", "12", "--junit", str(junit), "--errors", "drawn", "-q"]) == 1
+    suite = ElementTree.parse(junit).getroot()
+    assert suite.tag == "testsuite"
+    assert int(suite.attrib["tests"]) == len(suite)
+    failed = [case for case in suite if len(case)]
+    assert int(suite.attrib["failures"]) == len(failed) > 0
+    assert "recover.chi-square" in {case.attrib["classname"] for case in failed}
+    assert run(["recover", "paper-workshop", "-n", "2", "--junit", str(junit)]) == 2
+    assert "junit.xml" in capsys.readouterr().err
 
 
 def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import ltsim as lt
 from ltsim.calibrate import calibrate_network
 from ltsim.campaign.recovery import (
     FALSE_ALARM,
@@ -21,7 +22,7 @@ from ltsim.campaign.recovery import (
 from ltsim.evaluate.share_removed import target_error
 from ltsim.model.construction import Construction, misalignment
 from ltsim.simulate.fieldwork import fieldwork
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.scenario import Scenario, load_scenario
 from ltsim.simulate.simulator import measure
 
 
@@ -94,6 +95,39 @@ def test_errors_are_drawn_whatever_the_scenario_says() -> None:
     )
     assert from_prior(fixed).instrument.draws
     assert "beam-tilt" not in from_prior(fixed).instrument.errors
+
+
+def with_errors(name: str, **errors: float | bool) -> Scenario:
+    scenario = load_scenario(name)
+    stated = {key.replace("_", "-"): value for key, value in errors.items()}
+    return scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"errors": stated})})
+
+
+def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
+    scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, transit_offset=-12.0, draw=True)
+    result = lt.recover(scenario, trials=30, seed=4)
+    assert result.errors == "stated"
+    assert [c.sentence() for c in result.failures()] == []
+    assert lt.recover(scenario, trials=2, errors="drawn").errors == "drawn"
+    _, truth = lt.simulate(scenario, seed=4)
+    assert truth.instrument["beam-tilt"] == pytest.approx(30e-6)
+
+
+def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
+    """A range scale stated 20 prior sigmas large, which the gauge alone tells."""
+    scenario = with_errors("paper-workshop", draw=True, range_scale=40.0)
+    failures = lt.recover(scenario, trials=25, seed=4).failures()
+    assert "range-scale" in {failure.what for failure in failures}
+    assert any("coverage" in failure.statistic for failure in failures)
+
+
+def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
+    values = 1.0 + 0.3 * np.random.default_rng(0).standard_normal(40)
+    right = mean_check("targets", "mean", values, 1e-3)
+    assert right.passed
+    assert mean_check("targets", "mean", 100 * values, 1e-3).high == pytest.approx(right.high)
+    values[:4] = 500.0
+    assert mean_check("targets", "mean", values, 1e-3).high < right.high + 0.15
 
 
 def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
