@@ -143,6 +143,8 @@ def setup_to_toml(setup: Setup) -> str:
     Instruments and the gauge are written in full, stations and targets where they differ from the defaults.
     """
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
+    if setup.report is not None:
+        table["report"] = setup.report.model_dump(exclude_none=True)
     table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
     named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
     table["instruments"] = named
