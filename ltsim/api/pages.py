@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -12,6 +12,7 @@ from ltsim.api.workshop import scenario
 from ltsim.notebook import Shown
 from ltsim.recording import Recording
 from ltsim.recording.files import write_text
+from ltsim.recording.setup import About
 from ltsim.report import scene3d
 from ltsim.report.page import report as write_report
 from ltsim.report.planned import from_scenario, with_cad
@@ -94,7 +95,12 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> Workshop:
 
 
 def report(
-    folder: str | Path, *, recording: str | Path | None = None, tell: Callable[[str], None] = lambda words: None
+    folder: str | Path,
+    *,
+    recording: str | Path | None = None,
+    title: str | None = None,
+    about: About | Mapping[str, str] | None = None,
+    tell: Callable[[str], None] = lambda words: None,
 ) -> Path:
     """Write `report.html` into a folder: one page that opens offline, the answer first.
 
@@ -104,6 +110,10 @@ def report(
         A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
     recording : str or Path, optional
         The recording behind a calibration or diagnosis, where it does not lie in the folder.
+    title : str, optional
+        Of the page.
+    about : mapping of str to str, optional
+        `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
     tell : callable
         Told of each folder in the folder that cannot be read; the page says it too.
 
@@ -125,4 +135,6 @@ def report(
     >>> lt.report("my-recording").name
     'report.html'
     """
-    return write_report(Path(folder), recording=None if recording is None else Path(recording), tell=tell)
+    head = About(**about) if isinstance(about, Mapping) else about
+    behind = None if recording is None else Path(recording)
+    return write_report(Path(folder), recording=behind, title=title, about=head, tell=tell)

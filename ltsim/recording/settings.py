@@ -175,6 +175,8 @@ def setup_to_toml(setup: Setup) -> str:
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
     if setup.started:
         table["started"] = setup.started
+    if setup.report is not None:
+        table["report"] = setup.report.model_dump(exclude_none=True)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
     named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}

@@ -5,6 +5,7 @@ Keys carry their units as in the file; whoever needs SI converts at the door.
 
 from __future__ import annotations
 
+import datetime
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -16,6 +17,19 @@ def _some_length(vector: tuple[float, float, float]) -> tuple[float, float, floa
     return vector
 
 
+def _one_line(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("it should be one line of printable text")
+    return text
+
+
+def _calendar_date(text: str) -> str:
+    try:
+        return datetime.date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise ValueError("it should be a date such as 2026-05-31") from None
+
+
 SHORT = 1e-6
 """Length below which a vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
@@ -24,6 +38,8 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+Line = Annotated[str, Field(max_length=200), AfterValidator(_one_line)]
+Date = Annotated[str, AfterValidator(_calendar_date)]
 LEAST_SIGMA = 1e-6
 """[mm, arcsec, ppm] Nobody knows anything better, and numbers lose their digits."""
 Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
@@ -185,6 +201,19 @@ class Target(Section):
     """Height of the reflector above the mark that the name stands for."""
 
 
+class About(Section):
+    """Who measured what for whom, table `[report]`: the head of a report; nothing is computed from it."""
+
+    instrument: Line | None = None
+    """Maker, model and serial number, such as "Leica AT960, 751234"."""
+    date: Date | None = None
+    """Day of the measurement, year-month-day."""
+    operator: Line | None = None
+    """Who measured."""
+    customer: Line | None = None
+    """Who pays."""
+
+
 class Setup(Section):
     """The whole file."""
 
@@ -194,6 +223,8 @@ class Setup(Section):
     """Free text."""
     started: str = ""
     """When the time of the recording is 0: date and clock in ISO form, or the clock alone."""
+    report: About | None = None
+    """Who measured what for whom, for the head of a report."""
     instrument: Instrument = Instrument()
     """The instrument, where one made the whole recording."""
     instruments: dict[str, Instrument] = Field(default_factory=dict)

@@ -20,6 +20,10 @@ Detail = Literal["turn", "still", "none"]
 """How a section shows the workshop: in 3D to turn, as pictures, or not, since another section shows the same one."""
 
 
+MOST_PRINTED = 120
+"""Rows of a table that a print still holds: three pages."""
+
+
 def mood(good: bool) -> Mood:
     """Good or bad."""
     return "good" if good else "bad"
@@ -45,6 +49,11 @@ class Table:
     note: str = ""
     marked: frozenset[int] = frozenset()
     kind: Literal["table"] = "table"
+
+    @property
+    def endless(self) -> bool:
+        """Whether the table is left out of a print."""
+        return len(self.rows) > MOST_PRINTED
 
     @property
     def long(self) -> bool:
@@ -118,19 +127,23 @@ class Section:
     facts: Sequence[Fact] = ()
     blocks: Sequence[Block] = ()
     folder: str = ""
+    actions: Sequence[str] = ()
     seed: str = ""
     versions: Sequence[tuple[str, str]] = ()
 
 
 @dataclass(frozen=True)
 class Document:
-    """The whole page."""
+    """The whole page: who and what, `verdict` in a few words, `answer` in a sentence, what to do, then the evidence."""
 
     title: str
     answer: str
     mood: Mood
     sections: Sequence[Section] = field(default_factory=tuple)
     versions: Sequence[tuple[str, str]] = ()
+    about: Sequence[tuple[str, str]] = ()
+    verdict: str = ""
+    actions: Sequence[str] = ()
 
 
 def picture(title: str, figure: Figure, caption: str) -> Picture:

@@ -16,12 +16,17 @@ from ltsim.campaign import require_packages
 from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import Recording, read
 from ltsim.recording.files import write_text
+from ltsim.recording.native import SETUP
+from ltsim.recording.settings import read_setup
+from ltsim.recording.setup import About
+from ltsim.report.actions import MOST, actions_of, headline
 from ltsim.report.document import POLICY, Detail, Document, Section
 from ltsim.report.sections.calibration import calibration_section
 from ltsim.report.sections.check import check_section
 from ltsim.report.sections.comparison import comparison_section
 from ltsim.report.sections.diagnosis import diagnosis_section
 from ltsim.report.sections.further import next_section
+from ltsim.report.sections.hidden import beside_truth
 from ltsim.report.sections.history import history_section
 from ltsim.report.sections.plan import plan_section
 from ltsim.report.sections.recording import recording_section
@@ -46,7 +51,7 @@ Builder = Callable[["Part", Recording | None, Detail], Section]
 KINDS: dict[str, Builder] = {
     "observations.csv": lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
     "calibration.json": lambda part, recording, detail: calibration_section(part.folder, recording, detail=detail),
-    "diagnosis.json": lambda part, recording, _: diagnosis_section(part.folder, recording),
+    "diagnosis.json": lambda part, recording, _: beside_truth(diagnosis_section(part.folder, recording), part.folder),
     "history.json": lambda part, _, __: history_section(part.folder),
     "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
     "uncertainty.json": lambda part, _, __: uncertainty_section(part.folder),
@@ -68,7 +73,14 @@ class Part:
     brief: bool = False
 
 
-def report(folder: Path, *, recording: Path | None = None, tell: Callable[[str], None] = lambda words: None) -> Path:
+def report(
+    folder: Path,
+    *,
+    recording: Path | None = None,
+    title: str | None = None,
+    about: About | None = None,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Path:
     """Write `report.html` into a folder that a command left, and give its path.
 
     Parameters
@@ -77,6 +89,10 @@ def report(folder: Path, *, recording: Path | None = None, tell: Callable[[str],
         A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
     recording : Path, optional
         The recording behind a calibration or a diagnosis, where it does not lie in the folder or in `recording/`.
+    title : str, optional
+        Of the page; default the recording's title or the folder's name.
+    about : About, optional
+        Who measured what for whom; what it leaves open is taken from the table `[report]` of the set-up.
     tell : callable
         Told of each folder in the folder that cannot be read; the page says it too.
 
@@ -85,7 +101,7 @@ def report(folder: Path, *, recording: Path | None = None, tell: Callable[[str],
     RecordError
         When there is nothing to report, or a file of the folder itself is malformed; nothing is written then.
     """
-    target, content = folder / NAME, document(folder, recording=recording)
+    target, content = folder / NAME, document(folder, recording=recording, title=title, about=about)
     for section in content.sections:
         if section.kind == UNREADABLE:
             tell(section.answer)
@@ -93,7 +109,9 @@ def report(folder: Path, *, recording: Path | None = None, tell: Callable[[str],
     return target
 
 
-def document(folder: Path, *, recording: Path | None = None) -> Document:
+def document(
+    folder: Path, *, recording: Path | None = None, title: str | None = None, about: About | None = None
+) -> Document:
     """What the page will say.
 
     Raises
@@ -103,12 +121,32 @@ def document(folder: Path, *, recording: Path | None = None) -> Document:
     """
     if not folder.is_dir():
         raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
-    sections = [
-        replace(section, folder=part.folder.name) for part, section in _sections(_parts(folder, recording), folder)
-    ]
+    parts = _parts(folder, recording)
+    sections = [replace(section, folder=part.folder.name) for part, section in _sections(parts, folder)]
     first = min(sections, key=lambda section: WEIGHT.get(section.kind, 1))
-    title = first.title if len(sections) == 1 else folder.resolve().name
-    return Document(title, first.answer, first.mood, sections, versions())
+    return Document(
+        title=title or (first.title if len({part.recording for part in parts}) == 1 else folder.resolve().name),
+        answer=first.answer,
+        mood=first.mood,
+        sections=sections,
+        versions=versions(),
+        about=_about(parts, about or About()),
+        verdict=headline(first.kind, first.mood),
+        actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST],
+    )
+
+
+def _about(parts: list[Part], given: About) -> list[tuple[str, str]]:
+    """Who measured what for whom; several recordings may have several answers."""
+    folders = dict.fromkeys(part.recording for part in parts if part.recording)
+    files = [place / SETUP for place in folders if (place / SETUP).is_file()]
+    stated = [entry for entry in (read_setup(file).report for file in files) if entry is not None]
+    said = []
+    for key in About.model_fields:
+        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated]
+        text = ", ".join(dict.fromkeys(value for value in values if value))
+        said += [(key, text)] * bool(text)
+    return said
 
 
 def _parts(folder: Path, recording: Path | None) -> list[Part]:
@@ -136,6 +174,7 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
         detail: Detail = "none" if part.recording in shown and part.recording else "still" if shown else "turn"
         try:
             section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
+            section = replace(section, actions=actions_of(part.kind, part.folder))
         except LtsimError as problem:
             if part.folder == top or len(parts) == 1:
                 raise

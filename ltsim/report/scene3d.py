@@ -208,8 +208,8 @@ def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
         ("gauge", GREEN, sorted(gauge)),
     ):
         if chosen:
-            balls = solids.merged([solids.ball(workshop.points[i], np.eye(3) * radius) for i in chosen])
-            plotter.add_mesh(balls, color=colour, name=name, smooth_shading=True)
+            axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
+            plotter.add_mesh(solids.balls(workshop.points[chosen], axes), color=colour, name=name, smooth_shading=True)
     if workshop.gauge:
         ends = workshop.points[np.array(workshop.gauge).ravel()]
         plotter.add_mesh(solids.lines(ends), color=GREEN, line_width=3, lighting=False, name="gauge-lengths")
@@ -247,8 +247,8 @@ def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     if not largest > 0:
         return
     scale = round_magnification(largest, 0.035 * workshop.size)
-    balls = [solids.ball(p, a * (scale * s)[None, :]) for p, s, a in zip(workshop.points, semi, axes, strict=True)]
-    plotter.add_mesh(solids.merged(balls), color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=True)
+    ellipsoids = solids.balls(workshop.points, axes * (scale * semi)[:, None, :])
+    plotter.add_mesh(ellipsoids, color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=True)
     lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
 
 
@@ -261,7 +261,10 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
         return
     scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
     arrows = [
-        pv.Arrow(start=p, direction=c / n, scale=float(scale * n), shaft_radius=0.03, tip_radius=0.08, tip_length=0.3)
+        pv.Arrow(
+            start=p, direction=c / n, scale=float(scale * n), shaft_radius=0.03, tip_radius=0.08, tip_length=0.3,
+            shaft_resolution=8, tip_resolution=12,
+        )  # fmt: skip
         for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
         if n > 1e-3 * length.max()
     ]

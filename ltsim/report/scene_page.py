@@ -16,7 +16,8 @@ from ltsim.report.viewer import viewer_page
 from ltsim.report.workshop import Workshop
 
 STYLE = """
-.content { position: fixed; inset: 0; }
+.content { position: fixed; inset: 0; touch-action: none; }
+.content canvas { touch-action: none; }
 body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 #legend { position: fixed; inset: 0.6rem auto auto 0.7rem; z-index: 9; pointer-events: none; color: #22272b;
   font-size: clamp(10px, 1.7vw, 13px); line-height: 1.4; max-width: min(24rem, 60vw); }

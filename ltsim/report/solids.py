@@ -47,11 +47,17 @@ def rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
     )
 
 
-def ball(centre: Floats, axes: Floats) -> pv.PolyData:
-    """An ellipsoid whose semi-axes are the columns of `axes` (3, 3)."""
-    mesh = _unit_sphere().copy()
-    mesh.points = _unit_sphere().points @ axes.T + centre
-    return mesh
+FEW_BALLS = 150
+"""Above so many a ball is small on the screen, and eight sides look round."""
+
+
+def balls(centres: Floats, axes: Floats) -> pv.PolyData:
+    """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
+    unit = _unit_sphere(18, 12) if len(centres) <= FEW_BALLS else _unit_sphere(8, 6)
+    points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
+    first = len(unit.points) * np.arange(len(centres))[:, None, None]
+    corners = (unit.regular_faces[None] + first).reshape(-1, 3)
+    return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)
 
 
 def merged(parts: Sequence[pv.PolyData]) -> pv.PolyData:
@@ -76,5 +82,5 @@ def triangles(corners: Floats) -> pv.PolyData:
 
 
 @cache
-def _unit_sphere() -> pv.PolyData:
-    return pv.Sphere(radius=1.0, theta_resolution=18, phi_resolution=12)
+def _unit_sphere(around: int, up: int) -> pv.PolyData:
+    return pv.Sphere(radius=1.0, theta_resolution=around, phi_resolution=up)

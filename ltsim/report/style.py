@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any, Literal, ParamSpec
@@ -16,6 +17,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 
 from ltsim.arrays import Floats
 
@@ -63,6 +65,16 @@ _SETTINGS: dict[Any, Any] = {
     "savefig.dpi": 170,
 }
 
+DARK = {
+    "#ffffff": "#16191c", "#000000": "#e6e9ec", INK: "#e6e9ec", PALE: "#2b3035", "#f7f8f9": "#1c2024",
+    "#6b7278": "#8d949a", "#4a5056": "#b4bac0", "#3a4046": "#b4bac0", "#5c6166": "#a5abb1", "#b5bbc0": "#5c6166",
+    BLUE: "#4aa3df",
+}  # fmt: skip
+"""What a figure's colours become where the reader's screen is dark; others serve on both."""
+ON_PALE, ON_DEEP = "#23282c", "#fefefe"
+"""Letters on coloured cells, which keep their colour on a dark screen."""
+_DOTS = re.compile(r'(?<=data:image/png;base64,)[^"]+')
+
 P = ParamSpec("P")
 
 
@@ -89,7 +101,27 @@ def svg(figure: Figure) -> str:
     stream = io.StringIO()
     with mpl.rc_context(_SETTINGS):
         figure.savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue()
+    text = _DOTS.sub(lambda found: _fewer_colours(found.group()), stream.getvalue())
+    return text.replace("<defs>", f"<defs>{_dark_rules()}", 1)
+
+
+def _fewer_colours(png: str) -> str:
+    """A base64 PNG with 64 colours: dots of two or three colours need no more, and take a quarter of the room."""
+    small = io.BytesIO()
+    Image.open(io.BytesIO(base64.b64decode(png))).quantize(64, method=Image.Quantize.FASTOCTREE).save(
+        small, format="PNG", optimize=True
+    )
+    return base64.b64encode(small.getvalue()).decode()
+
+
+def _dark_rules() -> str:
+    """Style of an SVG that follows the reader's choice of a dark screen."""
+    rules = "".join(
+        f'[style*="{what}: {light.lower()}"]{{{what}:{dark}!important}}'
+        for light, dark in DARK.items()
+        for what in ("fill", "stroke")
+    )
+    return f"<style>@media screen and (prefers-color-scheme:dark){{{rules}}}</style>"
 
 
 def svg_uri(figure: Figure) -> str:
@@ -102,9 +134,11 @@ def svg_text_uri(text: str) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()
 
 
-def png_uri(png: bytes) -> str:
-    """A PNG as a `data:` address."""
-    return "data:image/png;base64," + base64.b64encode(png).decode()
+def webp_uri(png: bytes) -> str:
+    """A PNG of a scene as a `data:` address of a fifth of its size."""
+    small = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").save(small, format="WEBP", quality=88)
+    return "data:image/webp;base64," + base64.b64encode(small.getvalue()).decode()
 
 
 def unit_text(unit: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.report.style import DIVERGING, INK, new_figure, shorten, styled
+from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, new_figure, shorten, styled
 
 
 @styled
@@ -36,7 +36,7 @@ def correlation(names: Sequence[str], matrix: Floats) -> Figure:
     if count <= 24:
         for i, j in zip(*np.nonzero(np.abs(matrix) > 0.3), strict=True):
             if i != j:
-                colour = "white" if abs(matrix[i, j]) > 0.6 else INK
+                colour = ON_DEEP if abs(matrix[i, j]) > 0.6 else ON_PALE
                 ax.text(j, i, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=6.5, color=colour)
     bar = figure.colorbar(picture, ax=ax, shrink=0.7, pad=0.02)
     bar.set_label("correlation (numbers: %)")

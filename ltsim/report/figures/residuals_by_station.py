@@ -36,6 +36,9 @@ def residuals_by_station(after: Residuals, before: Residuals | None = None) -> F
         ax.set_ylabel(f"residual [{unit_text(OBSERVABLE_UNIT[observable])}]")
         ax.axhline(0.0, color=INK, linewidth=0.6, zorder=1)
         quiet_axis(ax)
+    if len(after) > 600:
+        for ax in axes:
+            ax.set_rasterization_zorder(2.5)  # dots become one small image an axes; lines stay lines
     crowded = len(stations) > 12
     axes[-1].set_xticks(range(len(stations)), [shorten(s, 14) for s in stations], rotation=60 if crowded else 0)
     axes[-1].set_xlim(-0.6, len(stations) - 0.4)
@@ -65,7 +68,6 @@ def _column(
             alpha=0.75,
             zorder=2,
             label=word if place == 0 else None,
-            rasterized=len(residuals) > 600,
         )
         size = float(np.sqrt(np.mean(values**2)))
         ax.vlines(

@@ -9,7 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ltsim.report.style import CYCLE, GREEN, new_figure, shorten, styled
+from ltsim.report.style import CYCLE, GREEN, ON_DEEP, new_figure, shorten, styled
 
 CLEAR = ("", "visible", "clear", "ok")
 
@@ -37,7 +37,7 @@ def visibility(stations: Sequence[str], targets: Sequence[str], reasons: Sequenc
     for s, line in enumerate(reasons):
         for t, reason in enumerate(line):
             if reason not in CLEAR:
-                ax.text(t + 0.5, s + 0.5, reason[0].upper(), ha="center", va="center", color="white", fontsize=7)
+                ax.text(t + 0.5, s + 0.5, reason[0].upper(), ha="center", va="center", color=ON_DEEP, fontsize=7)
     every = -(-len(targets) // 40)
     ax.set_xticks(
         np.arange(len(targets))[::every] + 0.5, [shorten(t, 12) for t in targets][::every], rotation=90, fontsize=7

@@ -58,7 +58,7 @@ def scene(workshop: Workshop, *, interactive: bool) -> Scene:
     by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
     return Scene(
         title="The workshop in 3D",
-        png=style.png_uri(png),
+        png=style.webp_uri(png),
         caption=f"{lines[:1].upper()}{lines[1:]}.{by}",
         page=scene_page(coloured) if interactive else "",
     )
