@@ -46,11 +46,12 @@ def recover(
     []
     """
     built = scenario(source)
-    if built.instrument.construction == "dh" and construction not in (None, "dh"):
+    own = construction_of(built)
+    if own.name == "dh" and construction not in (None, "dh"):
         raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
-    calibrator = construction_of(built.instrument) if construction is None else construction_called(construction)
+    calibrator = own if construction is None else construction_called(construction)
     found = []
     for trial in trials_of(built, trials, seed=seed, jobs=jobs, method=method, construction=calibrator):
         found.append(trial)
         progress(1)
-    return Recovery(calibrator.names, tuple(found))
+    return Recovery(calibrator.names_of(tuple(built.trackers)), tuple(found))

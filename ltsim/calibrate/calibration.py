@@ -229,7 +229,7 @@ class Calibration(Shown):
     @property
     def names(self) -> tuple[str, ...]:
         """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
-        return flat_names(self.construction.names, self.instruments)
+        return self.construction.names_of(self.instruments)
 
     def values_for(self, recording: Recording) -> Floats:
         """Parameters (p,) or, where instruments differ, (n, p) of each pointing of a recording.
@@ -257,10 +257,3 @@ class Calibration(Shown):
 def _axes(prefix: str, places: Floats) -> dict[str, list[float]]:
     """Columns [mm] of places (k, 3) [m]."""
     return {f"{prefix}{axis}_mm": column.tolist() for axis, column in zip("xyz", (places / MILLIMETRE).T, strict=True)}
-
-
-def flat_names(names: tuple[str, ...], instruments: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the parameters of all instruments, in the order of the covariance."""
-    if len(instruments) == 1:
-        return names
-    return tuple(f"{name}@{instrument}" for instrument in instruments for name in names)

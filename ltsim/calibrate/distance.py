@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.problem import prior_sigmas
-from ltsim.calibrate.calibration import Calibration, Combination, Fit, flat_names
+from ltsim.calibrate.calibration import Calibration, Combination, Fit
 from ltsim.calibrate.correct import corrected_readings
 from ltsim.calibrate.distance_solver import Estimate, solve_distances
 from ltsim.calibrate.objective import DistanceProblem
@@ -124,7 +124,7 @@ def _undetermined(
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
         return undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
-    names = flat_names(construction.names, instruments)
+    names = construction.names_of(instruments)
     return tuple(
         Combination(d.coefficients(names), d.gain, "use the network method, which names a cure")
         for d in estimate.left_out

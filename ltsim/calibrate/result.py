@@ -12,7 +12,7 @@ from ltsim.adjust.screening import gross_pointings
 from ltsim.adjust.start import reached_network
 from ltsim.adjust.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose, flat_names
+from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose
 from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
@@ -181,7 +181,7 @@ def undetermined_of(
     sentences = determining(adjustment, construction, directions) if advise else nothing
     found = []
     for i, own in enumerate(directions):
-        names = flat_names(construction.names, instruments)[i * construction.size :]
+        names = construction.names_of(instruments)[i * construction.size :]
         for direction, cure in zip(own, sentences[i], strict=True):
             found.append(Combination(direction.coefficients(names), direction.gain, cure))
     return tuple(found)

@@ -10,18 +10,17 @@ from ltsim.arrays import Floats
 from ltsim.campaign.spec import Method
 from ltsim.campaign.truth import TrueEffect, Truth
 from ltsim.effects.effect import Effect
-from ltsim.effects.noise import white_noise_sigma
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
 from ltsim.simulate.gauge import expansion, frame_of
-from ltsim.simulate.physics import effect_from
+from ltsim.simulate.physics import effect_from, instrument_law, resolution_of, stated_noise
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.simulator import measure
 from ltsim.simulate.workshop import Layout
-from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.units import MILLIMETRE
 
 
 def truth_of(
@@ -48,27 +47,20 @@ def truth_of(
     work = fieldwork(scenario, seed, *key, plan=plan)
     recording = _template(work, seed, *key) if like is None else _like(work, like, seed, *key)
     grown, pairs = _gauge(work, recording)
-    mean, sigma = instrument_spread(scenario, work.construction)
+    mean, sigma = instrument_law(scenario, work.construction)
     effects = _true_effects(work, grown, pairs)
     stated = [d.sigma_mm * MILLIMETRE for d in recording.gauge.distance]
-    tracker = scenario.instrument
     return Truth(
         recording=recording,
         state=_start_frame(work, mean),
         sightings=work.sightings,
         construction=work.construction,
-        mean=mean[None],
-        sigma=sigma[None],
-        noise=tracker.noise_factor * white_noise_sigma(work.sightings, [tracker.noise]),
+        mean=mean,
+        sigma=sigma,
+        noise=stated_noise(scenario, work.sightings),
         gauge_sigma=scenario.cmm.noise_factor * grown * np.array(stated),
         effects=effects,
-        step=np.array(
-            [
-                tracker.resolution.distance_um * MICROMETRE,
-                tracker.resolution.angle_arcsec * ARCSECOND,
-                tracker.resolution.angle_arcsec * ARCSECOND,
-            ]
-        ),
+        step=resolution_of(scenario),
     )
 
 
@@ -76,9 +68,9 @@ def _start_frame(work: Fieldwork, mean: Floats) -> State:
     """The true geometry in the frame of the first station, or in the workshop's where levels define the vertical."""
     s = work.sightings
     if any(station.levelled for station in work.scenario.stations.values()):
-        return State(s.position, s.rotation, s.points, mean[None])
+        return State(s.position, s.rotation, s.points, mean)
     origin, turn = s.position[0], s.rotation[0]
-    return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean[None])
+    return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
 
 
 def _template(work: Fieldwork, seed: int, *key: str | int) -> Recording:
@@ -129,22 +121,6 @@ def _gauge(work: Fieldwork, recording: Recording) -> tuple[float, list[int]]:
         if (frame.names[a], frame.names[b]) in stated
     ]
     return expansion(gauge, work.scenario.workshop.temperature_c), pairs
-
-
-def instrument_spread(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (p,) [SI] from which the instrument's errors are drawn."""
-    instrument = scenario.instrument
-    stated = {name: float(value) for name, value in instrument.errors.items() if name != "draw"}
-    for name in stated:
-        try:
-            construction.index(name)
-        except ModelError as problem:
-            raise SetupError(f"instrument.errors.{name}: {problem}") from None
-    parameters = construction.parameters
-    mean = np.array([stated.get(p.name, 0.0) * p.factor for p in parameters])
-    free = [instrument.draws and p.name not in stated for p in parameters]
-    prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
-    return mean, np.where(free, instrument.error_factor * prior, 0.0)
 
 
 def _true_effects(work: Fieldwork, grown: float, pairs: list[int]) -> tuple[TrueEffect, ...]:

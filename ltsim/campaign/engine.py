@@ -225,11 +225,9 @@ class Bench:
 
 def parameter_columns(construction: Construction, instruments: tuple[str, ...], values: Floats, prefix: str) -> Columns:
     """Parameters (I, p, B) [SI] as columns in display units: ``estimate:beam-tilt``, with ``@name`` of several."""
-    return {
-        f"{prefix}:{parameter.name}" + (f"@{name}" if len(instruments) > 1 else ""): values[i, k] / parameter.factor
-        for i, name in enumerate(instruments)
-        for k, parameter in enumerate(construction.parameters)
-    }
+    names = construction.names_of(instruments)
+    shown = (values / np.array([p.factor for p in construction.parameters])[:, None]).reshape(-1, values.shape[2])
+    return {f"{prefix}:{name}": own for name, own in zip(names, shown, strict=True)}
 
 
 def trials_of(number: int) -> Ints:

@@ -203,8 +203,11 @@ def recover(
 
 def from_prior(scenario: Scenario) -> Scenario:
     """The scenario with an instrument whose errors are drawn from the prior that the calibrator will use."""
-    instrument = scenario.instrument.model_copy(update={"errors": {"draw": True}, "error_factor": 1.0})
-    return scenario.model_copy(update={"instrument": instrument})
+    drawn = {"errors": {"draw": True}, "error_factor": 1.0}
+    named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
+    return scenario.model_copy(
+        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": named}
+    )
 
 
 def run_trial(
@@ -236,17 +239,17 @@ def score(found: Calibration, truth: Truth) -> Trial:
     SetupError
         When the truth does not hold all of the calibration's parameters.
     """
-    unknown = [name for name in found.construction.names if name not in truth.instrument]
+    unknown = [name for name in found.names if name not in truth.instrument]
     if unknown:
         raise SetupError(
             f"the calibrator's parameter {unknown[0]} is not one that the simulated instrument "
             f"({truth.construction}) has; recover with its own construction"
         )
-    true = np.array([truth.instrument[name] for name in found.construction.names])
+    true = np.array([truth.instrument[name] for name in found.names])
     targets, stations = _network_scores(found, truth)
     return Trial(
-        z=(found.values[0] - true) / found.sigma[0],
-        sigma=found.sigma[0] / found.prior_sigma[0],
+        z=(found.values.ravel() - true) / found.sigma.ravel(),
+        sigma=(found.sigma / found.prior_sigma).ravel(),
         targets=targets,
         stations=stations,
         chi2=found.fit.chi2,

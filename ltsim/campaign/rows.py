@@ -220,11 +220,8 @@ def _z_scores(
     true = [truth.construction.index(name) for name in both]
     with np.errstate(divide="ignore", invalid="ignore"):
         z = (found.values[:, fitted] - block.values[:, true]) / _per_trial(found.sigma)[:, fitted]
-    return {
-        f"z:{name}" + (f"@{instrument}" if len(names) > 1 else ""): z[i, k]
-        for i, instrument in enumerate(names)
-        for k, name in enumerate(both)
-    }
+    flat = np.array(construction.names_of(names)).reshape(len(names), construction.size)[:, fitted].ravel()
+    return {f"z:{name}": own for name, own in zip(flat, z.reshape(len(flat), z.shape[2]), strict=True)}
 
 
 def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:

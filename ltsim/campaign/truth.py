@@ -98,7 +98,7 @@ class Truth:
     gauge_sigma : (g,) float, [m]
         Of the stated lengths.
     effects : tuple of TrueEffect
-    step : (3,) float, [m, rad, rad]
+    step : (I, 3) float, [m, rad, rad]
         Resolution of the readings; 0 for none.
     """
 
@@ -111,7 +111,7 @@ class Truth:
     noise: Floats
     gauge_sigma: Floats
     effects: tuple[TrueEffect, ...] = ()
-    step: Floats = field(default_factory=lambda: np.zeros(3))
+    step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
 
     @cached_property
     def _programs(self) -> list[tuple[Construction, ChainProgram]]:
@@ -169,7 +169,8 @@ class Truth:
         def normal(what: str, *shape: int) -> Floats:
             return stream(seed, "campaign", what, number).standard_normal((*shape, width))
 
-        values = self.mean[:, :, None] + self.sigma[:, :, None] * normal("instrument", *self.mean.shape)
+        errors = [normal(f"instrument {name}".rstrip(), self.mean.shape[1]) for name in self.recording.instruments]
+        values = self.mean[:, :, None] + self.sigma[:, :, None] * np.stack(errors)
         deviation = self._exact(values)
         gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
         amounts = []
@@ -224,10 +225,13 @@ class Truth:
         return shift
 
     def _quantised(self, deviation: Floats) -> Floats:
-        nominal = self.recording.readings
-        for column in np.flatnonzero(self.step):
-            step, start = self.step[column], nominal[:, column, None]
-            deviation[:, column] = step * np.round((start + deviation[:, column]) / step) - start
+        """Deviations (n, 3, B) that make whole steps of the readings, in place."""
+        of_row = np.broadcast_to(self.step[self.recording.instrument], self.noise.shape)
+        for column in range(3):
+            rows = np.flatnonzero(of_row[:, column])
+            own: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
+            step, start = of_row[own, column, None], self.recording.readings[own, column, None]
+            deviation[own, column] = step * np.round((start + deviation[own, column]) / step) - start
         return deviation
 
     def readings(self, block: Block, trial: int) -> Floats:

@@ -13,10 +13,8 @@ PAPER_ANGLE_ARCSEC = 0.018
 PAPER_DISTANCE_UM = 0.1
 
 
-def quantised(readings: Floats, *, distance: float, angle: float) -> Floats:
-    """Readings (n, 3) rounded to whole steps of `distance` [m] and `angle` [rad]; a step of 0 leaves them."""
-    rounded = readings.copy()
-    for column, step in enumerate((distance, angle, angle)):
-        if step > 0.0:
-            rounded[:, column] = step * np.round(readings[:, column] / step)
+def quantised(readings: Floats, step: Floats) -> Floats:
+    """Readings (n, 3) rounded to whole steps (3,) or (n, 3) [m, rad, rad]; a step of 0 leaves them."""
+    step = np.broadcast_to(step, readings.shape)
+    rounded: Floats = np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
     return rounded

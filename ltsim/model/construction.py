@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,6 +52,11 @@ class Construction:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of the vector."""
         return tuple(p.name for p in self.parameters)
+
+    def names_of(self, instruments: Sequence[str]) -> tuple[str, ...]:
+        """Names (I p) of the parameters of all instruments: ``beam-tilt@NAME`` where there are several."""
+        marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
+        return tuple(name + mark for mark in marks for name in self.names)
 
     def index(self, name: str) -> int:
         """Place of a parameter in the vector."""

@@ -202,9 +202,9 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     stations = {}
     for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True):
         kept = scenario.stations.get(name)
-        levelled = {} if kept is None else {"levelled": kept.levelled}
+        levelled = kept is not None and kept.levelled
         turn = round(float(yaw) / DEGREE % 360, 2)
-        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=turn, **levelled)
+        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=turn, levelled=levelled)
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
         name: scenario.targets.get(name) or Target(position_mm=_millimetres(place))

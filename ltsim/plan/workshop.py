@@ -33,8 +33,11 @@ def survey_of(scenario: Scenario) -> Survey:
     Raises
     ------
     SetupError
-        When a station leans: a plan knows upright ones only.
+        When a station leans: a plan knows upright ones only, and one tracker.
     """
+    if scenario.instruments:
+        named = ", ".join(scenario.instruments)
+        raise SetupError(f"the scenario names its trackers ({named}); a plan is for one, stated as [instrument]")
     layout, work = planned(scenario), scenario.work
     lean = 1.0 - layout.rotation[:, 2, 2]
     if lean.max() > LEANING:
@@ -101,7 +104,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         ),
         floor=np.array(corners, dtype=np.float64) * mm,
         heights=(float(levels.min()), float(levels.max())) if heights is None else (heights[0] * mm, heights[1] * mm),
-        limits=sight_limits(scenario),
+        limits=sight_limits(scenario, scenario.instrument),
         play=plan.stations.play_mm * mm,
         aimed=~layout.reaimed,
         obstacles=obstacles_of(scenario),

@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording.files import check_name, read_text, shown
-from ltsim.recording.setup import Setup
+from ltsim.recording.setup import Instrument, Setup
 
 Settings = TypeVar("Settings", bound=BaseModel)
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -169,12 +169,14 @@ def _section(annotation: Any) -> type[BaseModel] | None:
 def setup_to_toml(setup: Setup) -> str:
     """The text of a `setup.toml` that `read_setup` turns into the same set-up.
 
-    Instruments and the gauge are written in full, stations and targets where they differ from the defaults.
+    Instruments and the gauge are written in full, stations and targets where they differ from the defaults; so is the
+    instrument without a name where others have one.
     """
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
     if setup.started:
         table["started"] = setup.started
-    table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
+    if not setup.instruments or setup.instrument != Instrument():
+        table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
     named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
     table["instruments"] = named
     if setup.gauge is not None:

@@ -47,7 +47,7 @@ def from_scenario(scenario: Scenario) -> Workshop:
             ]
         ),
         gauge=tuple((i, j) for i in gauge for j in gauge if i < j),
-        elevation_min=scenario.instrument.limits.elevation_min_deg * DEGREE,
+        elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers.values()) * DEGREE,
         sights=_sights(layout, table),
         obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
         hidden=np.argwhere(table.reason == Reason.OBSTACLE),

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ltsim.arrays import Bools, Floats, as_floats
+from ltsim.arrays import Bools, Floats, Ints, as_floats
 from ltsim.errors import ModelError
 from ltsim.units import DEGREE
 
@@ -195,6 +195,12 @@ def visibility(
     if obstacles is not None:
         _add_obstacles(reason, position, points, obstacles)
     return Visibility(reason, range_, elevation, incidence)
+
+
+def in_order(tables: Sequence[Visibility], order: Ints) -> Visibility:
+    """The tables of several groups of stations as one, its stations (S,) taken in `order` from those of the groups."""
+    columns = [(t.reason, t.range_, t.elevation, t.incidence) for t in tables]
+    return Visibility(*(np.concatenate(column)[order] for column in zip(*columns, strict=True)))
 
 
 def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:

@@ -68,7 +68,7 @@ def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | Non
         scenario=scenario,
         layout=layout,
         sightings=sightings,
-        construction=construction_of(scenario.instrument),
+        construction=construction_of(scenario),
         effects=effects_of(scenario),
         notes=_notes(layout, table),
     )
@@ -119,10 +119,12 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
         clock += 60.0 * work.minutes_per_move
     whole = np.array([row[:4] for row in rows], dtype=np.int64)
     time = np.array([row[4] for row in rows])
+    index = {name: i for i, name in enumerate(scenario.trackers)}
+    of_station = np.array([index[s.instrument or ""] for s in scenario.stations.values()], dtype=np.int64)
     return Sightings(
         station=whole[:, 0],
         target=whole[:, 1],
-        instrument=np.zeros(len(rows), dtype=np.int64),
+        instrument=of_station[whole[:, 0]],
         face=whole[:, 2],
         repeat=whole[:, 3],
         time=time,

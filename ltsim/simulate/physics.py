@@ -12,21 +12,24 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.randomness import stream
-from ltsim.simulate.scenario import Scenario
+from ltsim.scene.sightings import Sightings
+from ltsim.simulate.scenario import Scenario, table_name
 from ltsim.simulate.sections import EffectEntry, Instrument, Smr
-from ltsim.units import DEGREE, FACTOR, MICROMETRE
+from ltsim.units import ARCSECOND, DEGREE, FACTOR, MICROMETRE
 
 PLACES = ("stations", "targets")
 WIDER = 100.0
 """Times beyond the bounds of a search that a length or a time constant may be simulated."""
 
 
-def construction_of(instrument: Instrument) -> Construction:
-    """The construction of the scenario's tracker."""
+def construction_of(scenario: Scenario) -> Construction:
+    """The construction of the scenario's trackers, which is one for all."""
+    instrument = next(iter(scenario.trackers.values()))
     if instrument.construction == "dh":
         return dh(instrument.harmonics, instrument.degree)
     return construction(instrument.construction)
@@ -37,33 +40,67 @@ def planned_construction(scenario: Scenario) -> Construction:
 
     Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all.
     """
-    return construction(
-        "misalignment" if scenario.instrument.construction == "dh" else scenario.instrument.construction
-    )
+    built = construction_of(scenario)
+    return construction("misalignment") if built.name == "dh" else built
 
 
-def instrument_values(instrument: Instrument, construction: Construction, seed: int, *key: str | int) -> Floats:
-    """True values (p,) [SI] of the construction's parameters: as stated, drawn from the prior, or 0.
+def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (I, p) [SI] from which each tracker's errors are drawn; those stated have none.
 
     Raises
     ------
     SetupError
         When an error is stated that the construction does not have.
     """
-    stated = {name: float(value) for name, value in instrument.errors.items() if name != "draw"}
-    for name in stated:
+    laws = [_law(tracker, construction, name) for name, tracker in scenario.trackers.items()]
+    return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
+
+
+def _law(instrument: Instrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
+    stated = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
+    for error in stated:
         try:
-            construction.index(name)
+            construction.index(error)
         except ModelError as problem:
-            raise SetupError(f"instrument.errors.{name}: {problem}") from None
-    values = np.zeros(construction.size)
-    for i, parameter in enumerate(construction.parameters):
-        if parameter.name in stated:
-            values[i] = stated[parameter.name] * parameter.factor
-        elif instrument.draws:
-            sigma = instrument.error_factor * parameter.sigma_from(instrument.prior)
-            values[i] = sigma * stream(seed, *key, "instrument", parameter.name).standard_normal()
+            raise SetupError(f"{table_name(name)}.errors.{error}: {problem}") from None
+    parameters = construction.parameters
+    mean = np.array([stated.get(p.name, 0.0) * p.factor for p in parameters])
+    free = [instrument.draws and p.name not in stated for p in parameters]
+    prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
+    return mean, np.where(free, instrument.error_factor * prior, 0.0)
+
+
+def instrument_values(scenario: Scenario, construction: Construction, seed: int, *key: str | int) -> Floats:
+    """True values (I, p) [SI] of each tracker's parameters: as stated, drawn from the prior, or 0.
+
+    A draw is keyed by the tracker's name, if it has one, and the parameter: another tracker changes no other draw.
+
+    Raises
+    ------
+    SetupError
+        When an error is stated that the construction does not have.
+    """
+    values, sigma = instrument_law(scenario, construction)
+    for i, name in enumerate(scenario.trackers):
+        own = (*key, "instrument", name) if name else (*key, "instrument")
+        for k in np.flatnonzero(sigma[i]):
+            values[i, k] = sigma[i, k] * stream(seed, *own, construction.names[k]).standard_normal()
     return values
+
+
+def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
+    """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
+    trackers = scenario.trackers.values()
+    factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
+    sigma: Floats = factor[:, None] * white_noise_sigma(sightings, [tracker.noise for tracker in trackers])
+    return sigma
+
+
+def resolution_of(scenario: Scenario) -> Floats:
+    """Steps (I, 3) [m, rad, rad] of each tracker's readings; 0 for none."""
+    steps = [tracker.resolution for tracker in scenario.trackers.values()]
+    units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
+    return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
 def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> Effect:

@@ -45,7 +45,9 @@ class Scenario(Section, Shown):
     placing: Placing = Placing()
     """How far the truth is from the plan."""
     instrument: Instrument = Instrument()
-    """The tracker."""
+    """The tracker of every station that names no other."""
+    instruments: dict[str, Instrument] = Field(default_factory=dict)
+    """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
     smr: Smr = Smr()
     """The reflectors."""
     cmm: Cmm = Cmm()
@@ -66,11 +68,23 @@ class Scenario(Section, Shown):
         """Targets of the mesh, then those of the gauge."""
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
+    @property
+    def trackers(self) -> dict[str, Instrument]:
+        """The instruments in use by name, in the order of `Recording.instruments`; one without a name is ''."""
+        names = sorted({station.instrument or "" for station in self.stations.values()})
+        return {name: self.instruments[name] if name else self.instrument for name in names}
+
+    def stations_of(self, tracker: str) -> tuple[str, ...]:
+        """The stations where the tracker of this name stands."""
+        return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
+
     def _lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
         faces = "two faces" if self.work.faces == 2 else "one face"
         effects = ", ".join(entry.name for entry in self.effects) or "no effects"
-        return [f"Scenario: {title}{len(self.stations)} stations, {len(self.target_names)} targets, {faces}, {effects}"]
+        trackers = f" by {len(self.trackers)} trackers" if len(self.trackers) > 1 else ""
+        measured = f"{len(self.stations)} stations{trackers}, {len(self.target_names)} targets"
+        return [f"Scenario: {title}{measured}, {faces}, {effects}"]
 
     __repr__ = Shown.__repr__
 
@@ -96,7 +110,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
     try:
-        scenario = checked(_with_preset(data), Scenario, "scenario", file)
+        scenario = checked(_with_presets(data), Scenario, "scenario", file)
     except RecordError as problem:
         raise SetupError(str(problem)) from None
     _check(scenario, file)
@@ -131,17 +145,24 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         table[last] = value
 
 
-def _with_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The tables with the instrument's preset filled in below what the file says."""
-    instrument = data.get("instrument")
+def _with_presets(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The tables with the preset of each instrument filled in below what the file says."""
+    filled = {**data, "instrument": _with_preset(data.get("instrument", {}))}
+    named = data.get("instruments")
+    if isinstance(named, dict):
+        filled["instruments"] = {name: _with_preset(table) for name, table in named.items()}
+    return filled
+
+
+def _with_preset(instrument: Any) -> Any:
     preset = PRESETS.get(str(instrument.get("preset", ""))) if isinstance(instrument, dict) else None
-    if not isinstance(instrument, dict) or not preset:
-        return data
+    if not preset:
+        return instrument
     filled = dict(instrument)
     for section, values in preset.items():
         given = instrument.get(section, {})
         filled[section] = {**values, **given} if isinstance(given, dict) else given
-    return {**data, "instrument": filled}
+    return filled
 
 
 def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:
@@ -170,6 +191,7 @@ def _check(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {key} {message}")
 
     _check_names(scenario, file, refuse)
+    _check_instruments(scenario, refuse)
     _check_places(scenario, refuse)
     for i, entry in enumerate(scenario.effects):
         for kind, wanted, known in (
@@ -190,12 +212,37 @@ def _check_names(scenario: Scenario, file: Path, refuse: Refuse) -> None:
     for name in names:
         if names.count(name) > 1:
             refuse("gauge.targets", f"names '{shown(name)}' twice, or it is a target of the mesh too")
-    for kind, listed in (("station", scenario.stations), ("target", names)):
+    for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             try:
                 check_name(name, kind, file=file)
             except RecordError as problem:
                 raise SetupError(str(problem)) from None
+
+
+def _check_instruments(scenario: Scenario, refuse: Refuse) -> None:
+    """Stations of known trackers, trackers that stand somewhere, and one construction for all."""
+    used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
+    for station, name in used.items():
+        if name not in scenario.instruments:
+            known = f"one of {_listed(scenario.instruments)}" if scenario.instruments else "declared"
+            refuse(f"stations.{station}.instrument", f"names '{shown(name)}', which is not {known}")
+    for name in scenario.instruments:
+        if name not in used.values():
+            refuse(f"instruments.{shown(name)}", "stands nowhere; name it as the instrument of a station")
+    if "" not in scenario.trackers and scenario.instrument != Instrument():
+        refuse("instrument", "is stated but stands nowhere: every station names an instrument of its own")
+    designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
+    (first, one), *others = designs.items()
+    for name, other in others:
+        if other != one:
+            found = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
+            refuse("instruments", f"hold different constructions ({found}); one recording has one, with one order")
+
+
+def table_name(name: str) -> str:
+    """The table of a scenario that holds the tracker of this name; '' for the one without."""
+    return f"instruments.{name}" if name else "instrument"
 
 
 def _check_places(scenario: Scenario, refuse: Refuse) -> None:
@@ -226,6 +273,9 @@ def scenario_to_toml(scenario: Scenario) -> str:
     table: dict[str, Any] = {"format": scenario.format, "title": scenario.title}
     for name in ("workshop", "placing", "instrument", "smr", "cmm", "work"):
         table[name] = getattr(scenario, name).model_dump(by_alias=True, exclude_none=True)
+    if scenario.instruments:
+        named = scenario.instruments.items()
+        table["instruments"] = {name: i.model_dump(by_alias=True, exclude_none=True) for name, i in named}
     if scenario.gauge is not None:
         table["gauge"] = scenario.gauge.model_dump(by_alias=True, exclude_none=True)
     for kind in ("stations", "targets"):

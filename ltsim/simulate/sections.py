@@ -274,7 +274,7 @@ class Gauge(Section):
 
 
 class Station(Section):
-    """One set-up of the instrument: the middle of its head, and how it is turned."""
+    """One set-up of an instrument: the middle of its head, and how it is turned."""
 
     position_mm: Vector
     """Planned place of the head."""
@@ -288,6 +288,9 @@ class Station(Section):
     """The standing axis follows a level."""
     levelling_sigma_arcsec: Positive = 1.0
     """Standard deviation of the level."""
+    instrument: str | None = None
+    """Name of the tracker that stands here, a table `[instruments.NAME]`; that of `[instrument]` where it is not
+    given."""
 
 
 class Target(Section):

@@ -12,7 +12,6 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Mistake, NoiseEffect
-from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.resolution import quantised
 from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
@@ -21,10 +20,11 @@ from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Limits, Setup, Station, Target
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
 from ltsim.simulate.gauge import calibrated, frame_of, nominal_points
-from ltsim.simulate.physics import effect_values, instrument_values
+from ltsim.simulate.physics import effect_values, instrument_values, resolution_of, stated_noise
 from ltsim.simulate.scenario import Scenario
-from ltsim.simulate.truth import AppliedEffect, Truth
-from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.simulate.sections import Instrument as Tracker
+from ltsim.simulate.truth import AppliedEffect, TrackerTruth, Truth
+from ltsim.units import MILLIMETRE
 
 
 def simulate(scenario: Scenario, seed: int) -> tuple[Recording, Truth]:
@@ -48,7 +48,7 @@ def measure(work: Fieldwork, seed: int, *key: str | int) -> tuple[Recording, Tru
     *key : str or int
         What tells this trial from others with the same seed.
     """
-    instrument = instrument_values(work.scenario.instrument, work.construction, seed, *key)
+    instrument = instrument_values(work.scenario, work.construction, seed, *key)
     values = effect_values(work.scenario, work.effects, seed, *key)
     readings = simulate_readings(work, instrument, values, seed, *key)
     truth = _truth(work, instrument, values, seed, *key)
@@ -63,27 +63,31 @@ def simulate_readings(
     Parameters
     ----------
     work : Fieldwork
-    instrument : (p,) float, [SI]
+    instrument : (I, p) float, [SI]
+        Of the trackers of the scenario.
     values : tuple of (q,) float, [SI]
         One an effect of `work.effects`.
     seed, *key
         Of the noise.
     """
     readings = exact_readings(work, instrument, values) + drawn_noise(work, values, seed, *key)
-    step = work.scenario.instrument.resolution
     readings[:, 1] = wrap(readings[:, 1])
-    readings = quantised(readings, distance=step.distance_um * MICROMETRE, angle=step.angle_arcsec * ARCSECOND)
+    readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
     for mistake in _mistakes(work, values):
         readings = mistake.written(work.sightings, readings)
     return readings
 
 
 def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...]) -> Floats:
-    """Raw readings (n, 3) before noise of what was really measured: the exact construction, then effects by stage."""
+    """Raw readings (n, 3) before noise of what was really measured: the exact construction, then effects by stage.
+
+    `instrument` and `values` as of `simulate_readings`.
+    """
     sightings = work.sightings
     for mistake in _mistakes(work, values):
         sightings = mistake.done(sightings)
-    readings = work.construction.readings(sightings.local, sightings.face, instrument)
+    errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
+    readings = work.construction.readings(sightings.local, sightings.face, errors)
     for k in sorted(range(len(work.effects)), key=lambda k: work.effects[k].stage):
         if not isinstance(work.effects[k], Mistake):
             readings = readings + work.effects[k].shift(sightings, values[k])
@@ -104,8 +108,7 @@ def noise_sigma(work: Fieldwork, values: tuple[Floats, ...]) -> Floats:
     SetupError
         When an effect leaves a variance below zero.
     """
-    stated = work.scenario.instrument
-    sigma = stated.noise_factor * white_noise_sigma(work.sightings, [stated.noise])
+    sigma = stated_noise(work.scenario, work.sightings)
     for effect, amount in zip(work.effects, values, strict=True):
         if isinstance(effect, NoiseEffect):
             variance = effect.variance(work.sightings, sigma, amount)
@@ -154,28 +157,35 @@ def _idle_effects(work: Fieldwork) -> Iterator[str]:
 def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Setup:
     """What a person knows: the floor plan, the nests, the gauge's certificate, the maker's figures."""
     scenario, step = work.scenario, work.scenario.placing
-    tracker, limits = scenario.instrument, scenario.instrument.limits
     stations = {
         name: Station(
             position_mm=_rounded(s.position_mm, step.plan_step_mm),
             yaw_deg=step.plan_step_deg * round(s.yaw_deg / step.plan_step_deg),
             levelled=s.levelled,
             levelling_sigma_arcsec=s.levelling_sigma_arcsec,
+            instrument=s.instrument,
         )
         for name, s in scenario.stations.items()
     }
     return Setup(
         title=scenario.title,
-        instrument=Instrument(
-            construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
-            corrected=tracker.corrected,
-            noise=tracker.noise,
-            prior=tracker.prior,
-            limits=Limits(elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg),
-        ),
+        instrument=_data_sheet(scenario.instrument) if "" in scenario.trackers else Instrument(),
+        instruments={name: _data_sheet(tracker) for name, tracker in scenario.instruments.items()},
         gauge=_certificate(work, values, seed, *key),
         stations=stations,
         targets=_targets(work),
+    )
+
+
+def _data_sheet(tracker: Tracker) -> Instrument:
+    """What its maker states of a tracker."""
+    limits = tracker.limits
+    return Instrument(
+        construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
+        corrected=tracker.corrected,
+        noise=tracker.noise,
+        prior=tracker.prior,
+        limits=Limits(elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg),
     )
 
 
@@ -232,6 +242,8 @@ def _certificate(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: s
 
 def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Truth:
     s, scenario = work.sightings, work.scenario
+    trackers = scenario.trackers
+    names = work.construction.names_of(tuple(trackers))
     nominal = None
     if scenario.cmm.nominal:
         nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *key)
@@ -244,9 +256,14 @@ def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed
         targets=s.target_names,
         points=s.points,
         construction=work.construction.name,
-        instrument=dict(zip(work.construction.names, instrument.tolist(), strict=True)),
-        units={p.name: p.unit for p in work.construction.parameters},
+        instrument=dict(zip(names, instrument.ravel().tolist(), strict=True)),
+        units=dict(zip(names, [p.unit for p in work.construction.parameters] * len(trackers), strict=True)),
         effects=tuple(AppliedEffect(e, v) for e, v in zip(work.effects, values, strict=True)),
         noise_factor=scenario.instrument.noise_factor,
+        trackers=tuple(
+            TrackerTruth(name, scenario.stations_of(name), tracker.noise_factor)
+            for name, tracker in trackers.items()
+            if scenario.instruments
+        ),
         nominal=nominal,
     )

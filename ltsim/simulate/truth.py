@@ -35,6 +35,15 @@ class AppliedEffect:
     values: Floats
 
 
+@dataclass(frozen=True)
+class TrackerTruth:
+    """One of the trackers of a recording: where it stood, and its drawn noise over the stated one."""
+
+    name: str
+    stations: tuple[str, ...]
+    noise_factor: float = 1.0
+
+
 @dataclass(frozen=True, repr=False)
 class Truth(Shown):
     """What a recording was made from; SI units, the workshop's frame.
@@ -52,13 +61,15 @@ class Truth(Shown):
         Where no effect moves them.
     construction : str
     instrument : mapping of str to float, [SI]
-        True values of the construction's parameters.
+        True values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments.
     units : mapping of str to str
         The unit each is shown in.
     effects : tuple of AppliedEffect
         Everything beyond the instrument's parameters.
     noise_factor : float
-        Drawn noise over stated noise.
+        Drawn noise over stated noise, of an instrument without a name.
+    trackers : tuple of TrackerTruth
+        Where instruments have names.
     nominal : (T, 3) float, [m], or None
         The targets as a measuring machine gave them.
     """
@@ -75,6 +86,7 @@ class Truth(Shown):
     units: Mapping[str, str]
     effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
     noise_factor: float = 1.0
+    trackers: tuple[TrackerTruth, ...] = ()
     nominal: Floats | None = None
 
     def _lines(self) -> list[str]:
@@ -104,11 +116,11 @@ class Truth(Shown):
             "seed": self.seed,
             "construction": self.construction,
             "parameters": [
-                {"name": name, "value": value / FACTOR[self.units[name]], "unit": self.units[name]}
+                _parameter_to_json(name, value / FACTOR[self.units[name]], self.units[name])
                 for name, value in self.instrument.items()
             ],
             "effects": [_effect_to_json(applied) for applied in self.effects],
-            "noise_factor": self.noise_factor,
+            **self._instruments_to_json(),
             "stations": [
                 {
                     "name": name,
@@ -128,6 +140,12 @@ class Truth(Shown):
                 for i, name in enumerate(self.targets)
             ]
         return content
+
+    def _instruments_to_json(self) -> dict[str, Any]:
+        if not self.trackers:
+            return {"noise_factor": self.noise_factor}
+        named = [{"name": t.name, "stations": [*t.stations], "noise_factor": t.noise_factor} for t in self.trackers]
+        return {"instruments": named}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Truth:
@@ -158,10 +176,11 @@ class Truth(Shown):
             targets=tuple(p.name for p in table.targets),
             points=np.array(targets).reshape(-1, 3) * MILLIMETRE,
             construction=table.construction,
-            instrument={p.name: p.value * FACTOR[p.unit] for p in table.parameters},
-            units={p.name: p.unit for p in table.parameters},
+            instrument={p.flat_name: p.value * FACTOR[p.unit] for p in table.parameters},
+            units={p.flat_name: p.unit for p in table.parameters},
             effects=tuple(_effect_from_json(e, file) for e in table.effects),
             noise_factor=table.noise_factor,
+            trackers=tuple(TrackerTruth(t.name, t.stations, t.noise_factor) for t in table.instruments),
             nominal=np.array(nominal) * MILLIMETRE if nominal else None,
         )
 
@@ -175,6 +194,29 @@ class _Number(Section):
     """What it truly is."""
     unit: str
     """Of the value."""
+
+
+class _InstrumentNumber(_Number):
+    """A parameter of an instrument."""
+
+    instrument: str = ""
+    """Whose it is, where there are several."""
+
+    @property
+    def flat_name(self) -> str:
+        """As of `Construction.names_of`."""
+        return f"{self.name}@{self.instrument}" if self.instrument else self.name
+
+
+class _Tracker(Section):
+    """An instrument with a name."""
+
+    name: str
+    """As the set-up names it."""
+    stations: tuple[str, ...] = ()
+    """Where it stood."""
+    noise_factor: Finite = 1.0
+    """How many times the stated noise its true one is."""
 
 
 class _Effect(Section):
@@ -219,18 +261,25 @@ class TruthFile(Section):
     """Root of the random draws."""
     construction: str
     """Which model made the readings."""
-    parameters: tuple[_Number, ...] = ()
-    """True errors of the instrument."""
+    parameters: tuple[_InstrumentNumber, ...] = ()
+    """True errors of the instruments."""
     effects: tuple[_Effect, ...] = ()
     """Physics beyond them."""
     noise_factor: Finite = 1.0
-    """How many times the stated noise the true one is."""
+    """How many times the stated noise the true one is, of an instrument without a name."""
+    instruments: tuple[_Tracker, ...] = ()
+    """The instruments, where they have names."""
     stations: tuple[_Pose, ...] = Field(min_length=1)
     """True poses."""
     targets: tuple[_Point, ...] = Field(min_length=1)
     """True points."""
     nominal: tuple[_Point, ...] | None = None
     """Points as a measuring machine gave them."""
+
+
+def _parameter_to_json(flat_name: str, value: float, unit: str) -> dict[str, Any]:
+    name, _, instrument = flat_name.partition("@")
+    return {"name": name, "value": value, "unit": unit} | ({"instrument": instrument} if instrument else {})
 
 
 def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
 from ltsim.scene.meshes import Obstacles, box, placed, read_mesh, together
-from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, visibility
+from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
 from ltsim.simulate.gauge import frame_of, in_workshop
 from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.sections import Instrument
 from ltsim.units import DEGREE, MILLIMETRE
 
 
@@ -91,9 +92,9 @@ def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats
     return normal, reaimed
 
 
-def sight_limits(scenario: Scenario) -> SightLimits:
-    """What the scenario's instrument and reflectors allow."""
-    limits, cone = scenario.instrument.limits, scenario.workshop.shadow_cone_deg
+def sight_limits(scenario: Scenario, tracker: Instrument) -> SightLimits:
+    """What a tracker of the scenario and its reflectors allow."""
+    limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
     return SightLimits(
         elevation_min=limits.elevation_min_deg * DEGREE,
         elevation_max=limits.elevation_max_deg * DEGREE,
@@ -125,14 +126,20 @@ def obstacles_of(scenario: Scenario) -> Obstacles | None:
 
 
 def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibility:
-    """Who sees whom, and why not, in a scenario as planned or with another layout."""
+    """Who sees whom, and why not, in a scenario as planned or with another layout; each tracker within its limits."""
     there = planned(scenario) if layout is None else layout
-    return visibility(
-        there.position,
-        there.points,
-        sight_limits(scenario),
-        rotation=there.rotation,
-        nest_normal=there.nest_normal,
-        reaimed=there.reaimed,
-        obstacles=obstacles_of(scenario),
-    )
+    obstacles = obstacles_of(scenario)
+    own = [[there.stations.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers]
+    tables = [
+        visibility(
+            there.position[stations],
+            there.points,
+            sight_limits(scenario, tracker),
+            rotation=there.rotation[stations],
+            nest_normal=there.nest_normal,
+            reaimed=there.reaimed,
+            obstacles=obstacles,
+        )
+        for stations, tracker in zip(own, scenario.trackers.values(), strict=True)
+    ]
+    return in_order(tables, np.argsort(np.concatenate(own)))

@@ -51,7 +51,7 @@ def truth_of(
         recording.sigma(),
         lengths,
         effects,
-        np.array([1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]),
+        np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]),
     )
 
 

@@ -20,7 +20,13 @@ from ltsim.simulate.physics import effect_values
 from ltsim.simulate.scenario import Scenario, load_scenario, scenario_from
 from ltsim.simulate.simulator import exact_readings, measure, noise_sigma
 
-BUILTIN = ("paper-workshop", "paper-workshop-two-face", "paper-workshop-fixed-nests", "paper-laboratory")
+BUILTIN = (
+    "paper-workshop",
+    "paper-workshop-two-face",
+    "paper-workshop-fixed-nests",
+    "paper-laboratory",
+    "two-trackers",
+)
 
 
 def scenario(**changes: Any) -> Scenario:
@@ -36,7 +42,7 @@ def test_readings_are_those_of_the_simulator(name: str) -> None:
     noise = noise_sigma(work, tuple(amount[:, 0] for amount in block.amounts))
     gaps = []
     for k in range(0, BLOCK, 8):
-        exact = exact_readings(work, block.values[0, :, k], tuple(amount[:, k] for amount in block.amounts))
+        exact = exact_readings(work, block.values[:, :, k], tuple(amount[:, k] for amount in block.amounts))
         gap = truth.readings(block, k) - exact
         gap[:, 1:] = wrap(gap[:, 1:])
         gaps.append(gap / noise)

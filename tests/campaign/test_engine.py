@@ -171,7 +171,7 @@ def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., Truth]) -> No
 def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., Truth]) -> None:
     for effect in (Drift(), Bent()):
         truth = make_truth(effects=(TrueEffect(effect, np.full(2, 2e-9), np.full(2, 1e-9)),))
-        silent = replace(truth, noise=np.full_like(truth.noise, 1e-15), step=np.zeros(3))
+        silent = replace(truth, noise=np.full_like(truth.noise, 1e-15), step=np.zeros((1, 3)))
         block = silent.draw(18, 0)
         for k in (0, 200):
             exact = truth.construction.readings(truth.sightings.local, truth.recording.face, block.values[0, :, k])

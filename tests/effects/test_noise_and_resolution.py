@@ -20,12 +20,12 @@ def test_sigma_is_that_of_a_recording() -> None:
 
 @given(st.floats(-10, 10), st.sampled_from([1e-7, 0.018 * ARCSECOND, 0.5]))
 def test_rounding_gives_the_nearest_whole_step(value: float, step: float) -> None:
-    rounded = quantised(np.full((1, 3), value), distance=step, angle=step)[0, 0]
+    rounded = quantised(np.full((1, 3), value), np.full(3, step))[0, 0]
     assert abs(rounded - value) <= 0.5 * step * (1 + 1e-6)
     assert abs(rounded / step - round(rounded / step)) < 1e-6
 
 
 def test_without_a_step_readings_stay() -> None:
     readings = np.array([[1.23456789, 2.3456789, 0.987654321]])
-    np.testing.assert_array_equal(quantised(readings, distance=0.0, angle=0.0), readings)
-    assert quantised(readings, distance=1e-3, angle=0.0)[0].tolist() == [1.235, 2.3456789, 0.987654321]
+    np.testing.assert_array_equal(quantised(readings, np.zeros(3)), readings)
+    assert quantised(readings, np.array([1e-3, 0.0, 0.0]))[0].tolist() == [1.235, 2.3456789, 0.987654321]

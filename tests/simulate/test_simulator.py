@@ -71,7 +71,7 @@ def test_face_order_per_target_and_per_station() -> None:
 def test_the_instrument_is_exact_in_both_directions() -> None:
     work = fieldwork(with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2)
     values = np.array([{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.names])
-    readings = exact_readings(work, values, ())
+    readings = exact_readings(work, values[None], ())
     point = work.construction.point(readings, values)
     np.testing.assert_allclose(point, work.sightings.local, rtol=0, atol=1e-12)
 
@@ -94,7 +94,7 @@ def test_noise_has_the_stated_size_whatever_the_place() -> None:
     work, z = fieldwork(scenario, 8), []
     for trial in range(60):
         recording, truth = measure(work, 8, trial)
-        gap = recording.readings - exact_readings(work, np.array(list(truth.instrument.values())), ())
+        gap = recording.readings - exact_readings(work, np.array([list(truth.instrument.values())]), ())
         gap[:, 1] = wrap(gap[:, 1])
         z.append(gap / recording.sigma())
     square = np.square(np.concatenate(z)).sum(axis=0)

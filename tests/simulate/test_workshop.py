@@ -59,7 +59,7 @@ def test_gauge_is_parallel_to_no_reference_plane() -> None:
 @pytest.mark.parametrize("cone", [None, 70.0, 110.0])
 def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: float | None) -> None:
     scenario = changed(PAPER, "workshop", shadow_cone_deg=cone)
-    assert sight_limits(scenario).elevation_min == pytest.approx(-55 * DEGREE)
+    assert sight_limits(scenario, scenario.instrument).elevation_min == pytest.approx(-55 * DEGREE)
     table = visibility_of(scenario)
     assert table.lost(LAYOUT.stations, LAYOUT.targets) == []
     radius = shadow_radius(LAYOUT.position, 0.15, 110 * DEGREE)

@@ -1,0 +1,39 @@
+"""Trials of several trackers on one network: drawn by name, calibrated in batch, recovered."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import ltsim as lt
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.engine import Engine, parameter_columns
+from ltsim.campaign.recovery import from_prior
+from ltsim.randomness import stream
+from ltsim.simulate.scenario import load_scenario
+
+TWO = load_scenario("two-trackers")
+
+
+def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -> None:
+    truth = truth_of(TWO, 4, "campaign")
+    block = truth.draw(4, 0, 64)
+    assert block.values.shape == (2, 16, 64)
+    for i, name in enumerate(truth.recording.instruments):
+        drawn = stream(4, "campaign", f"instrument {name}", 0).standard_normal((16, 64))
+        np.testing.assert_array_equal(block.values[i], truth.sigma[i][:, None] * drawn)
+    engine = Engine(truth, truth.construction)
+    found = engine.calibrate(block)
+    z = (found.values - block.values) / found.sigma[:, :, None]
+    assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
+    assert engine.difference(block, int(np.argmin(found.status)), found) < 1e-3
+    columns = parameter_columns(truth.construction, truth.recording.instruments, found.values, "estimate")
+    tilt = truth.construction.index("beam-tilt")
+    np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.values[1, tilt] * 1e6)
+
+
+def test_recovery_checks_every_trackers_parameters() -> None:
+    drawn = from_prior(load_scenario("two-trackers"))
+    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers.values())
+    found = lt.recover("two-trackers", trials=12, seed=1)
+    assert found.failures() == [] and found.z.shape == (12, 32)
+    assert found.names[0] == "range-offset@A" and found.names[31] == "elevation-second-order-sin@B"
