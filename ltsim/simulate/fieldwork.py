@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.workshop import Layout, planned, visibility_of
 from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
 
+NOTES = 20
+"""Pairs that do not see each other are named one by one up to this number."""
 LEVEL_GAP = 0.5
 """Heights further apart than this [m] are different levels."""
 
@@ -38,7 +41,7 @@ class Fieldwork:
     construction : Construction
     effects : tuple of Effect
     notes : tuple of str
-        Which station does not see which target, and why.
+        Which station does not see which target, and why; of many pairs, how many and why.
     """
 
     scenario: Scenario
@@ -102,7 +105,12 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
 
 
 def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
-    return tuple(table.lost(layout.stations, layout.targets))
+    lost = table.lost(layout.stations, layout.targets)
+    if len(lost) <= NOTES:
+        return tuple(lost)
+    reasons = Counter(reason for line in table.words() for reason in line if reason)
+    told = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {told}",)
 
 
 def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+import pytest
 
 import ltsim as lt
 from ltsim.campaign.cell import truth_of
 from ltsim.campaign.engine import Engine, parameter_columns
 from ltsim.campaign.recovery import from_prior
 from ltsim.randomness import stream
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.scenario import changed, load_scenario
 
 TWO = load_scenario("two-trackers")
 
@@ -37,3 +41,14 @@ def test_recovery_checks_every_trackers_parameters() -> None:
     found = lt.recover("two-trackers", trials=12, seed=1)
     assert found.failures() == [] and found.z.shape == (12, 32)
     assert found.names[0] == "range-offset@A" and found.names[31] == "elevation-second-order-sin@B"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("construction", ["misalignment", "steering-mirror", "dh"])
+@pytest.mark.parametrize("trackers", ["ABAB", "ABCA"])
+def test_intervals_hold_for_every_construction_and_number_of_trackers(construction: str, trackers: str) -> None:
+    changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
+    changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
+    found = lt.recover(changed(TWO, changes, Path("hall.toml")), trials=60, seed=8)
+    assert len(found.converged) == 60
+    assert 0.93 < np.mean(np.abs(found.z) < 1.96) < 0.97

@@ -1,0 +1,40 @@
+"""Several trackers on one network of 100 set-ups, one of them off: which one, which constant, and how much."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from experiments.several_trackers import scenario_of
+
+
+def test_the_trackers_take_turns_and_every_setup_shares_reflectors() -> None:
+    recording, truth = lt.simulate(scenario_of(setups=20), seed=1)
+    assert recording.instruments == ("A", "B", "C", "D")
+    assert [t.stations[:2] for t in truth.trackers][:2] == [("S001", "S005"), ("S002", "S006")]
+    assert truth.instrument["beam-tilt@C"] == pytest.approx(15e-6)
+    assert np.bincount(recording.station).min() >= 6 and len(recording.notes) == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("off", "name", "size", "faces"),
+    [
+        ("C", "beam-tilt", 15.0, 1),
+        ("A", "vertical-index", -20.0, 2),
+        ("B", "range-offset", 30.0, 1),
+        ("D", "transit-tilt", 12.0, 1),
+    ],
+)
+def test_the_constant_that_is_off_stands_out_and_lies_in_its_interval(
+    off: str, name: str, size: float, faces: int
+) -> None:
+    recording, truth = lt.simulate(scenario_of(off=off, errors={name: size}, faces=faces), seed=11)
+    assert len(recording.stations) == 100
+    found = lt.calibrate(recording)
+    values, sigma = found.values.ravel(), found.sigma.ravel()
+    outstanding = [flat for flat, z in zip(found.names, values / sigma, strict=True) if abs(z) > 5]
+    assert outstanding == [f"{name}@{off}"]
+    at = found.names.index(f"{name}@{off}")
+    assert abs(values[at] - truth.instrument[f"{name}@{off}"]) < 1.96 * sigma[at]
