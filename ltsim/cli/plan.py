@@ -42,6 +42,7 @@ Between = Annotated[
 ]
 MOST_SHOWN = 6
 PICTURES = ("floor.png", "tradeoff.png")
+PAGE = "work-order.html"
 
 
 def plan(
@@ -63,7 +64,8 @@ def plan(
     """Find a layout of stations and reflectors and say why; or, with --after, what to measure next.
 
     Writes plan.json, stations.csv (where the tripod goes), reflectors.csv, tradeoff.csv, scenario.toml for
-    `ltsim simulate`, and the pictures floor.png and tradeoff.png.
+    `ltsim simulate`, work-order.html for the shop floor, nominals.csv and work-order.csv for the tracker's software,
+    and the pictures floor.png and tradeoff.png.
 
     Example: ltsim plan paper-workshop --out my-plan
     """
@@ -84,7 +86,7 @@ def plan(
         print(plan_text(source), end="")
         return None
     folder = out if out is not None or as_json else Path(f"plan-{Path(source).stem}")
-    claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", *PICTURES), force=force)
+    claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", *PICTURES, PAGE), force=force)
     return _search(terminal, source, folder, seed, starts, jobs)
 
 
@@ -95,12 +97,19 @@ def _search(
 
     with terminal.progress("searching layouts", 100) as advance:
         made = lt.plan(source, starts=starts, seed=seed, jobs=jobs, progress=_percent(advance))
-    content = write_plan(made, folder, {} if folder is None else pictures_of(made))
+    content = write_plan(made, folder, {} if folder is None else pictures_of(made) | page_of(made))
     terminal.answer(content.content())
     show_plan(terminal, content)
     if folder is not None:
-        terminal.say(f"\nwritten to {folder}: floor.png shows where the tripod goes, stations.csv its coordinates")
+        terminal.say(f"\nwritten to {folder}: {PAGE} goes to the shop floor, nominals.csv to the tracker's software")
         terminal.say(f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}")
+
+
+def page_of(made: Plan) -> dict[str, bytes]:
+    """work-order.html: the page for the shop floor."""
+    from ltsim.report.sections.work_order import work_order_page
+
+    return {PAGE: work_order_page(made).encode()}
 
 
 def _percent(advance: Any) -> Any:

@@ -17,15 +17,18 @@ from ltsim.plan.reasons import fewest, reasons
 from ltsim.plan.schema import (
     EFFECTS,
     NEXT,
+    NOMINALS,
     PARAMETERS,
     REFLECTORS,
     STATIONS,
     TRADEOFF,
     VISIBILITY,
+    WORK,
     NextFile,
     PlanResult,
 )
 from ltsim.plan.survey import Survey
+from ltsim.plan.work_order import work_rows
 from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.simulate.scenario import Scenario, scenario_to_toml
@@ -297,6 +300,8 @@ def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str]:
     }
     if "detectable" in content.model_fields_set:
         texts[EFFECTS] = [[getattr(row, name) for name in EFFECTS.header] for row in content.detectable]
+    texts[NOMINALS] = [[r.name, *r.position_mm] for r in content.reflectors]
+    texts[WORK] = work_rows(plan)
     tables = {table.file: table.text(rows) for table, rows in texts.items()}
     return tables | {"scenario.toml": scenario_to_toml(planned_scenario(plan))}
 

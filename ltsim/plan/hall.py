@@ -45,6 +45,7 @@ def hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poin
     """
     table: dict[str, Any] = {"format": FORMAT, "title": made.title}
     table |= {name: data[name] for name in TABLES if name in data}
+    table["work"] = {"order": "as-listed", **data.get("work", {})}
     wide, deep, _ = made.workshop.size_mm if made.workshop else (0.0, 0.0, 0.0)
     table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEIGHT_MM[0]], "yaw_deg": 0.0}}
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}

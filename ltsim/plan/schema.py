@@ -76,7 +76,22 @@ NEXT = ResultTable(
         *texts(tells_apart="effects that it tells from the first", decides="True where all are told apart", do="words"),
     ),
 )
-TABLES = (STATIONS, REFLECTORS, TRADEOFF, PARAMETERS, VISIBILITY, EFFECTS)
+NOMINALS = ResultTable(
+    "nominals.csv",
+    "every point in the hall's axes, for the tracker's software",
+    (*texts(name="of the point"), *numbers(x_mm="place", y_mm="as x_mm", z_mm="as x_mm")),
+)
+WORK = ResultTable(
+    "work-order.csv",
+    "every pointing in the order of the work, with what the tracker should show",
+    (
+        *numbers(step="from 1"),
+        *texts(station="name", target="name"),
+        *numbers(face="1 or 2", round="from 1", minutes="since the first pointing"),
+        *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
+    ),
+)
+TABLES = (NOMINALS, WORK, STATIONS, REFLECTORS, TRADEOFF, PARAMETERS, VISIBILITY, EFFECTS)
 
 
 class PlaceEntry(Entry):

@@ -81,7 +81,7 @@ class Reflectors(Section):
     places: tuple[Place, ...] = ()
     """Tables `[[reflectors.places]]`."""
     keep: tuple[str, ...] = ()
-    """Reflectors of the scenario that stay."""
+    """Reflectors of the scenario that stay; the points of a list do in any case."""
     spacing_mm: NonNegative = 300.0
     """Smallest distance between two reflectors."""
 
@@ -113,8 +113,8 @@ class Tolerance(Section):
 class Goal(Section):
     """What a layout is for: weights of its qualities (0: of no interest), and tolerances that points must keep.
 
-    With tolerances and no number of stations, the fewest stations that keep them are looked for, and the targets are
-    weighed alone unless the file says otherwise.
+    With tolerances and no number of stations, the fewest stations that keep them are looked for. With a list of points
+    the targets are weighed alone unless the file says otherwise.
     """
 
     instrument: NonNegative = 1.0
@@ -184,7 +184,7 @@ class PlanFile(Section):
     smr: Smr | None = None
     """Its reflectors, as in a scenario file."""
     work: Work | None = None
-    """Order and clock of the work there, as in a scenario file."""
+    """Order and clock of the work there, as in a scenario file; points as listed unless it says so."""
     floor: Floor = Floor()
     """Where tripods may stand."""
     stations: Stations = Stations()
@@ -250,8 +250,7 @@ def _given(made: PlanFile, path: Path) -> dict[str, Any]:
     changes: dict[str, Any] = {"points": points}
     if made.workshop is not None and made.floor.height_mm is None:
         changes["floor"] = made.floor.model_copy(update={"height_mm": USUAL_HEIGHT_MM})
-    wanted = made.goal.tolerances or any(point.tolerance_mm is not None for point in points)
-    if wanted and not {"instrument", "targets", "diagnosis"} & made.goal.model_fields_set:
+    if points and not {"instrument", "targets", "diagnosis"} & made.goal.model_fields_set:
         changes["goal"] = made.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
     return changes
 

@@ -170,10 +170,11 @@ def sentences(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> list[str]
     if kept.good:
         first = f"All {len(demands.tolerance)} tolerances are kept at {share}; {_worst(demands, kept)} comes nearest."
     else:
-        first = f"Not all tolerances can be kept at {share}: {_worst(demands, kept)} is worst; allow that, or more stations."
+        worst = _worst(demands, kept)
+        first = f"Not all tolerances can be kept at {share}: {worst} is worst; allow that, or more stations."
     found = [first]
-    for station in (loss for loss in losses if not loss.lost.startswith(SIGHT)):
-        found.append(f"Without {station.lost} {_remains(demands, station)}.")
+    stations = [loss for loss in losses if not loss.lost.startswith(SIGHT)]
+    found += [f"Without {loss.lost} {_remains(demands, loss)}." for loss in stations]
     sights = [loss for loss in losses if loss.lost.startswith(SIGHT)]
     broken = sorted((loss for loss in sights if not loss.good), key=lambda loss: -loss.ratio)
     if sights and not broken:
@@ -187,9 +188,8 @@ def sentences(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> list[str]
 def _remains(demands: Demands, kept: Kept) -> str:
     if kept.good:
         return f"all tolerances hold; {_worst(demands, kept)} comes nearest"
-    unseen = (
-        f"{_listed(kept.unseen)} {'is' if len(kept.unseen) == 1 else 'are'} seen from nowhere" if kept.unseen else ""
-    )
+    verb = "is" if len(kept.unseen) == 1 else "are"
+    unseen = f"{_listed(kept.unseen)} {verb} seen from nowhere" if kept.unseen else ""
     over = [name for name, value in kept.radius.items() if value > demands.tolerance[name]]
     if not over:
         return unseen or "nothing is determined"

@@ -57,7 +57,7 @@ def survey_of(scenario: Scenario) -> Survey:
         repeats=work.repeats,
         seconds_per_pointing=work.seconds_per_pointing,
         seconds_per_move=60.0 * work.minutes_per_move,
-        rank=_rank(recording, layout),
+        rank=None if work.order == "as-listed" else _rank(recording, layout),
         face_by_face=work.face_order == "per-station",
     )
 
@@ -165,7 +165,11 @@ def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
 
 
 def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str]) -> Bools:
-    kept = {*plan.reflectors.keep, *(scenario.gauge.targets if scenario.gauge else ())}
+    kept = {
+        *plan.reflectors.keep,
+        *(point.name for point in plan.listed),
+        *(scenario.gauge.targets if scenario.gauge else ()),
+    }
     return np.array([name in kept for name in names], dtype=bool)
 
 

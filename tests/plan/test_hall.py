@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.plan.files import plan_file
 from ltsim.plan.floor import Floor, ground_of
@@ -16,6 +17,7 @@ from ltsim.plan.points import read_points
 from ltsim.plan.site import may_stand
 from ltsim.plan.spec import load_plan
 from ltsim.plan.tolerances import radius
+from ltsim.plan.work_order import settings_of
 from ltsim.scene.meshes import cylinder, read_mesh, together
 from ltsim.scene.visibility import visibility
 from ltsim.simulate.workshop import planned, sight_limits
@@ -207,3 +209,26 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
     assert made.kept is not None
     assert not made.kept.good
     assert "Not all tolerances can be kept at 95 %" in plan_file(made).reasons[0]
+
+
+def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[budget]\nfaces = [1]\nrepeats = [1]\n[search]"))
+    made = lt.plan(hall)
+    points = dict(zip(made.chosen.survey.target_names, made.chosen.survey.points, strict=True))
+    for setting, place in zip(settings_of(made), made.chosen.survey.position, strict=True):
+        assert len(setting.tapes) == 3
+        for tape in setting.tapes:
+            if tape.to in points:
+                assert tape.metres == pytest.approx(np.hypot(*(points[tape.to] - place)[:2]))
+        assert list(setting.order) == [n for n in points if n in setting.order]
+    assert run(["plan", "hall.toml", "--out", "out", "--jobs", "1"]) == 0
+    rows = (tmp_path / "out" / "work-order.csv").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 1 + made.chosen.survey.pointings
+    nominals = (tmp_path / "out" / "nominals.csv").read_text(encoding="utf-8").splitlines()
+    assert nominals[:2] == ["name,x_mm,y_mm,z_mm", "M00,4710,3210,500"]
+    page = (tmp_path / "out" / "work-order.html").read_text(encoding="utf-8")
+    assert "Where the tripods go" in page
+    assert "What to check, and when" in page
+    again, _ = lt.simulate(tmp_path / "out" / "scenario.toml", seed=1)
+    assert len(again) == made.chosen.survey.pointings

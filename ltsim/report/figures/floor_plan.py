@@ -22,6 +22,8 @@ from ltsim.units import DEGREE, MILLIMETRE
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
 MOST_LABELS = 60
 MOST_PLACES = 16
+WIDE, HEIGHTS = 4.6, (3.6, 5.4)
+"""Inches: width of the axes beside the legend, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
 
@@ -42,7 +44,9 @@ def floor_plan(
     ground : Floor, optional
         Areas for tripods, what stays free, and doors of a plan.
     """
-    figure = new_figure(5.4, layout="compressed")
+    low, high = _limits(workshop)
+    tall = (high[1] - low[1]) / (high[0] - low[0])
+    figure = new_figure(float(np.clip(WIDE * tall + 0.7, *HEIGHTS)), layout="compressed")
     ax = figure.subplots()
     ax.set_aspect("equal")
     quiet_axis(ax, grid="both")
@@ -64,7 +68,8 @@ def floor_plan(
     _stations(ax, workshop)
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
-    _limits(ax, workshop)
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
     labels_of = [*_station_labels(workshop), *names]
     if len(workshop.targets) <= MOST_LABELS:
         labels_of += _target_labels(workshop)
@@ -110,14 +115,13 @@ def _ground(ax: Axes, ground: Floor) -> list[Label]:
     return [label for label in names if label.text]
 
 
-def _limits(ax: Axes, workshop: Workshop) -> None:
-    """Show the floor and the inner circles whole; the outer circles may run out of the picture."""
+def _limits(workshop: Workshop) -> Floats:
+    """Least and greatest x and y (2, 2) that show the floor and the inner circles whole; the outer ones may run out."""
     radius = workshop.shadow_radius(workshop.openings[0])[:, None]
     places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
     low, high = places.min(axis=0), places.max(axis=0)
     margin = 0.13 * float((high - low).max())  # room for the names of targets on the walls
-    ax.set_xlim(low[0] - margin, high[0] + margin)
-    ax.set_ylim(low[1] - margin, high[1] + margin)
+    return np.stack([low - margin, high + margin])
 
 
 def _shadows(ax: Axes, workshop: Workshop) -> None:

@@ -39,6 +39,7 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     blocks += _pictures(folder, content, detail)
     if content.reasons:
         blocks.append(Points("Why this plan", content.reasons))
+    blocks += _tolerances(content)
     blocks += _curve(content) + _parameters(content) + _expected(content) + _undetermined(content)
     blocks += _effects(content)
     if content.reflectors:
@@ -51,6 +52,28 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
         title=content.title or folder.name, kind="Plan", answer=content.summary, mood=mood(content.allowed),
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
     )  # fmt: skip
+
+
+def _tolerances(content: PlanResult) -> list[Block]:
+    """Points against their tolerances, and what remains after a loss."""
+    rows = [
+        [r.name, style.number(r.within_mm), style.number(r.tolerance_mm), f"{100 * r.within_mm / r.tolerance_mm:.0f} %"]
+        for r in content.reflectors
+        if r.within_mm is not None and r.tolerance_mm
+    ]  # fmt: skip
+    if not rows:
+        return []
+    level = content.settings.get("goal", {}).get("level_pct", 95)
+    over = frozenset(i for i, row in enumerate(rows) if float(row[3].removesuffix(" %")) > 100)
+    header = ["point", "within [mm]", "tolerance [mm]", "used"]
+    blocks: list[Block] = [Table(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
+    lost = [
+        [loss.lost, "yes" if loss.kept else "no", loss.worst,
+         "–" if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
+        for loss in sorted(content.losses, key=lambda loss: loss.kept)
+    ]  # fmt: skip
+    header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
+    return [*blocks, Table("When a station or a sight is lost", header, lost, 3)]
 
 
 def _facts(content: PlanResult) -> list[Fact]:
