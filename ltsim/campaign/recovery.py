@@ -240,7 +240,7 @@ def errors_of(scenario: Scenario) -> Errors:
 
 
 def from_prior(scenario: Scenario) -> Scenario:
-    """The scenario with an instrument whose errors are drawn from the prior that the calibrator will use."""
+    """The scenario with instruments whose errors are drawn from the priors that the calibrator will use."""
     drawn = {"errors": {"draw": True}, "error_factor": 1.0}
     named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
     return scenario.model_copy(

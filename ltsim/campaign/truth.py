@@ -169,8 +169,9 @@ class Truth:
         def normal(what: str, *shape: int) -> Floats:
             return stream(seed, "campaign", what, number).standard_normal((*shape, width))
 
-        errors = [normal(f"instrument {name}".rstrip(), self.mean.shape[1]) for name in self.recording.instruments]
-        values = self.mean[:, :, None] + self.sigma[:, :, None] * np.stack(errors)
+        trackers = [f"instrument {name}" if name else "instrument" for name in self.recording.instruments]
+        errors = np.stack([normal(own, self.construction.size) for own in trackers])
+        values = self.mean[:, :, None] + self.sigma[:, :, None] * errors
         deviation = self._exact(values)
         gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
         amounts = []
