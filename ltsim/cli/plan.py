@@ -97,7 +97,8 @@ def _search(
 
     with terminal.progress("searching layouts", 100) as advance:
         made = lt.plan(source, starts=starts, seed=seed, jobs=jobs, progress=_percent(advance))
-    content = write_plan(made, folder, {} if folder is None else pictures_of(made) | page_of(made))
+    with terminal.busy("writing tables, pictures and the work order"):
+        content = write_plan(made, folder, {} if folder is None else pictures_of(made) | page_of(made))
     terminal.answer(content.content())
     show_plan(terminal, content)
     if folder is not None:

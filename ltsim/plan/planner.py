@@ -21,7 +21,7 @@ from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile
 from ltsim.plan.starts import Layouts, gathered, search_one
 from ltsim.plan.survey import Survey
-from ltsim.plan.tolerances import Demands, Kept, after_losses, holds, judged
+from ltsim.plan.tolerances import Demands, Kept, every_loss, holds, judged
 from ltsim.plan.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
@@ -31,6 +31,8 @@ from ltsim.units import MILLIMETRE
 
 MOST_SETUPS = 200_000
 """Set-ups of a grid that one search holds in memory."""
+SEARCHING = 0.8
+"""Share of the work that is the search."""
 FEWEST = 2
 """Stations of a network."""
 
@@ -178,17 +180,22 @@ def make_plan(
     _check_size(file, scenario)
     built = construction or planned_construction(scenario)
     progress("searching layouts", 0.0)
+
+    def searching(what: str, share: float) -> None:
+        progress(what, SEARCHING * share)
+
     demands = Demands.of(file)
     if demands and file.stations.count is None:
-        file, found, options, best = _fewest(file, scenario, demands, built, jobs, progress)
+        file, found, options, best = _fewest(file, scenario, demands, built, jobs, searching)
     else:
-        found, options, best = _at_count(file := _reachable(file, scenario), scenario, built, jobs, progress)
+        found, options, best = _at_count(file := _reachable(file, scenario), scenario, built, jobs, searching)
     site = site_of(
         file, scenario, stations=len(best.survey.position), faces=len(best.survey.faces), repeats=best.survey.repeats
     )
     objective = objective_of(file, best.survey)
     own = found[len(best.survey.position), len(best.survey.faces)]
-    return Plan(
+    progress("judging tolerances and changes", SEARCHING)
+    made = Plan(
         file=file,
         scenario=scenario,
         site=site,
@@ -199,11 +206,11 @@ def make_plan(
         spread=tuple(sorted(value for value, _, _ in own)),
         demands=demands,
         kept=judged(best.survey, demands, built) if demands else None,
-        losses=tuple(kept for kind in ("station", "sight") for kept in after_losses(best.survey, demands, built, kind))
-        if demands
-        else (),
+        losses=every_loss(best.survey, demands, built),
         changes=reflector_changes(site, best.survey, fixed_of(file, scenario, best.survey), objective, built),
     )
+    progress("judging tolerances and changes", 1.0)
+    return made
 
 
 def _reachable(file: PlanFile, scenario: Scenario) -> PlanFile:

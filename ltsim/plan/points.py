@@ -16,7 +16,8 @@ PLACE = ("x_mm", "y_mm", "z_mm")
 class Point(Section):
     """A point to measure; with ``points = "points.csv"`` the file has these keys as its columns.
 
-    Cells of the file are separated by commas, semicolons or tabs; with the latter two a decimal comma is read too.
+    Cells of the file are separated by commas, semicolons or tabs; with the latter two a decimal comma is read too. Lines
+    that begin with # before the header are remarks.
     """
 
     name: str
@@ -51,6 +52,8 @@ def read_points(path: Path) -> tuple[Point, ...]:
 
 def _points(path: Path) -> tuple[Point, ...]:
     lines = read_text(path).splitlines()
+    remarks = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines) - 1)
+    lines = lines[remarks:]
     separator = next((mark for mark in ";\t" if mark in lines[0]), ",")
     reader = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
     header = [name.strip() for name in reader.fieldnames or ()]
@@ -60,9 +63,10 @@ def _points(path: Path) -> tuple[Point, ...]:
     for row in reader:
         if not any((text or "").strip() for key, text in row.items() if key is not None):
             continue
-        point = _point(row, path, reader.line_num)
+        line = remarks + reader.line_num
+        point = _point(row, path, line)
         if point.name in found:
-            raise RecordError(f"the point '{shown(point.name)}' stands twice", file=path, row=reader.line_num)
+            raise RecordError(f"the point '{shown(point.name)}' stands twice", file=path, row=line)
         found[point.name] = point
     if not found:
         raise RecordError("holds no points below its header", file=path)

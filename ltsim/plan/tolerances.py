@@ -155,6 +155,12 @@ def after_losses(survey: Survey, demands: Demands, built: Construction, kind: st
             yield judged(survey.replace(seen=seen), demands, built, name)
 
 
+def every_loss(survey: Survey, demands: Demands, built: Construction) -> tuple[Kept, ...]:
+    """How the survey stands without each station, then without each sight of a point with a tolerance."""
+    kinds = ("station", "sight") if demands else ()
+    return tuple(kept for kind in kinds for kept in after_losses(survey, demands, built, kind))
+
+
 def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, float]:
     """Whether a survey keeps its demands, after any one loss too where they ask so; and the largest ratio."""
     own = judged(survey, demands, built)

@@ -130,7 +130,7 @@ def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
 
 def test_a_list_with_semicolons_and_decimal_commas_is_read(tmp_path: Path) -> None:
     file = tmp_path / "p.csv"
-    file.write_text("name;x_mm;y_mm;z_mm;weight;tolerance_mm\nA;1,5;2;3;;0,05\n\nB;1;2;3;4;\n", encoding="utf-8")
+    file.write_text("# from the CAD\nname;x_mm;y_mm;z_mm;weight;tolerance_mm\nA;1,5;2;3;;0,05\n\nB;1;2;3;4;\n", encoding="utf-8")
     first, second = read_points(file)
     assert (first.x_mm, first.weight, first.tolerance_mm) == (1.5, 1.0, 0.05)
     assert (second.weight, second.tolerance_mm) == (4.0, None)
