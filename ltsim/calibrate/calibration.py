@@ -21,6 +21,8 @@ from ltsim.units import MICROMETRE, MILLIMETRE
 
 SHARPER = 0.975
 """Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
+ROUND = 20 * MICROMETRE
+"""Error of a point above which it is told in whole micrometres."""
 MOSTLY = 0.9
 """Share of the redundancy whose noise was estimated, from which chi-square over redundancy is 1 by construction."""
 
@@ -132,8 +134,11 @@ class Correction:
     @property
     def line(self) -> str:
         """The expected error of a new point without and with the correction."""
-        before, after = self.uncorrected / MICROMETRE, self.corrected / MICROMETRE
-        return f"expected error of a new point: {before:.2g} um as read, {after:.2g} um corrected"
+        before, after = (
+            f"{x / MICROMETRE:.0f}" if x > ROUND else f"{x / MICROMETRE:.1f}"
+            for x in (self.uncorrected, self.corrected)
+        )
+        return f"expected error of a new point: {before} um as read, {after} um corrected"
 
 
 @dataclass(frozen=True, repr=False)

@@ -153,7 +153,7 @@ def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimate, held:
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     return (
-        f"eq. 9 is {power * estimate.objective:.4g} {unit} here, with {len(estimate.left_out)} combinations left at zero "
-        f"that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, which fits "
-        "these to the noise)",
+        f"eq. 9 is {power * estimate.objective:.4g} {unit} here, with {len(estimate.left_out)} combinations left at "
+        f"zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
+        "which fits these to the noise)",
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.calibrate import calibrate_network, correct
+from ltsim.evaluate.two_face import compare_two_face
 from ltsim.geometry.polar import from_polar
 from ltsim.recording import Hints, Recording, read
 
@@ -46,3 +47,23 @@ def test_whole_epoch_gives_parameters_with_uncertainty(epoch: Recording) -> None
     tilt = found.names.index("beam-tilt")
     assert found.sigma[0, tilt] < 0.1 * found.prior_sigma[0, tilt]
     assert any("range-scale" in c.coefficients for c in found.undetermined)
+
+
+def test_from_the_first_set_up_to_the_second_of_every_epoch_by_default(shared: Path) -> None:
+    """Two-face differences of set-up 1 that the default calibration from set-up 0 removes, median over the epochs.
+
+    Six terms without the azimuth's eccentricity, which one set-up does not hold, remove 81.6 and 68.4 % by the same
+    measure, all sixteen 80.3 and 68.3 %.
+    """
+    files = sorted((shared / "recordings" / "desy-girder-at960").glob("Polar_measurements_*.txt"))
+    if not files:
+        pytest.skip("the recording desy-girder-at960 is not at hand")
+    removed = []
+    for file in files:
+        whole = read(file, hints=Hints(azimuth="clockwise"))
+        found = calibrate_network(whole.select(whole.station == 0), advise=False)
+        other = whole.select(whole.station == 1)
+        removed.append(compare_two_face(other, found.construction, found.applied[0]).share_removed)
+    across, elevation = np.median(removed, axis=0)[1:]
+    assert across > 0.813
+    assert elevation > 0.62
