@@ -16,8 +16,8 @@ PLACE = ("x_mm", "y_mm", "z_mm")
 class Point(Section):
     """A point to measure; with ``points = "points.csv"`` the file has these keys as its columns.
 
-    Cells of the file are separated by commas, semicolons or tabs; with the latter two a decimal comma is read too. Lines
-    that begin with # before the header are remarks.
+    Cells of the file are separated by commas, semicolons or tabs; with the latter two a decimal comma is read too.
+    Lines before the header that begin with # are remarks.
     """
 
     name: str

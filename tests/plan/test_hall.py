@@ -80,7 +80,9 @@ def test_stations_begin_where_the_hall_allows_and_see_every_point(hall: Path) ->
     assert np.all(z[north] <= 2.0)  # a head needs 0.3 m under the ceiling
     assert not np.any((x > 4.0) & (x < 5.5) & (y < 2.8))
     assert np.all(np.hypot(np.maximum(12.0 - x, 0), np.maximum(np.maximum(5.5 - y, y - 7.0), 0)) > 1.5)
-    seen = visibility(layout.position, layout.points, sight_limits(scenario), obstacles=None).visible
+    seen = visibility(
+        layout.position, layout.points, sight_limits(scenario, scenario.instrument), obstacles=None
+    ).visible
     assert seen.any(axis=0).all()
 
 
@@ -130,7 +132,7 @@ def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
 
 def test_a_list_with_semicolons_and_decimal_commas_is_read(tmp_path: Path) -> None:
     file = tmp_path / "p.csv"
-    file.write_text("# from the CAD\nname;x_mm;y_mm;z_mm;weight;tolerance_mm\nA;1,5;2;3;;0,05\n\nB;1;2;3;4;\n", encoding="utf-8")
+    file.write_text("# CAD\nname;x_mm;y_mm;z_mm;weight;tolerance_mm\nA;1,5;2;3;;0,05\n\nB;1;2;3;4;\n", encoding="utf-8")
     first, second = read_points(file)
     assert (first.x_mm, first.weight, first.tolerance_mm) == (1.5, 1.0, 0.05)
     assert (second.weight, second.tolerance_mm) == (4.0, None)
