@@ -53,7 +53,7 @@ def _calibration(folder: Path) -> list[str]:
     test = content.fit.p_value
     if test is not None and test < 0.01 and not content.noise_estimated:
         said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
-    cures = dict.fromkeys(entry.cure for entry in content.undetermined if entry.cure)
+    cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
     said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
     if content.parameters and not said:
         said.append("Apply the calibration to later readings: ltsim correct.")
@@ -65,7 +65,9 @@ def _diagnosis(folder: Path) -> list[str]:
     said = [_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     for finding in content.findings:
         place = listing([*finding.where.stations, *finding.where.targets]) or "the whole recording"
-        said.append(f"Look for the cause of {finding.effect} ({place}); targets.csv holds coordinates that allow for it.")
+        said.append(
+            f"Look for the cause of {finding.effect} ({place}); targets.csv holds coordinates that allow for it."
+        )
     return said
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from matplotlib.figure import Figure
 
-from ltsim.report.style import svg_uri
+from ltsim.report.style import narrow_uri, svg_uri
 
 POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
@@ -63,11 +63,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as a `data:` address with a caption that also serves readers who cannot see it."""
+    """A figure as a `data:` address with a caption that also serves readers who cannot see it; `narrow` for a phone."""
 
     title: str
     uri: str
     caption: str
+    narrow: str = ""
     kind: Literal["picture"] = "picture"
 
 
@@ -148,4 +149,4 @@ class Document:
 
 def picture(title: str, figure: Figure, caption: str) -> Picture:
     """A figure for the page."""
-    return Picture(title, svg_uri(figure), caption)
+    return Picture(title, svg_uri(figure), caption, narrow_uri(figure))

@@ -262,9 +262,15 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
     arrows = [
         pv.Arrow(
-            start=p, direction=c / n, scale=float(scale * n), shaft_radius=0.03, tip_radius=0.08, tip_length=0.3,
-            shaft_resolution=8, tip_resolution=12,
-        )  # fmt: skip
+            start=p,
+            direction=c / n,
+            scale=float(scale * n),
+            shaft_radius=0.03,
+            tip_radius=0.08,
+            tip_length=0.3,
+            shaft_resolution=8,
+            tip_resolution=12,
+        )
         for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
         if n > 1e-3 * length.max()
     ]

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pyvista as pv
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 
 
 def polygon(corners: Floats) -> pv.PolyData:
@@ -55,9 +55,9 @@ def balls(centres: Floats, axes: Floats) -> pv.PolyData:
     """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
     unit = _unit_sphere(18, 12) if len(centres) <= FEW_BALLS else _unit_sphere(8, 6)
     points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
-    first = len(unit.points) * np.arange(len(centres))[:, None, None]
-    corners = (unit.regular_faces[None] + first).reshape(-1, 3)
-    return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)
+    first = len(unit.points) * np.arange(len(centres), dtype=np.int64)[:, None, None]
+    corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first).reshape(-1, 3)
+    return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
 
 
 def merged(parts: Sequence[pv.PolyData]) -> pv.PolyData:

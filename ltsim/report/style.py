@@ -9,14 +9,17 @@ from __future__ import annotations
 import base64
 import io
 import re
+import warnings
 from collections.abc import Callable, Sequence
-from functools import wraps
+from contextvars import ContextVar
+from functools import partial, wraps
 from typing import Any, Literal, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from PIL import Image
 
 from ltsim.arrays import Floats
@@ -29,6 +32,10 @@ SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 
 WIDTH = 7.4
 """Inches: the text width of the page and of a printed A4."""
+
+PHONE = 3.9
+"""Inches: the text width of a phone."""
+_narrow: ContextVar[bool] = ContextVar("narrow", default=False)
 
 OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
 READABLE = {"um": "µm", "urad": "µrad", "arcsec": '"', "deg": "°", "": ""}
@@ -84,16 +91,52 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with mpl.rc_context(_SETTINGS):
-            return draw(*args, **kwargs)
+            figure = draw(*args, **kwargs)
+        if isinstance(figure, PageFigure):
+            figure.again = partial(inside, *args, **kwargs)
+        return figure
 
     return inside
+
+
+class PageFigure(Figure):
+    """A figure that can be drawn `again`, as narrow as a phone."""
+
+    again: Callable[[], Figure] | None = None
+
+    def legend(self, *args: Any, **kwargs: Any) -> Legend:
+        """As in matplotlib; on a phone it goes below, in two columns at most."""
+        if _narrow.get():
+            kwargs |= {"loc": "outside lower center", "ncols": min(kwargs.get("ncols", 2), 2)}
+        return super().legend(*args, **kwargs)
+
+
+def narrow(figure: Figure) -> Figure | None:
+    """The same figure for a phone; None where it cannot be drawn again."""
+    if not isinstance(figure, PageFigure) or figure.again is None:
+        return None
+    before = _narrow.set(True)
+    try:
+        return figure.again()
+    finally:
+        _narrow.reset(before)
+
+
+def on_phone() -> bool:
+    """Whether the figure is drawn for a phone."""
+    return _narrow.get()
+
+
+def columns(wanted: int) -> int:
+    """How many panels stand side by side: at most two on a phone."""
+    return min(wanted, 2) if _narrow.get() else wanted
 
 
 def new_figure(
     height: float, *, width: float = WIDTH, layout: Literal["constrained", "compressed"] = "constrained"
 ) -> Figure:
     """An empty figure [inch] that arranges itself and belongs to no window."""
-    return Figure(figsize=(width, height), layout=layout)
+    return PageFigure(figsize=(min(width, PHONE) if _narrow.get() else width, height), layout=layout)
 
 
 def svg(figure: Figure) -> str:
@@ -132,6 +175,17 @@ def svg_uri(figure: Figure) -> str:
 def svg_text_uri(text: str) -> str:
     """The same of an SVG that is written already."""
     return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode()
+
+
+def narrow_uri(figure: Figure) -> str:
+    """The figure for a phone as a `data:` address; empty where its panels have no room there."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            small = narrow(figure)
+            return svg_uri(small) if small else ""
+        except UserWarning:  # the layout gives up
+            return ""
 
 
 def webp_uri(png: bytes) -> str:

@@ -40,6 +40,29 @@ def test_scene_is_drawn_without_asking_anybody(tmp_path: Path) -> None:
     assert (middle < 0.97).any(axis=2).mean() > 0.5
 
 
+TOUCH = """<script>
+Element.prototype.setPointerCapture = Element.prototype.releasePointerCapture = () => {};  // knows real fingers alone
+addEventListener("load", () => setTimeout(() => {
+  const touch = (kind, x) => document.querySelector("canvas").dispatchEvent(new PointerEvent(kind, {
+    bubbles: true, cancelable: true, pointerType: "touch", pointerId: 7, isPrimary: true, button: 0,
+    buttons: kind === "pointerup" ? 0 : 1, clientX: x, clientY: 300, pageX: x, pageY: 300 }));
+  touch("pointerdown", 300);
+  for (let k = 1; k <= 12; k++) setTimeout(() => touch("pointermove", 300 + 15 * k), 50 * k);
+  setTimeout(() => touch("pointerup", 480), 800);
+}, 2000));</script></body>"""
+
+
+def test_scene_turns_by_touch(tmp_path: Path) -> None:
+    find_browser()
+    still, turned = tmp_path / "still.html", tmp_path / "turned.html"
+    html = scene_page(workshop.from_recording(samples.recording()))
+    still.write_text(html)
+    turned.write_text(TOUCH.join(html.rsplit("</body>", 1)))
+    before, after = (visit(file, tmp_path, width=700, height=600).picture for file in (still, turned))
+    moved = np.abs(before - after).max(axis=2)[150:500] > 0.1
+    assert moved.mean() > 0.05
+
+
 def test_report_opens_without_error_or_request(page: Path, tmp_path: Path) -> None:
     seen = visit(page, tmp_path, height=5200)
     assert clean(seen.console) == []

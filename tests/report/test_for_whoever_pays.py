@@ -72,10 +72,12 @@ def test_hidden_stands_beside_found(folder: Path, tmp_path: Path) -> None:
     section = Section("t", "Diagnosis", "Station S3 leans.")
     assert beside_truth(section, place) is section
     truth = {
-        "format": "ltsim-truth/1", "construction": "misalignment", "stations": [], "targets": [],
+        "format": "ltsim-truth/1", "construction": "misalignment",
+        "stations": [{"name": "S3", "position_mm": [0, 0, 0], "rotation_quaternion": [0, 0, 0, 1]}],
+        "targets": [{"name": "T1", "position_mm": [1, 2, 3]}],
         "effects": [{
             "effect": "station-settling", "stations": ["S3"],
-            "parameters": [{"name": "tilt-x", "value": 25.0, "unit": "urad"}, {"name": "tilt-y", "value": -18.0, "unit": "urad"}],
+            "parameters": [{"name": n, "value": v, "unit": "urad"} for n, v in (("tilt-x", 25.0), ("tilt-y", -18.0))],
         }],
     }  # fmt: skip
     (place / "truth.json").write_text(json.dumps(truth))

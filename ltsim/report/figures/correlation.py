@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, new_figure, shorten, styled
+from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, new_figure, on_phone, shorten, styled
 
 
 @styled
@@ -21,24 +21,26 @@ def correlation(names: Sequence[str], matrix: Floats) -> Figure:
     matrix : (p, p) float
     """
     count = len(names)
-    figure = new_figure(min(7.2, 1.9 + 0.27 * count), width=min(7.4, 2.9 + 0.30 * count))
+    small = on_phone()
+    height = 4.6 if small else min(7.2, 1.9 + 0.27 * count)
+    figure = new_figure(height, width=min(7.4, 2.9 + 0.30 * count))
     ax = figure.subplots()
     off_diagonal = np.where(np.eye(count, dtype=bool), np.nan, matrix)
     ax.set_facecolor("#DDE1E4")
     picture = ax.imshow(off_diagonal, cmap=DIVERGING, vmin=-1, vmax=1)
     short = [shorten(name, 26) for name in names]
-    ax.set_xticks(range(count), short, rotation=60, ha="right", rotation_mode="anchor", fontsize=7.5)
-    ax.set_yticks(range(count), short, fontsize=7.5)
+    ax.set_xticks(range(count), short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.0 if small else 7.5)
+    ax.set_yticks(range(count), short, fontsize=6.0 if small else 7.5)
     ax.tick_params(length=0)
     ax.grid(visible=False)
     for side in ax.spines.values():
         side.set_visible(False)
-    if count <= 24:
+    if count <= (8 if small else 24):
         for i, j in zip(*np.nonzero(np.abs(matrix) > 0.3), strict=True):
             if i != j:
                 colour = ON_DEEP if abs(matrix[i, j]) > 0.6 else ON_PALE
                 ax.text(j, i, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=6.5, color=colour)
-    bar = figure.colorbar(picture, ax=ax, shrink=0.7, pad=0.02)
-    bar.set_label("correlation (numbers: %)")
+    bar = figure.colorbar(picture, ax=ax, shrink=0.7, pad=0.02, location="bottom" if small else "right")
+    bar.set_label("correlation" if small else "correlation (numbers: %)")
     bar.outline.set_visible(False)
     return figure

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats, Ints
+from ltsim.report import style
 from ltsim.report.style import BLUE, ORANGE, RED, new_figure, quiet_axis, shorten, styled
 from ltsim.units import DEGREE
 
@@ -35,10 +36,10 @@ def sky(
         Lowest and highest elevation.
     """
     shown = list(stations)[:MOST_STATIONS]
-    columns = min(3, max(len(shown), 1))
-    lines = -(-len(shown) // columns)
+    across = style.columns(min(3, max(len(shown), 1)))
+    lines = -(-len(shown) // across)
     figure = new_figure(0.4 + 1.7 * lines)
-    axes = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    axes = figure.subplots(lines, across, sharex=True, sharey=True, squeeze=False)
     for s, ax in enumerate(axes.flat):
         if s >= len(shown):
             ax.set_axis_off()
@@ -58,7 +59,7 @@ def sky(
                 )
         for limit in limits or ():
             ax.axhline(limit / DEGREE, color=RED, linewidth=0.9, linestyle=(0, (4, 2)), label="elevation limit")
-        ax.tick_params(labelbottom=s + columns >= len(shown))
+        ax.tick_params(labelbottom=s + across >= len(shown))
         ax.set_title(shorten(shown[s], 24), fontsize=8.5)
         ax.set_xticks([-180, -90, 0, 90, 180])
         ax.set_xlim(-185, 185)
