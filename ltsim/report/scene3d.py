@@ -209,7 +209,12 @@ def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
     ):
         if chosen:
             axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
-            plotter.add_mesh(solids.balls(workshop.points[chosen], axes), color=colour, name=name, smooth_shading=True)
+            plotter.add_mesh(
+                solids.balls(workshop.points[chosen], axes),
+                color=colour,
+                name=name,
+                smooth_shading=len(chosen) <= solids.FEW_BALLS,
+            )
     if workshop.gauge:
         ends = workshop.points[np.array(workshop.gauge).ravel()]
         plotter.add_mesh(solids.lines(ends), color=GREEN, line_width=3, lighting=False, name="gauge-lengths")
@@ -248,7 +253,9 @@ def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
         return
     scale = round_magnification(largest, 0.035 * workshop.size)
     ellipsoids = solids.balls(workshop.points, axes * (scale * semi)[:, None, :])
-    plotter.add_mesh(ellipsoids, color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=True)
+    plotter.add_mesh(
+        ellipsoids, color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= solids.FEW_BALLS
+    )
     lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
 
 
