@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, spread_out
 from ltsim.diagnose import diagnose
-from ltsim.diagnose.files import adjusted_targets_csv
+from ltsim.diagnose.files import targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
 
@@ -24,7 +24,7 @@ def examine(folder: Path, out: Path) -> str:
     content = found.to_json()
     texts = {
         "diagnosis.json": json.dumps(content, indent=1, allow_nan=False) + "\n",
-        "targets.csv": adjusted_targets_csv(found.adjusted, found.baseline),
+        "targets.csv": targets_csv(found),
     }
     write_texts(out / folder.name, texts)
     before, after = found.before, found.after

@@ -18,8 +18,6 @@ from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
-HELD_TO = 30.0
-"""Plausible sizes to which parameters are held: some combinations of an effect's may leave no residual."""
 SHAPE_STEP = 1e-3
 FELT = 1e-3
 """A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
@@ -141,9 +139,13 @@ def refit(
     start: State,
     sigma: Floats,
     use: Bools,
+    held_to: float,
 ) -> Refit:
-    """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along."""
-    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=HELD_TO)
+    """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
+
+    Parameters are held to `held_to` times their plausible size: some combinations of them may leave no residual.
+    """
+    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=held_to)
     current = list(effects)
     plain = replace(start, extra=np.zeros(0))
     found = adjusted(effects=current, start=plain)
