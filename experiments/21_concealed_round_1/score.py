@@ -1,11 +1,7 @@
-"""Score diagnoses of concealed recordings against the truth, once that is open.
-
-python experiments/21_concealed_round_1/score.py TRUTH.json DIAGNOSES... --out FILE
-"""
+"""Diagnoses of concealed recordings against the truth, once that is open."""
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 from collections.abc import Sequence
@@ -18,6 +14,7 @@ import numpy as np
 from ltsim.geometry.alignment import align
 from ltsim.recording.files import write_text
 
+WORDS = ("as committed", "made again")
 PLACES = ("stations", "targets", "observables")
 BINS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.01))
 
@@ -161,17 +158,9 @@ def markdown(sets: dict[str, list[Row]]) -> str:
     return f"{head}{table}\n{rows}"
 
 
-def main() -> None:
-    """Read the arguments, score, write the table."""
-    parser = argparse.ArgumentParser(description="Score diagnoses of concealed recordings.")
-    parser.add_argument("truth", type=Path)
-    parser.add_argument("diagnoses", type=Path, nargs="+")
-    parser.add_argument("--out", type=Path, required=True)
-    chosen = parser.parse_args()
-    truth = json.loads(chosen.truth.read_text(encoding="utf-8"))
-    sets = {d.name: [scored(name, truth[name], d) for name in sorted(truth)] for d in chosen.diagnoses}
-    write_text(chosen.out, "# Concealed recordings against their truth\n\n" + markdown(sets))
-
-
-if __name__ == "__main__":
-    main()
+def write_score(truth: Path, diagnoses: Sequence[Path], out: Path) -> None:
+    """Score folders of diagnoses, one column each."""
+    known = json.loads(truth.read_text(encoding="utf-8"))
+    sets = {WORDS[i]: [scored(name, known[name], d) for name in sorted(known)] for i, d in enumerate(diagnoses)}
+    command = "    python -m experiments 21 score\n\n"
+    write_text(out, "# Concealed recordings against their truth\n\n" + command + markdown(sets))

@@ -187,7 +187,8 @@ class _Report:
         rankings = [self._ranking(i) for i in range(len(found.members))]
         findings += [self._finding(i, ranking, fitted) for i, ranking in enumerate(rankings)]
         findings += [noise_finding(h, self.detection) for h in self.case.noise]
-        odd = contradictions(fitted.adjustment, LEAST_GAIN)
+        settled = fitted.adjustment if fitted.adjustment.solution.converged else self.baseline
+        odd = contradictions(settled, LEAST_GAIN)
         findings += [instrument_finding(c) for c in odd]
         findings.sort(key=lambda f: -f.evidence.chi2_drop)
         before = _fit(self.baseline, self.baseline.dof)
@@ -210,7 +211,7 @@ class _Report:
             after=after,
             undetectable=undetectable,
             detectable=detectable,
-            instruments=instrument_entries(self.baseline),
+            instruments=instrument_entries(settled),
             targets=targets,
             baseline=self.baseline,
             adjusted=fitted.adjustment,

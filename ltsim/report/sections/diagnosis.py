@@ -143,7 +143,8 @@ def _instruments(content: DiagnosisFile) -> list[Block]:
         rows = [
             [p.name, f"{style.with_sigma(p.value, p.sigma or 0.0)} {style.unit_text(p.unit)}"] for p in entry.parameters
         ]
-        blocks.append(Table(f"Constants{name}, findings modelled apart", ["constant", "value"], rows, text_columns=2))
+        title = f"Constants{name}, with the findings modelled"
+        blocks.append(Table(title, ["constant", "value"], rows, text_columns=2))
         joined = [
             [
                 " ".join(f"{weight:+.2f} {constant}" for constant, weight in c.combination.items()),
@@ -153,8 +154,8 @@ def _instruments(content: DiagnosisFile) -> list[Block]:
         ]
         if joined:
             note = "Together they are known far better than each of them."
-            title = f"What the recording determines{name} in combination"
-            blocks.append(Table(title, ["combination", "value"], joined, 2, note))
+            together = f"What the recording determines{name} in combination"
+            blocks.append(Table(together, ["combination", "value"], joined, 2, note))
     return blocks
 
 
