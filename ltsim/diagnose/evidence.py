@@ -48,7 +48,7 @@ def log_average(values: Floats, axis: int = 0) -> Floats:
     return total
 
 
-def _forms(strength: Floats) -> tuple[Floats, Floats]:
+def forms_of(strength: Floats) -> tuple[Floats, Floats]:
     """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
     scale = 1.0 + SIZES**2 * np.asarray(strength)[..., None]
     return 0.5 * SIZES**2 / scale, LOG_WEIGHTS - 0.5 * np.log(scale).sum(axis=-2)
@@ -56,9 +56,14 @@ def _forms(strength: Floats) -> tuple[Floats, Floats]:
 
 def by_size(squares: Floats, strength: Floats) -> Floats:
     """The weighted log marginal likelihood ratio (..., sizes) for each size; see `log_evidence`."""
-    weights, constants = _forms(strength)
+    weights, constants = forms_of(strength)
     found: Floats = (squares[..., None, :] @ weights)[..., 0, :] + constants
     return found
+
+
+def log_evidence_of(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
+    """The log evidence (...) of squared scores (..., k) by forms at hand."""
+    return log_average((squares[..., None, :] @ forms[0])[..., 0, :] + forms[1], axis=-1)
 
 
 def log_evidence(squares: Floats, strength: Floats) -> Floats:
@@ -76,7 +81,7 @@ def log_evidence(squares: Floats, strength: Floats) -> Floats:
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
     """The same (..., trials) for scores (..., k, trials) of simulated residuals."""
-    weights, constants = _forms(strength)
+    weights, constants = forms_of(strength)
     logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ (scores.astype(np.float32) ** 2)
     logs += constants[..., None].astype(np.float32)
     return log_average(logs.astype(np.float64), axis=-2)

@@ -27,7 +27,7 @@ from ltsim.diagnose.drivers import (
     smooth,
     waves,
 )
-from ltsim.diagnose.evidence import log_average, log_evidence, simulated_evidence
+from ltsim.diagnose.evidence import forms_of, log_average, log_evidence_of, simulated_evidence
 from ltsim.diagnose.probe import Probe
 from ltsim.scene.sightings import Sightings
 
@@ -37,6 +37,9 @@ MOST_STATIONS, MOST_TARGETS = 400, 400
 """Places up to whose number each is tried on its own."""
 NEIGHBOURS = (3, 6, 9)
 """Targets that stand together: one with so many around it."""
+
+
+Form = tuple[Floats, tuple[Floats, Floats], Singles]
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Panel:
     weights: Singles
     columns: Singles
     log_prior: Floats
-    _forms: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
+    _forms: dict[int, list[Form]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _spreads(self) -> list[Floats]:
@@ -107,21 +110,22 @@ class Panel:
             self._forms[number] = self._turned(probe.gram(scores, self._own(rows)))
         null = np.full(trials.shape[-1], -np.inf)
         every = []
-        for strength, turn in self._forms[number]:
-            every.append(log_evidence((turn @ score[..., None])[..., 0] ** 2, strength))
+        for strength, forms, turn in self._forms[number]:
+            every.append(log_evidence_of((turn @ score[..., None])[..., 0] ** 2, forms))
             if len(null):
                 chance = simulated_evidence(turn @ trials, strength)
                 chance += self.log_prior[:, None, None]
                 null = np.logaddexp(null, log_average(chance.reshape(-1, len(null))))
         return log_average(np.stack(every)) + self.log_prior[:, None], null
 
-    def _turned(self, gram: Floats) -> list[tuple[Floats, Singles]]:
-        """For each scale eigenvalues (C, D, k), and what turns scores (C, D, k, k) into those along eigenvectors."""
+    def _turned(self, gram: Floats) -> list[Form]:
+        """For each scale eigenvalues (C, D, k), their forms, and what turns scores into those along eigenvectors."""
         found = []
         for spread in self._spreads:
             strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
             turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
-            found.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
+            strength = np.maximum(strength, 0.0)
+            found.append((strength, forms_of(strength), turn.astype(np.float32)))
         return found
 
     @property

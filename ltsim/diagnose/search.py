@@ -258,7 +258,7 @@ class Searcher:
 
     def reexamined(self, found: Found) -> Found:
         """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
-        for turn in range(3):
+        for turn in range(2):
             before = found.score
             for size in (1,) if turn else (1, 2):
                 for some in combinations(range(len(found.members)), size):
