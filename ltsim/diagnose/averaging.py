@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
-from ltsim.diagnose.evidence import posterior
+from ltsim.diagnose.evidence import posterior, wide_posterior
 from ltsim.diagnose.noise import NoisePattern
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.search import Searcher
@@ -33,7 +33,7 @@ def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Rankin
         others = searcher.with_members(found.members[:i] + found.members[i + 1 :])
         weights, shifts = _open(searcher, others, found.members[i], ranking)
         mean = np.einsum("k,kti->ti", weights, shifts)
-        points += mean - shifts[0]
+        points += mean - shift_of(searcher, others, found.members[i], wide=True)
         apart = shifts - mean
         covariance += np.einsum("k,kti,ktj->tij", weights, apart, apart)
     return Targets(points, covariance)
@@ -59,13 +59,17 @@ def _open(searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Rankin
     return weights / weights.sum(), np.array(shifts)
 
 
-def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis) -> Floats:
-    """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk, is taken out of the readings."""
+def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide: bool = False) -> Floats:
+    """Shift (T, 3) [m] of the adjusted targets when an explanation is taken out of the readings.
+
+    Its size is shrunk by its prior, or, `wide`, that of the refit.
+    """
     space = searcher.space
     whole = space.signature(hypothesis.effect)
     left = space.project(whole)
     left -= others.extension @ (others.extension.T @ left)
-    mean, *_ = posterior(left.T @ left, left.T @ others.residual, hypothesis.spread)
+    found = (wide_posterior if wide else posterior)(left.T @ left, left.T @ others.residual, hypothesis.spread)
+    mean = found[0]
     adjustment = space.adjustment
     change = adjustment.factor.covariance_columns((adjustment.solution.system.design.T @ (whole @ mean))[:, None])
     shift: Floats = -change[:, 0][adjustment.problem.layout.target]

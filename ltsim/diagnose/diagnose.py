@@ -22,7 +22,7 @@ from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, noise_hypotheses, r
 from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking, sizes_of
+from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects.effect import Effect
@@ -226,10 +226,7 @@ class _Report:
             plain = adjust(case.recording, case.construction, sigma=sigma, use=case.use, start=case.start)
             return Refit(plain, (), ())
         effects = [h.effect for h in found.members]
-        held = float(sizes_of(found, self.last.space.residual).max())
-        return refit(
-            case.recording, case.construction, effects, start=case.start, sigma=sigma, use=case.use, held_to=held
-        )
+        return refit(case.recording, case.construction, effects, start=case.start, sigma=sigma, use=case.use)
 
     def _refitted(self) -> tuple[Found, Refit]:
         """The exact refit with what was found, without members that it does not need.

@@ -118,6 +118,21 @@ def posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floa
     return turn @ mean, turn @ inner @ turn.T, total, float(np.exp(weight @ np.log(SIZES)))
 
 
+WIDE = 30.0
+"""Plausible sizes to which what is told of a finding is held: what the readings hardly determine stays uncertain."""
+
+
+def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
+    """Mean (k,), covariance (k, k) and log evidence of coefficients that are held to `WIDE` plausible sizes alone."""
+    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
+    scale = 1.0 + WIDE**2 * np.maximum(values, 0.0)
+    z = vectors.T @ (score * spread)
+    turn = spread[:, None] * vectors
+    mean = turn @ (WIDE**2 * z / scale)
+    evidence = 0.5 * float((WIDE**2 * z**2 / scale).sum() - np.log(scale).sum())
+    return mean, (turn * (WIDE**2 / scale)) @ turn.T, evidence
+
+
 def sign_weight(mean: float, sigma: float) -> float:
     """Log factor on the evidence of what is never negative: twice the posterior chance of a positive size."""
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))

@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.diagnosis import Estimate
+from ltsim.diagnose.evidence import WIDE
 from ltsim.effects.signature import Parameter, Signature, Tunable
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
@@ -139,13 +140,12 @@ def refit(
     start: State,
     sigma: Floats,
     use: Bools,
-    held_to: float,
 ) -> Refit:
     """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
 
-    Parameters are held to `held_to` times their plausible size: some combinations of them may leave no residual.
+    Parameters are held to `WIDE` times their plausible size: some combinations of them may leave no residual.
     """
-    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=held_to)
+    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=WIDE)
     current = list(effects)
     plain = replace(start, extra=np.zeros(0))
     found = adjusted(effects=current, start=plain)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.diagnose.evidence import posterior
+from ltsim.diagnose.evidence import wide_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.units import FACTOR
 
@@ -59,7 +59,7 @@ def shape_posterior(
         named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
         left = searcher.space.project(searcher.space.signature(one.reshaped(**named)))
         left -= base.extension @ (base.extension.T @ left)
-        found, covariance, evidence, _ = posterior(left.T @ left, left.T @ base.residual, sizes)
+        found, covariance, evidence = wide_posterior(left.T @ left, left.T @ base.residual, sizes)
         logs.append(evidence + float(np.sum(np.log([width for _, width in point]))))
         when = [float(vars(one)["time"])] if changes else []
         means.append(np.concatenate([found, constants, when]))
