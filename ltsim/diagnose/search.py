@@ -31,6 +31,8 @@ REFINED = 7
 """Cards, and laws, that are computed exactly in each round."""
 CELLS = 11
 """Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above."""
+FEW = 3
+"""The same in a large network, where each costs a solution of the whole."""
 MOST_STEPS = 6
 
 
@@ -40,6 +42,7 @@ class Searcher:
     def __init__(self, space: ResidualSpace, seed: int, *, judged: bool = True) -> None:
         self.space = space
         self.probe = Probe.of(space, seed, judged=judged)
+        self._most = REFINED if self.probe.basis is not None else FEW
         self.cards = Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])
         self.empty = Found((), (), np.zeros((space.size, 0)), space.residual, 0.0)
@@ -65,7 +68,9 @@ class Searcher:
             families = self.cards.family_evidence(values) + prior
             statistic = float(log_average(families))
             order = np.argsort(-families)
-            entries += [self._card(int(f), values, float(families[f]), base, i < REFINED) for i, f in enumerate(order)]
+            entries += [
+                self._card(int(f), values, float(families[f]), base, refine=i < self._most) for i, f in enumerate(order)
+            ]
         hits: list[Hit] = []
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
@@ -77,7 +82,7 @@ class Searcher:
         entries.sort(key=lambda h: -h.value)
         return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))), float(statistic), null)
 
-    def _card(self, family: int, values: Floats, total: float, base: Found, refine: bool) -> Hypothesis:
+    def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards; its evidence is that of the family."""
         members = np.flatnonzero(self.cards.family == family)
         members = members[np.argsort(-values[members])]
@@ -165,7 +170,7 @@ class Searcher:
         for hit in sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]:
             law = Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, hit.place.instruments)
             key = (hit.carrier.name, hit.driver.kind, hit.driver.told, hit.place.stations, hit.place.targets)
-            if len(seen) < REFINED and key not in seen:
+            if len(seen) < self._most and key not in seen:
                 seen.add(key)
                 found.append(self._law(law, hit, base))
             else:
@@ -260,7 +265,7 @@ class Searcher:
         """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
         for turn in range(2):
             before = found.score
-            for size in (1,) if turn else (1, 2):
+            for size in (1,) if turn or self.probe.basis is None else (1, 2):
                 for some in combinations(range(len(found.members)), size):
                     if len(found.members) < 2 or max(some) >= len(found.members):
                         continue
