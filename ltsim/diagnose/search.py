@@ -8,13 +8,14 @@ both.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from ltsim.adjust.residual_space import ResidualSpace, orthonormal
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.diagnosis import Estimate
@@ -22,7 +23,7 @@ from ltsim.diagnose.evidence import PRIOR, log_average, posterior, sign_weight
 from ltsim.diagnose.law import Law, card_of, law_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike, joint, sizes_of
+from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
 from ltsim.diagnose.shapes import shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 
@@ -34,6 +35,8 @@ CELLS = 11
 FEW = 3
 """The same in a large network, where each costs a solution of the whole."""
 MOST_STEPS = 6
+KEPT = 16
+"""Projected signatures that are kept."""
 
 
 class Searcher:
@@ -45,8 +48,10 @@ class Searcher:
         self._most = REFINED if self.probe.basis is not None else FEW
         self.cards = Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])
-        self.empty = Found((), (), np.zeros((space.size, 0)), space.residual, 0.0)
+        self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
+        self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
+        self._grams: dict[str, Floats] = {}
         self.first = self.rank(self.empty)
 
     def rank(self, base: Found) -> Ranking:
@@ -152,17 +157,20 @@ class Searcher:
 
     def evidence(self, effect: Tunable, base: Found) -> float:
         """Log marginal likelihood ratio of an effect beside a set, sizes averaged."""
-        left, score = self._scores(effect, base)
-        spread = np.array([p.prior_sigma for p in effect.parameters])
-        mean, covariance, total, _ = posterior(left.T @ left, score, spread)
-        for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-            total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
-        return total
+        return evidence_of(effect, *self.moments(effect, base))
 
-    def _scores(self, effect: Tunable, base: Found) -> tuple[Floats, Floats]:
-        left = self.space.project(self.space.signature(effect))
-        left -= base.extension @ (base.extension.T @ left)
-        return left, left.T @ base.residual
+    def moments(self, effect: Tunable, base: Found) -> tuple[Floats, Floats]:
+        """Gram matrix (k, k) and score (k,) of what adjustment and a set leave of a signature.
+
+        Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
+        products with itself alone, and these are the same beside every set.
+        """
+        signature, key = self.space.signature(effect), repr(effect)
+        if key not in self._grams:
+            left = self.space.project(signature)
+            self._grams[key] = left.T @ left
+        beside = base.extension.T @ signature
+        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
 
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
@@ -180,7 +188,11 @@ class Searcher:
     def _law(self, law: Law, hit: Hit, base: Found) -> Hypothesis:
         """A law computed exactly: its best length scale, and short formulas where they explain as much."""
         scales = [replace(law, scale=k) for k in range(len(law.driver.spreads))]
-        pairs = [self._uphill(one, base) for one in scales]
+        if len(scales) > 1:
+            moments = self.moments(law, base)
+            pairs: list[tuple[Tunable, float]] = [(one, evidence_of(one, *moments)) for one in scales]
+        else:
+            pairs = [self._uphill(law, base)]
         logs = np.array([v for _, v in pairs])
         best, prior = law_of(pairs[int(np.argmax(logs))][0]), hit.log_prior
         value = float(log_average(logs)) + prior
@@ -209,27 +221,27 @@ class Searcher:
 
     def _of_law(self, law: Law, others: Found) -> tuple[Estimate, ...]:
         """What a person asks of a law: its size, how large it gets, its phase."""
-        left, score = self._scores(law, others)
-        mean, covariance, *_ = posterior(left.T @ left, score, np.array([p.prior_sigma for p in law.parameters]))
+        gram, score = self.moments(law, others)
+        mean, covariance, *_ = posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))
         return told_of(law, self.space.sightings, mean, covariance)
 
     def with_members(self, members: Sequence[Hypothesis]) -> Found:
         """The set of some hypotheses, scored together."""
         if not members:
             return self.empty
-        whole = [self.space.signature(h.effect) for h in members]
-        left = [self.space.project(g) for g in whole]
-        extension = orthonormal(np.hstack(left), np.hstack(whole))
-        residual = self.space.residual - extension @ (extension.T @ self.space.residual)
-        made = Found(tuple(members), tuple(left), extension, residual, 0.0)
-        score = self._together(made) + sum(h.log_prior for h in members)
-        score += sum(alike(h, members[:i]) for i, h in enumerate(members))
-        return replace(made, score=score)
+        parts = [self._left_of(h) for h in members]
+        return Found(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
 
-    def _together(self, found: Found) -> float:
-        """Log evidence of a set with each member's size at its best, the room of that size counted."""
-        sizes = sizes_of(found, self.space.residual)
-        return joint(found, self.space.residual, sizes)[2]
+    def _left_of(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """What the adjustment leaves of a signature, and the lengths of its columns; the last few are kept."""
+        key = hypothesis.key
+        if key not in self._left:
+            whole = self.space.signature(hypothesis.effect)
+            self._left[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
+        self._left.move_to_end(key)
+        if len(self._left) > KEPT:
+            self._left.popitem(last=False)
+        return self._left[key]
 
     def search(self, threshold: float, *, something: bool) -> Found:
         """The best set: each further finding must raise the evidence of all there is by `threshold`."""
@@ -277,6 +289,15 @@ class Searcher:
             if found.score <= before + 1e-6:
                 break
         return found
+
+
+def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
+    """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
+    spread = np.array([p.prior_sigma for p in effect.parameters])
+    mean, covariance, total, _ = posterior(gram, score, spread)
+    for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
+        total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
+    return total
 
 
 MOST_LAWS = 400

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.adjust.residual_space import orthonormal
+from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.evidence import LOG_WEIGHTS, SECOND_ALIKE, SIZES, log_average
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
@@ -50,25 +52,44 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Found:
-    """A set of findings.
+    """A set of findings; columns and residual beside it are computed where they are asked for.
 
     Attributes
     ----------
     members : tuple of Hypothesis
     left : tuple of (m, k) float
         What the adjustment leaves of their signatures.
-    extension : (m, e) float
-        Orthonormal columns of all members.
-    residual : (m,) float
-    score : float
-        Log evidence of the set, priors included.
+    norms : tuple of (k,) float
+        Lengths of the signatures' columns before that.
+    whole : (m,) float
+        What is left beside nothing.
     """
 
     members: tuple[Hypothesis, ...]
     left: tuple[Floats, ...]
-    extension: Floats
-    residual: Floats
-    score: float
+    norms: tuple[Floats, ...]
+    whole: Floats = field(repr=False)
+
+    @cached_property
+    def extension(self) -> Floats:
+        """(m, e): orthonormal columns of all members."""
+        if not self.members:
+            return np.zeros((len(self.whole), 0))
+        return orthonormal(np.hstack(self.left), np.concatenate(self.norms))
+
+    @cached_property
+    def residual(self) -> Floats:
+        """(m,): what is left beside the members."""
+        left: Floats = self.whole - self.extension @ (self.extension.T @ self.whole)
+        return left
+
+    @cached_property
+    def score(self) -> float:
+        """Log evidence of the set with each member's size at its best, priors and the room of sizes counted."""
+        if not self.members:
+            return 0.0
+        likeness = sum(alike(h, self.members[:i]) for i, h in enumerate(self.members))
+        return _at_best_sizes(self) + sum(h.log_prior for h in self.members) + likeness
 
 
 @dataclass(frozen=True)
@@ -107,31 +128,25 @@ class Ranking:
         return found
 
 
-def joint(found: Found, residual: Floats, sizes: Floats) -> tuple[Floats, Floats, float]:
-    """Mean, covariance and log evidence of all coefficients of a set with prior N(0, (t spread)^2) of each member."""
+def _at_best_sizes(found: Found) -> float:
+    """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, at the sizes t that explain most."""
     left = np.hstack(found.left)
-    spread = np.concatenate([t * h.spread for t, h in zip(sizes, found.members, strict=True)])
-    scaled = left * spread
-    inner = scaled.T @ scaled + np.eye(len(spread))
-    score = scaled.T @ residual
-    covariance = np.linalg.inv(inner)
-    mean = covariance @ score
-    weight = float(LOG_WEIGHTS[np.searchsorted(SIZES, sizes)].sum())
-    evidence = 0.5 * (float(score @ mean) - float(np.linalg.slogdet(inner)[1])) + weight
-    return spread * mean, covariance * np.outer(spread, spread), evidence
+    gram, score = left.T @ left, left.T @ found.whole
+    spreads = [h.spread for h in found.members]
 
+    def evidence(sizes: Ints) -> float:
+        spread = np.concatenate([SIZES[t] * one for t, one in zip(sizes, spreads, strict=True)])
+        inner = gram * np.outer(spread, spread) + np.eye(len(spread))
+        scaled = spread * score
+        fit = float(scaled @ np.linalg.solve(inner, scaled))
+        return 0.5 * (fit - float(np.linalg.slogdet(inner)[1])) + float(LOG_WEIGHTS[sizes].sum())
 
-def sizes_of(found: Found, residual: Floats) -> Floats:
-    """The size t of each member that explains most beside the others, on the grid of sizes."""
-    sizes = np.ones(len(found.members))
+    sizes = np.full(len(spreads), int(np.flatnonzero(SIZES == 1.0)[0]))
     for _ in range(2):
         for i in range(len(sizes)):
-            tried = []
-            for t in SIZES:
-                sizes[i] = t
-                tried.append(joint(found, residual, sizes)[2])
-            sizes[i] = SIZES[int(np.argmax(tried))]
-    return sizes
+            tried = [evidence(np.where(np.arange(len(sizes)) == i, t, sizes)) for t in range(len(SIZES))]
+            sizes[i] = int(np.argmax(tried))
+    return evidence(sizes)
 
 
 def alike(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:

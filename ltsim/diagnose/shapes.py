@@ -57,9 +57,7 @@ def shape_posterior(
     for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
         constants = np.array([value for value, _ in point])
         named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
-        left = searcher.space.project(searcher.space.signature(one.reshaped(**named)))
-        left -= base.extension @ (base.extension.T @ left)
-        found, covariance, evidence = wide_posterior(left.T @ left, left.T @ base.residual, sizes)
+        found, covariance, evidence = wide_posterior(*searcher.moments(one.reshaped(**named), base), sizes)
         logs.append(evidence + float(np.sum(np.log([width for _, width in point]))))
         when = [float(vars(one)["time"])] if changes else []
         means.append(np.concatenate([found, constants, when]))

@@ -26,7 +26,7 @@ def law(carrier: str, driver: Driver) -> Law:
 def test_the_drop_of_chi2_is_that_of_a_refit(space):
     wave = law("distance", Driver("wave", ("azimuth",), constant=3.0))
     signature = space.signature(wave)
-    columns = orthonormal(space.project(signature), signature)
+    columns = orthonormal(space.project(signature), np.linalg.norm(signature, axis=0))
     again = adjust(space.adjustment.recording, misalignment(), effects=[wave])
     assert columns.shape[1] == 2
     drop = float(((columns.T @ space.residual) ** 2).sum())
@@ -37,7 +37,7 @@ def test_beside_what_was_found_the_drop_is_that_of_a_joint_refit(space):
     first, second = law("elevation", simple("time", "power")), law("elevation", simple("distance", "power", 2.0))
     extended = space.extended(space.signature(first))
     signature = space.signature(second)
-    columns = orthonormal(extended.project(signature), signature)
+    columns = orthonormal(extended.project(signature), np.linalg.norm(signature, axis=0))
     one = adjust(space.adjustment.recording, misalignment(), effects=[first])
     both = adjust(space.adjustment.recording, misalignment(), effects=[first, second])
     drop = float(((columns.T @ extended.residual) ** 2).sum())
