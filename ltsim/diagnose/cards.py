@@ -7,7 +7,8 @@ vectors and the same evidence as the space of carriers and drivers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -50,6 +51,19 @@ class Group:
     own: Floats
     gram: Floats
 
+    def scaled(self, ratio: Singles) -> Group:
+        """The same with the rows of the space times a `ratio` (m,)."""
+        if isinstance(self.rows, np.ndarray):
+            rows = self.rows * ratio
+            made = rows.reshape(len(self.members), self.size, -1)
+            return replace(self, rows=rows, own=square(made.astype(np.float64)), gram=np.zeros_like(self.gram))
+        indices, ends = self.rows.indices, self.rows.indptr[:: self.size]
+        data = self.rows.data * ratio[indices]
+        blocks = [data[a:b].reshape(self.size, -1) for a, b in pairwise(ends.tolist())]
+        sparse = sp.csr_array((data, indices, self.rows.indptr), self.rows.shape)
+        own = np.stack([block @ block.T for block in blocks]).astype(np.float64)
+        return replace(self, rows=sparse, own=own, gram=np.zeros_like(self.gram))
+
 
 @dataclass(frozen=True)
 class Cards:
@@ -87,6 +101,15 @@ class Cards:
         index = {name: i for i, name in enumerate(names)}
         return cls(kept, groups, names, np.array([index[e.name] for e in kept], dtype=np.int64))
 
+    def reweighted(self, before: ResidualSpace, after: ResidualSpace) -> Cards:
+        """The same signatures with the weights of another adjustment of the same readings.
+
+        The geometry stays as it was: adjusted again with other weights, a network moves by far less than its lengths.
+        """
+        ratio = np.ones(after.size, dtype=np.float32)
+        ratio[: int(after.use.sum())] = (before.sigma / after.sigma)[after.use]
+        return replace(self, groups=[group.scaled(ratio) for group in self.groups])
+
     def score(self, probe: Probe) -> tuple[Floats, Floats]:
         """Log evidence (h,) of each card, and of the trials by family (families, trials)."""
         values = np.zeros(len(self.effects))
@@ -102,12 +125,12 @@ class Cards:
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
-            if not probe.fresh:
+            if not probe.scored:
                 continue
             chance.append(simulated_evidence(turn @ trials, strength))
             order.append(group.members)
-        if not self.effects or not probe.fresh:
-            return values, np.zeros((0, probe.trials.shape[1]))
+        if not self.effects or not probe.scored:
+            return values, np.zeros((0, probe.scored))
         back = np.argsort(np.concatenate(order))
         return values, log_means(np.vstack(chance)[back], self.family, len(self.families))
 

@@ -67,9 +67,9 @@ class _Case:
     def adjustment(self) -> Adjustment:
         return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
 
-    def searched(self, adjustment: Adjustment, *, judged: bool = False) -> tuple[Searcher, NoiseBank]:
+    def searched(self, adjustment: Adjustment, before: Searcher | None = None) -> tuple[Searcher, NoiseBank]:
         space = ResidualSpace.of(adjustment)
-        return Searcher(space, self.seed, judged=judged), NoiseBank.of(space, noise_hypotheses(space.sightings))
+        return Searcher(space, self.seed, before=before), NoiseBank.of(space, noise_hypotheses(space.sightings))
 
 
 @in_one_thread
@@ -99,7 +99,7 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     case = _Case(mended, construction, use, mended.sigma(), first.state, seed, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
-    searcher, noise = case.searched(baseline, judged=True)
+    searcher, noise = case.searched(baseline)
     detection = detect(searcher, noise)
     found, mismatch, last = searcher.empty, detection.p_value < level, searcher
     if mismatch:
@@ -123,7 +123,7 @@ def _explain(
         case.noise = _joined(case.noise, _with_probability(ranked, rest))
         case.sigma = case.weighted(case.noise)
         reweighted = _reweighted(case, () if noise_first else found.members)
-        searcher, noise = case.searched(reweighted)
+        searcher, noise = case.searched(reweighted, searcher)
         found = searcher.search(threshold, something=False)
     return found, searcher, noise
 

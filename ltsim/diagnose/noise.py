@@ -186,20 +186,19 @@ class NoiseBank:
         return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
 
     def best(self, space: ResidualSpace, residual: Floats) -> list[tuple[float, NoiseHypothesis]]:
-        """Families in the order of their evidence, each with its likeliest hypothesis and most likely size."""
+        """Families in the order of their evidence, each with its likeliest hypothesis; sizes of the first estimated."""
         evidence = self.family_evidence(residual[:, None])[:, 0]
         ratio = self.log_likelihood_ratio(residual[:, None])[:, 0]
         found = []
-        for family in np.argsort(-evidence)[:PROFILED]:
+        for family in np.argsort(-evidence)[:COMPARED]:
             members = np.flatnonzero(self.family == family)
-            chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
-            values, drop, sigma = _most_likely(space, space.sigma, chosen, residual)
-            found.append((float(evidence[family]), replace(chosen, values=values, sigma=sigma, drop=drop)))
-        return found
+            found.append((float(evidence[family]), self.hypotheses[members[int(np.argmax(ratio[members]))]]))
+        values, drop, sigma = _most_likely(space, space.sigma, found[0][1], residual)
+        return [(found[0][0], replace(found[0][1], values=values, sigma=sigma, drop=drop)), *found[1:]]
 
 
-PROFILED = 6
-"""Families whose sizes are profiled."""
+COMPARED = 6
+"""Families that are compared with the likeliest one."""
 
 
 def repeat_means(space: ResidualSpace) -> sp.csr_array:

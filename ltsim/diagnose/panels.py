@@ -84,7 +84,7 @@ class Panel:
         """The hypotheses of every place worth a second look, and the log sums of all: here, and in trials (trials,)."""
         hits: list[Hit] = []
         sums: list[float] = []
-        null = np.full(probe.trials.shape[1], -np.inf)
+        null = np.full(probe.scored, -np.inf)
         for number, place in enumerate(self.places):
             values, total = self._at(probe, number)
             null = np.logaddexp(null, total)
@@ -108,7 +108,7 @@ class Panel:
         score, _, trials, _ = probe.split(scores)
         if probe.fresh:
             self._forms[number] = self._turned(probe.gram(scores, self._own(rows)))
-        null = np.full(trials.shape[-1], -np.inf)
+        null = np.full(probe.scored, -np.inf)
         every = []
         for strength, forms, turn in self._forms[number]:
             every.append(log_evidence_of((turn @ score[..., None])[..., 0] ** 2, forms))

@@ -40,6 +40,8 @@ class Probe:
     basis : (m, u) float32, or None
     fresh : bool
         Whether nothing was found yet.
+    judged : bool
+        Whether the simulated residuals are scored too, to judge a search by.
     """
 
     space: ResidualSpace
@@ -48,6 +50,7 @@ class Probe:
     trials: Singles
     basis: Singles | None
     fresh: bool
+    judged: bool
 
     @classmethod
     def of(cls, space: ResidualSpace, seed: int, *, judged: bool) -> Probe:
@@ -57,7 +60,7 @@ class Probe:
             basis = space.projection.basis.astype(np.float32)
         white = stream(seed, "diagnose", "null").standard_normal((space.size, TRIALS if judged or basis is None else 0))
         trials = space.project(white).astype(np.float32)
-        return cls(space, space.residual, np.zeros((space.size, 0)), trials, basis, fresh=True)
+        return cls(space, space.residual, np.zeros((space.size, 0)), trials, basis, fresh=True, judged=judged)
 
     def beside(self, residual: Floats, extension: Floats) -> Probe:
         """The same beside what was found: its residual (m,) and orthonormal columns (m, e).
@@ -65,6 +68,11 @@ class Probe:
         What the adjustment leaves of every signature, and what chance makes of it, is known by then.
         """
         return replace(self, residual=residual, extension=extension, trials=self.trials[:, :0], basis=None, fresh=False)
+
+    @property
+    def scored(self) -> int:
+        """Number of simulated recordings that are scored too."""
+        return self.trials.shape[1] if self.judged else 0
 
     @cached_property
     def vectors(self) -> Singles:

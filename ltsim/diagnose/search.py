@@ -42,11 +42,15 @@ KEPT = 16
 class Searcher:
     """Search over cards and laws in one residual space."""
 
-    def __init__(self, space: ResidualSpace, seed: int, *, judged: bool = True) -> None:
+    def __init__(self, space: ResidualSpace, seed: int, *, before: Searcher | None = None) -> None:
+        """A search; `before`: the one on the same readings with other weights, judged already."""
         self.space = space
-        self.probe = Probe.of(space, seed, judged=judged)
+        self.probe = Probe.of(space, seed, judged=before is None)
         self._most = REFINED if self.probe.basis is not None else FEW
-        self.cards = Cards.of(space, card_hypotheses(space.sightings))
+        if before is None:
+            self.cards = Cards.of(space, card_hypotheses(space.sightings))
+        else:
+            self.cards = before.cards.reweighted(before.space, space)
         self.panels: list[Panel] = panels(space, PRIOR["law"])
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
