@@ -23,7 +23,7 @@ from ltsim.effects.signature import Tunable
 from ltsim.scene.sightings import Sightings
 
 SPARSE = 0.15
-"""Share of nonzeros below which the signatures of effects are kept sparse."""
+"""Share of nonzeros below which the signature of an effect is kept sparse."""
 
 
 def card_hypotheses(sightings: Sightings) -> list[Tunable]:
@@ -39,7 +39,7 @@ def card_hypotheses(sightings: Sightings) -> list[Tunable]:
 
 @dataclass(frozen=True)
 class Group:
-    """Effects of one number of parameters k.
+    """Effects of one number of parameters k, all kept sparse or all dense.
 
     `members` (h,), scaled signatures as rows (h k, m), their products with each other (h, k, k), and those of what the
     adjustment leaves of them, filled when they are scored first.
@@ -87,16 +87,17 @@ class Cards:
     def of(cls, space: ResidualSpace, effects: Sequence[Tunable]) -> Cards:
         """Signatures of all effects that touch a reading of this recording."""
         kept: list[Tunable] = []
-        by_size: dict[int, list[tuple[int, Ints, Singles]]] = {}
+        alike: dict[tuple[int, bool], list[tuple[int, Ints, Singles]]] = {}
         for effect in effects:
             sizes = np.array([p.prior_sigma for p in effect.parameters])
             signature = space.signature(effect) * sizes
             places = np.flatnonzero(signature.any(axis=1))
             if len(places):
                 rows = np.ascontiguousarray(signature[places].T.astype(np.float32))
-                by_size.setdefault(len(sizes), []).append((len(kept), places, rows))
+                key = len(sizes), len(places) < SPARSE * space.size
+                alike.setdefault(key, []).append((len(kept), places, rows))
                 kept.append(effect)
-        groups = [_group(size, made, space.size) for size, made in sorted(by_size.items())]
+        groups = [_group(size, made, space.size, sparse=sparse) for (size, sparse), made in sorted(alike.items())]
         names = tuple(dict.fromkeys(effect.name for effect in kept))
         index = {name: i for i, name in enumerate(names)}
         return cls(kept, groups, names, np.array([index[e.name] for e in kept], dtype=np.int64))
@@ -139,12 +140,11 @@ class Cards:
         return log_means(values, self.family, len(self.families))
 
 
-def _group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> Group:
-    """Signatures of effects of one size as one matrix, dense where most of it is filled."""
+def _group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int, *, sparse: bool) -> Group:
+    """Signatures of effects of one size as one matrix."""
     own = np.stack([rows @ rows.T for _, _, rows in made]).astype(np.float64)
     members = np.array([i for i, _, _ in made])
-    filled = sum(rows.size for _, _, rows in made)
-    if filled > SPARSE * len(made) * size * length:
+    if not sparse:
         dense = np.zeros((len(made), size, length), dtype=np.float32)
         for i, (_, places, rows) in enumerate(made):
             dense[i][:, places] = rows
@@ -152,5 +152,5 @@ def _group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) ->
     indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
     ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))])
     data = np.concatenate([rows.ravel() for _, _, rows in made])
-    sparse = sp.csr_array((data, indices, ends), (len(made) * size, length))
-    return Group(size, members, sparse, own, np.zeros_like(own))
+    rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
+    return Group(size, members, rows, own, np.zeros_like(own))
