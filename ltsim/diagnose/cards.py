@@ -53,16 +53,17 @@ class Group:
 
     def scaled(self, ratio: Singles) -> Group:
         """The same with the rows of the space times a `ratio` (m,)."""
+        rows: Singles | sp.csr_array
         if isinstance(self.rows, np.ndarray):
             rows = self.rows * ratio
-            made = rows.reshape(len(self.members), self.size, -1)
-            return replace(self, rows=rows, own=square(made.astype(np.float64)), gram=np.zeros_like(self.gram))
-        indices, ends = self.rows.indices, self.rows.indptr[:: self.size]
-        data = self.rows.data * ratio[indices]
-        blocks = [data[a:b].reshape(self.size, -1) for a, b in pairwise(ends.tolist())]
-        sparse = sp.csr_array((data, indices, self.rows.indptr), self.rows.shape)
+            blocks = list(rows.reshape(len(self.members), self.size, -1))
+        else:
+            data = self.rows.data * ratio[self.rows.indices]
+            rows = sp.csr_array((data, self.rows.indices, self.rows.indptr), self.rows.shape)
+            ends = self.rows.indptr[:: self.size].tolist()
+            blocks = [data[low:high].reshape(self.size, -1) for low, high in pairwise(ends)]
         own = np.stack([block @ block.T for block in blocks]).astype(np.float64)
-        return replace(self, rows=sparse, own=own, gram=np.zeros_like(self.gram))
+        return replace(self, rows=rows, own=own, gram=np.zeros_like(self.gram))
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects.effect import Effect
+from ltsim.effects.signature import Tunable
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
@@ -99,12 +100,12 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     case = _Case(mended, construction, use, mended.sigma(), first.state, seed, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
-    searcher, noise = case.searched(baseline)
-    detection = detect(searcher, noise)
-    found, mismatch, last = searcher.empty, detection.p_value < level, searcher
+    last, noise = case.searched(baseline)
+    sought, detection = last.cards.effects, detect(last, noise)
+    found, mismatch = last.empty, detection.p_value < level
     if mismatch:
-        found, last, noise = _explain(case, searcher, noise, detection)
-    return _Report(case, baseline, searcher, last, noise, detection, found, tuple(gross), mismatch).diagnosis()
+        found, last, noise = _explain(case, last, noise, detection)
+    return _Report(case, baseline, sought, last, noise, detection, found, tuple(gross), mismatch).diagnosis()
 
 
 def _explain(
@@ -171,7 +172,7 @@ class _Report:
 
     case: _Case
     baseline: Adjustment
-    searcher: Searcher
+    sought: Sequence[Tunable]
     last: Searcher
     noise: NoiseBank
     detection: Detection
@@ -197,7 +198,7 @@ class _Report:
             dof = self.baseline.dof - found.extension.shape[1]
             after = _fit(fitted.adjustment, dof, self._in_stated_noise(fitted))
         verdict = "mismatch" if self.mismatch or self.gross or odd else "consistent"
-        detectable, undetectable = sight_of(self.searcher.space, self.searcher.cards.effects)
+        detectable, undetectable = sight_of(ResidualSpace.of(self.baseline), self.sought)
         targets = averaged_targets(self.last, found, rankings, fitted)
         return Diagnosis(
             verdict=verdict,

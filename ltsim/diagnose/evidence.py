@@ -79,8 +79,18 @@ def log_evidence(squares: Floats, strength: Floats) -> Floats:
     return log_average(by_size(squares, strength), axis=-1)
 
 
+AT_ONCE = 500_000
+"""Simulated scores whose evidence is computed at once: memory of some tens of MB."""
+
+
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
-    """The same (..., trials) for scores (..., k, trials) of simulated residuals."""
+    """The same (h, ..., trials) for scores (h, ..., k, trials) of simulated residuals."""
+    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
+    parts = [_simulated(scores[i : i + step], strength[i : i + step]) for i in range(0, len(scores), step)]
+    return np.concatenate(parts)
+
+
+def _simulated(scores: Floats, strength: Floats) -> Floats:
     weights, constants = forms_of(strength)
     logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ (scores.astype(np.float32) ** 2)
     logs += constants[..., None].astype(np.float32)
