@@ -192,7 +192,8 @@ def _nearest_known(space: ResidualSpace, hidden: Hidden) -> dict[str, Any]:
     best, share = "", 0.0
     for effect in card_hypotheses(space.sightings):
         signature = space.signature(effect)
-        columns = orthonormal(space.project(signature), np.linalg.norm(signature, axis=0)) if signature.any() else signature[:, :0]
+        norms = np.linalg.norm(signature, axis=0)
+        columns = orthonormal(space.project(signature), norms) if norms.any() else signature[:, :0]
         explained = float(((columns.T @ left) ** 2).sum()) / float(left @ left)
         if explained > share:
             best, share = effect.name, explained
