@@ -1,4 +1,8 @@
-"""Concealed recordings of another simulator, diagnosed with default settings: python -m experiments 21 [FOLDER]."""
+"""Concealed recordings of another simulator, diagnosed with default settings.
+
+python -m experiments 21 [FOLDER]     diagnose a folder of recordings
+python -m experiments 21 score        score round 1 as it was committed, and as it is diagnosed today
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,15 @@ from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, spread_out
 from ltsim.diagnose import diagnose
-from ltsim.diagnose.files import adjusted_targets_csv
+from ltsim.diagnose.files import targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
 
+from .score import write_score
+
+SHARED = ROOT.parent / "shared" / "concealed"
+COLUMNS = (".", "again")
+"""Folders of the diagnoses that are scored: as they were committed before the truth was open, and made again."""
 HEADER = (
     "| recording | verdict | p of the search | finding | where | probability | not excluded | chi2 / dof | held-out |\n"
 )
@@ -24,7 +33,7 @@ def examine(folder: Path, out: Path) -> str:
     content = found.to_json()
     texts = {
         "diagnosis.json": json.dumps(content, indent=1, allow_nan=False) + "\n",
-        "targets.csv": adjusted_targets_csv(found.adjusted, found.baseline),
+        "targets.csv": targets_csv(found),
     }
     write_texts(out / folder.name, texts)
     before, after = found.before, found.after
@@ -46,7 +55,10 @@ def examine(folder: Path, out: Path) -> str:
 
 def run(given: Options) -> Made:
     """Diagnose every recording, write the table."""
-    recordings = Path(given.words[0]) if given.words else ROOT.parent / "shared" / "concealed"
+    if "score" in given.words:
+        write_score(SHARED / "round-1-truth.json", [given.out / name for name in COLUMNS], given.out / "score.md")
+        return Made(seed=0, folder=given.out)
+    recordings = Path(given.words[0]) if given.words else SHARED
     if not recordings.is_dir():
         sys.exit(f"{recordings} is not there: these recordings are no part of the project")
     folders = sorted(f for f in recordings.iterdir() if (f / "observations.csv").is_file())

@@ -100,17 +100,16 @@ class ResidualSpace:
 
     def extended(self, signature: Floats) -> ResidualSpace:
         """The residual space when signatures (m, q) are estimated too."""
-        visible = orthonormal(self.project(signature), signature)
+        visible = orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
         residual = self.residual - visible @ (visible.T @ self.residual)
         return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
 
 
-def orthonormal(left: Floats, whole: Floats) -> Floats:
-    """Orthonormal columns (m, r) spanning what is `left` (m, q) of `whole`; invisible directions are dropped.
+def orthonormal(left: Floats, norms: Floats) -> Floats:
+    """Orthonormal columns (m, r) spanning what is `left` (m, q) of signatures; invisible directions are dropped.
 
-    Directions are compared with the size of the whole signature, so no unit and no absolute tolerance enters.
+    Directions are compared with the lengths `norms` (q,) of the whole signatures, so no unit and no absolute tolerance
+    enters.
     """
-    norm = np.linalg.norm(whole, axis=0)
-    norm[norm == 0] = 1.0
-    u, s, _ = np.linalg.svd(left / norm, full_matrices=False)
+    u, s, _ = np.linalg.svd(left / np.where(norms > 0, norms, 1.0), full_matrices=False)
     return u[:, s**2 > VISIBLE]

@@ -37,7 +37,7 @@ def sight_of(
             families.setdefault(law.name, []).append(law)
     found, hidden = [], []
     for places in families.values():
-        seen = examine(space, places)
+        seen = examine(space, places, columns=False)
         if seen is None:
             continue
         best = min(seen.table(), key=lambda row: row.typical / row.prior_sigma)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,63 +10,35 @@ import numpy as np
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
-from ltsim.diagnose.bank import Bank, Hypothesis
+from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import sight_of
-from ltsim.diagnose.detect import Detection, detect, noise_prior
-from ltsim.diagnose.diagnosis import Diagnosis, Estimate, Finding, Fit
-from ltsim.diagnose.evidence import carried_by
-from ltsim.diagnose.findings import doubted, equivalents_of, gross_finding, mean_finding, noise_finding
+from ltsim.diagnose.detect import Detection, detect
+from ltsim.diagnose.diagnosis import Diagnosis, Finding, Fit
+from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_finding, mean_finding, noise_finding
 from ltsim.diagnose.gross import GrossFinding, explain_gross
-from ltsim.diagnose.held_out import (
-    held_out_rms,
-    pair_folds,
-    pointing_folds,
-    station_target_folds,
-)
-from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, pattern_hypotheses, remeasured
+from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds, station_target_folds
+from ltsim.diagnose.instruments import contradictions, instrument_entries
+from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, noise_hypotheses, remeasured
 from ltsim.diagnose.refit import Refit, refit
-from ltsim.diagnose.search import EffectSet, Searcher
+from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
+from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.stations import mend_faces, mend_stations
-from ltsim.diagnose.terms import flexible_hypotheses
-from ltsim.diagnose.words import summarise, without_clock
-from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import NoiseEffect
+from ltsim.diagnose.words import summarise
+from ltsim.effects.effect import Effect
 from ltsim.effects.signature import Tunable
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.threads import in_one_thread
-from ltsim.units import FACTOR
 
 MOST_ROUNDS = 3
 REWEIGHTINGS = 2
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
-
-
-def catalogue_hypotheses(sightings: Sightings) -> list[Hypothesis]:
-    """Every effect of the catalogue beyond the ordinary calibration, at every place and shape."""
-    ordinary = {type(effect) for effect in BASELINE}
-    return [
-        Hypothesis(kind.name, effect)
-        for kind in CATALOGUE
-        if kind not in ordinary and not issubclass(kind, NoiseEffect)
-        for effect in kind.candidates(sightings)
-    ]
-
-
-def noise_hypotheses(sightings: Sightings) -> list[NoiseHypothesis]:
-    """Every change of the noise that is tried, with a grid of sizes."""
-    known = [
-        NoiseHypothesis(kind.name, effect, values)
-        for kind in CATALOGUE
-        if issubclass(kind, NoiseEffect)
-        for effect in kind.candidates(sightings)
-        for values in effect.size_grid()
-    ]
-    return [*known, *pattern_hypotheses(sightings)]
+LEAST_GAIN = 2.0
+"""Log evidence of a further finding: odds of 7 to 1 that there is one."""
 
 
 @dataclass
@@ -78,6 +50,7 @@ class _Case:
     use: Bools
     sigma: Floats
     start: State
+    seed: int
     noise: list[NoiseHypothesis]
 
     @property
@@ -94,6 +67,10 @@ class _Case:
 
     def adjustment(self) -> Adjustment:
         return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
+
+    def searched(self, adjustment: Adjustment, before: Searcher | None = None) -> tuple[Searcher, NoiseBank]:
+        space = ResidualSpace.of(adjustment)
+        return Searcher(space, self.seed, before=before), NoiseBank.of(space, noise_hypotheses(space.sightings))
 
 
 @in_one_thread
@@ -119,51 +96,51 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     first = adjust(faced, construction)
     mended, use, gross = explain_gross(first)
     gross = [*wrong, *confused, *gross]
-    case = _Case(mended, construction, use, mended.sigma(), first.state, [])
+    use = use & first.problem.use if not gross else use
+    case = _Case(mended, construction, use, mended.sigma(), first.state, seed, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
-    space, searcher, noise = _prepare(baseline)
-    detection = detect(searcher, noise, seed)
-    found, mismatch = searcher.empty, detection.p_value < level
+    last, noise = case.searched(baseline)
+    sought, detection = last.cards.effects, detect(last, noise)
+    found, mismatch = last.empty, detection.p_value < level
     if mismatch:
-        found, searcher = _explain(case, searcher, noise, detection)
-    return _assemble(case, baseline, space, searcher, detection, found, gross, mismatch)
+        found, last, noise = _explain(case, last, noise, detection)
+    return _Report(case, baseline, sought, last, noise, detection, found, tuple(gross), mismatch).diagnosis()
 
 
-def _prepare(adjustment: Adjustment) -> tuple[ResidualSpace, Searcher, NoiseBank]:
-    space = ResidualSpace.of(adjustment)
-    hypotheses = [
-        *catalogue_hypotheses(space.sightings),
-        *flexible_hypotheses(space.sightings),
-    ]
-    return (
-        space,
-        Searcher(space, Bank.of(space, hypotheses)),
-        NoiseBank.of(space, noise_hypotheses(space.sightings)),
-    )
-
-
-def _explain(case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection) -> tuple[EffectSet, Searcher]:
+def _explain(
+    case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection
+) -> tuple[Found, Searcher, NoiseBank]:
     """Mean shifts and changes of the noise in turn, whichever explains more first."""
-    threshold = max(detection.threshold(1.0 - NEXT_LEVEL), 2.0)
+    threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
     found = searcher.search(threshold, something=True)
     for _ in range(MOST_ROUNDS):
-        prior = noise_prior(noise)
-        alone = noise.log_likelihood_ratio(searcher.space.residual)
-        beside = noise.log_likelihood_ratio(found.residual)
-        alone_best = float(np.max(noise.family_evidence(alone) + prior, initial=-np.inf))
-        beside_best = float(np.max(noise.family_evidence(beside) + prior, initial=-np.inf))
-        noise_first = alone_best > found.score
-        if max(alone_best if noise_first else -np.inf, beside_best) < threshold and (case.noise or not noise_first):
+        alone, beside = (noise.best(searcher.space, r) for r in (searcher.space.residual, found.residual))
+        noise_first = alone[0][0] > found.score
+        if max(alone[0][0] if noise_first else -np.inf, beside[0][0]) < threshold and (case.noise or not noise_first):
             break
-        ratio = alone if noise_first else beside
-        residual = searcher.space.residual if noise_first else found.residual
-        hypothesis = noise.best(searcher.space, ratio, prior, residual)
-        case.noise = _joined(case.noise, hypothesis)
+        ranked = alone if noise_first else beside
+        rest = searcher.first.total if noise_first else min(searcher.rank(found).total, threshold)
+        case.noise = _joined(case.noise, _with_probability(ranked, rest))
         case.sigma = case.weighted(case.noise)
-        _, searcher, noise = _prepare(_reweighted(case, () if noise_first else found.hypotheses))
+        reweighted = _reweighted(case, () if noise_first else found.members)
+        searcher, noise = case.searched(reweighted, searcher)
         found = searcher.search(threshold, something=False)
-    return found, searcher
+    return found, searcher, noise
+
+
+def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
+    """The first change of the noise, with its probability among all of them and what else was tried."""
+    logs = np.array([0.0, rest, *(value for value, _ in ranked)])
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    best = ranked[0][1]
+    total: dict[str, float] = {}
+    for (_, one), w in zip(ranked, weight[2:], strict=True):
+        total[one.effect.name] = total.get(one.effect.name, 0.0) + float(w)
+    probability = total.pop(best.effect.name)
+    others = sorted(((n, p) for n, p in total.items() if p > 0.01), key=lambda pair: -pair[1])
+    return replace(best, probability=probability, equivalents=tuple(others[:3]))
 
 
 def _joined(known: Sequence[NoiseHypothesis], further: NoiseHypothesis) -> list[NoiseHypothesis]:
@@ -189,70 +166,126 @@ def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
     return case.adjustment()
 
 
-def _with_effects(case: _Case, effects: Sequence[Tunable], sigma: Floats) -> Refit:
-    """The exact refit with some effects; the plain adjustment without any."""
-    if effects:
-        return refit(case.recording, case.construction, list(effects), start=case.start, sigma=sigma, use=case.use)
-    plain = adjust(case.recording, case.construction, sigma=sigma, use=case.use, start=case.start)
-    return Refit(plain, (), ())
+@dataclass
+class _Report:
+    """Everything that a diagnosis is told from."""
 
+    case: _Case
+    baseline: Adjustment
+    sought: Sequence[Tunable]
+    last: Searcher
+    noise: NoiseBank
+    detection: Detection
+    found: Found
+    gross: tuple[GrossFinding, ...]
+    mismatch: bool
 
-def _refitted(
-    case: _Case, baseline: Adjustment, searcher: Searcher, detection: Detection, found: EffectSet
-) -> tuple[EffectSet, Refit]:
-    """The exact refit with what was found, without members that it does not need.
+    def diagnosis(self) -> Diagnosis:
+        """Refit with what was found and put the verdict together."""
+        found, fitted = self._refitted()
+        self.found = found
+        findings = [gross_finding(g, self.baseline) for g in self.gross]
+        rankings = [self._ranking(i) for i in range(len(found.members))]
+        findings += [self._finding(i, ranking, fitted) for i, ranking in enumerate(rankings)]
+        findings += [noise_finding(h, self.detection) for h in self.case.noise]
+        settled = fitted.adjustment if fitted.adjustment.solution.converged else self.baseline
+        odd = contradictions(settled, LEAST_GAIN)
+        findings += [instrument_finding(c) for c in odd]
+        findings.sort(key=lambda f: -f.evidence.chi2_drop)
+        before = _fit(self.baseline, self.baseline.dof)
+        after = before
+        if found.members or self.case.noise:
+            dof = self.baseline.dof - found.extension.shape[1]
+            after = _fit(fitted.adjustment, dof, self._in_stated_noise(fitted))
+        verdict = "mismatch" if self.mismatch or self.gross or odd else "consistent"
+        detectable, undetectable = sight_of(ResidualSpace.of(self.baseline), self.sought)
+        targets = averaged_targets(self.last, found, rankings, fitted)
+        return Diagnosis(
+            verdict=verdict,
+            summary=summarise(verdict, findings, self.detection.p_value, before, after),
+            statistic=self.baseline.chi2,
+            dof=self.baseline.dof,
+            p_value=self.detection.chi2_p_value,
+            search_p_value=self.detection.p_value,
+            findings=tuple(findings),
+            before=before,
+            after=after,
+            undetectable=undetectable,
+            detectable=detectable,
+            instruments=instrument_entries(settled),
+            targets=targets,
+            baseline=self.baseline,
+            adjusted=fitted.adjustment,
+        )
 
-    The search works in first order: what a large effect leaves to second order can look like another one beside it.
-    """
+    def _with_effects(self, found: Found, sigma: Floats) -> Refit:
+        """The exact refit with a set; the plain adjustment without any."""
+        case = self.case
+        if not found.members:
+            if not case.noise:
+                return Refit(self.baseline, (), ())
+            plain = adjust(case.recording, case.construction, sigma=sigma, use=case.use, start=case.start)
+            return Refit(plain, (), ())
+        effects = [h.effect for h in found.members]
+        return refit(case.recording, case.construction, effects, start=case.start, sigma=sigma, use=case.use)
 
-    def fit(members: Sequence[Hypothesis]) -> Refit:
-        if not members and not case.noise:
-            return Refit(baseline, (), ())
-        return _with_effects(case, [h.effect for h in members], case.sigma)
+    def _refitted(self) -> tuple[Found, Refit]:
+        """The exact refit with what was found, without members that it does not need.
 
-    fitted = fit(found.hypotheses)
-    threshold = detection.threshold(1.0 - NEXT_LEVEL)
-    while len(found.members) > 1:
-        rest = [found.hypotheses[:i] + found.hypotheses[i + 1 :] for i in range(len(found.members))]
-        without = [fit(members) for members in rest]
-        gains = [
-            searcher.worth(m, one.adjustment.chi2 - fitted.adjustment.chi2)
-            for m, one in zip(found.members, without, strict=True)
+        The search works in first order: what a large effect leaves to second order can look like another one beside it.
+        """
+        found = self.found
+        fitted = self._with_effects(found, self.case.sigma)
+        while len(found.members) > 1:
+            rest = [
+                self.last.with_members(found.members[:i] + found.members[i + 1 :]) for i in range(len(found.members))
+            ]
+            without = [self._with_effects(one, self.case.sigma) for one in rest]
+            gains = [
+                0.5 * (one.adjustment.chi2 - fitted.adjustment.chi2) + h.log_prior
+                for h, one in zip(found.members, without, strict=True)
+            ]
+            least = int(np.argmin(gains))
+            if gains[least] >= 0.0:
+                break
+            found, fitted = rest[least], without[least]
+        return found, fitted
+
+    def _others(self, member: int) -> Found:
+        members = self.found.members
+        return self.last.with_members(members[:member] + members[member + 1 :])
+
+    def _ranking(self, member: int) -> Ranking:
+        """Everything that could stand in a member's place, changes of the noise among it."""
+        others = self._others(member)
+        ranking = self.last.rank(others)
+        logs = self.noise.family_evidence(others.residual[:, None])[:, 0]
+        rivals = [
+            Hypothesis(self.noise.hypotheses[int(np.argmax(self.noise.family == f))].effect, 0.0, float(v), n)
+            for f, (n, v) in enumerate(zip(self.noise.families, logs, strict=True))
         ]
-        least = int(np.argmin(gains))
-        if gains[least] >= threshold:
-            break
-        found, fitted = searcher.with_members(rest[least]), without[least]
-    return found, fitted
+        rivals = [replace(h, name="unknown") if h.name.startswith("unknown") else h for h in rivals]
+        return ranking.beside(rivals)
 
+    def _finding(self, member: int, ranking: Ranking, fitted: Refit) -> Finding:
+        hypothesis = replace(self.found.members[member], effect=fitted.effects[member])
+        others = self._others(member)
+        rivals = [name for name, _ in equivalents_of(ranking, hypothesis.name)[1]]
+        beside = [e for k, e in enumerate(fitted.effects) if k != member]
+        named = isinstance(hypothesis.effect, Effect)
+        advice = separating_measurement(self.baseline, hypothesis.name, rivals, beside) if named else ""
+        told = self.last.estimates(hypothesis, others, fitted.estimates[member])
+        return mean_finding(
+            hypothesis, told, others, self.found, ranking, self.detection, self.last.space, advice,
+            clock=self.case.recording.has_clock,
+        )  # fmt: skip
 
-def _change(searcher: Searcher, hypothesis: Hypothesis, others: EffectSet) -> tuple[Estimate, ...]:
-    """The time of a sudden change as an estimate."""
-    found = searcher.change_time(hypothesis, others)
-    return () if found is None else (Estimate("time", found[0], found[1], "s"),)
-
-
-WIDER = 1.15
-"""Where shapes leave a parameter so many times less certain than the curvature at the optimum, a posterior is told."""
-
-
-def _widened(
-    searcher: Searcher, hypothesis: Hypothesis, others: EffectSet, fitted: Refit, member: int
-) -> list[Estimate]:
-    """Estimates of a refit; where the shape leaves them less certain, mean and deviation over all shapes."""
-    factors = {p.name: p.factor for p in hypothesis.effect.parameters}
-    factors |= {s.name: FACTOR[s.unit] for s in type(hypothesis.effect).shape}
-    told = fitted.estimates[member]
-    spread = {e.name: e.sigma * factors.get(e.name, 1.0) for e in told}
-    posterior = searcher.shape_posterior(hypothesis, others, spread)
-    if not any(posterior.get(name, (0.0, 0.0))[1] > WIDER * sigma for name, sigma in spread.items()):
-        return list(told)
-    return [
-        replace(e, value=posterior[e.name][0] / factors[e.name], sigma=posterior[e.name][1] / factors[e.name])
-        if e.name in posterior
-        else e
-        for e in told
-    ]
+    def _in_stated_noise(self, fitted: Refit) -> Adjustment:
+        """A refit with noise no quieter than stated: errors are told in that, or in what was found above it."""
+        stated = self.case.recording.sigma()
+        if not (self.case.sigma < stated).any():
+            return fitted.adjustment
+        return self._with_effects(self.found, np.maximum(self.case.sigma, stated)).adjustment
 
 
 def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
@@ -266,77 +299,4 @@ def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None)
     return Fit(adjustment.chi2, dof, held_out["station-target pairs"], held_out)
 
 
-def _in_stated_noise(case: _Case, fitted: Refit) -> Adjustment:
-    """A refit with noise no quieter than stated: errors are told in the stated noise, or in what was found above it."""
-    stated = case.recording.sigma()
-    if not (case.sigma < stated).any():
-        return fitted.adjustment
-    return _with_effects(case, fitted.effects, np.maximum(case.sigma, stated)).adjustment
-
-
-def _assemble(
-    case: _Case,
-    baseline: Adjustment,
-    space: ResidualSpace,
-    searcher: Searcher,
-    detection: Detection,
-    found: EffectSet,
-    gross: Sequence[GrossFinding],
-    mismatch: bool,
-) -> Diagnosis:
-    """Refit with what was found and put the verdict together."""
-    found, fitted = _refitted(case, baseline, searcher, detection, found)
-    clock: Callable[[Estimate], Estimate] = (lambda e: e) if case.recording.has_clock else without_clock
-    findings = [gross_finding(g, baseline) for g in gross]
-    explained: list[tuple[Finding, tuple[str, ...]]] = []
-    for i, member in enumerate(found.members):
-        effect = fitted.effects[i]
-        others = searcher.with_members(found.hypotheses[:i] + found.hypotheses[i + 1 :])
-        ranking = searcher.rank(others)
-        name = member.hypothesis.effect.name
-        rivals = [rival for rival, _ in equivalents_of(ranking, name)[1]]
-        beside = [e for k, e in enumerate(fitted.effects) if k != i]
-        advice = separating_measurement(baseline, name, rivals, beside) if member.hypothesis.known else ""
-        told = [
-            *_widened(searcher, replace(member.hypothesis, effect=effect), others, fitted, i),
-            *_change(searcher, member.hypothesis, others),
-        ]
-        finding = mean_finding(
-            replace(member.hypothesis, effect=effect),
-            [clock(e) for e in told],
-            others,
-            found,
-            ranking,
-            detection,
-            advice,
-        )
-        gain = (others.residual**2 - found.residual**2)[: int(searcher.space.use.sum())]
-        explained.append((finding, carried_by(searcher.space.use, gain)))
-    findings += doubted(explained)
-    findings += [noise_finding(h, detection) for h in case.noise]
-    findings.sort(key=lambda f: -f.evidence.chi2_drop)
-    spent = found.extension.shape[1]
-    before = _fit(baseline, baseline.dof)
-    after = before
-    if found.members or case.noise:
-        after = _fit(fitted.adjustment, baseline.dof - spent, _in_stated_noise(case, fitted))
-    verdict = "mismatch" if mismatch or gross else "consistent"
-    detectable, undetectable = sight_of(space, (h.effect for h in searcher.bank.hypotheses))
-    return Diagnosis(
-        verdict=verdict,
-        summary=summarise(verdict, findings, detection.p_value, before, after),
-        statistic=baseline.chi2,
-        dof=baseline.dof,
-        p_value=detection.chi2_p_value,
-        search_p_value=detection.p_value,
-        findings=tuple(findings),
-        before=before,
-        after=after,
-        undetectable=undetectable,
-        detectable=detectable,
-        baseline=baseline,
-        adjusted=fitted.adjustment,
-    )
-
-
-__all__ = ["catalogue_hypotheses", "diagnose", "noise_hypotheses"]
+__all__ = ["diagnose"]

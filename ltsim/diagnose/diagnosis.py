@@ -7,7 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats
 from ltsim.notebook import Columns, Shown, by_entry
 from ltsim.remedies.detectability import MinimalSize
 from ltsim.units import FACTOR
@@ -31,6 +34,7 @@ class Where:
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
     covariates: tuple[str, ...] = ()
+    instruments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,47 @@ class Evidence:
     parameters: int
     p_value: float
     probability: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What a carrier does over the first covariate of a law: value and deviation, in the carrier's unit.
+
+    `at` is in the covariate's SI unit, or that of the recording's own column.
+    """
+
+    covariate: str
+    unit: str
+    at: tuple[float, ...]
+    value: tuple[float, ...]
+    sigma: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination of constants that a recording determines better than each of them."""
+
+    weights: tuple[tuple[str, float], ...]
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class InstrumentEntry:
+    """One instrument: constants, and what the recording determines of them together."""
+
+    name: str
+    parameters: tuple[Estimate, ...]
+    determined: tuple[Combination, ...]
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Coordinates (T, 3) [m] and their covariance (T, 3, 3) [m^2]."""
+
+    points: Floats
+    covariance: Floats
 
 
 @dataclass(frozen=True)
@@ -55,6 +100,9 @@ class Finding:
         The proposed term of an unknown effect.
     equivalents : tuple of (str, float)
         Other effects that this recording cannot exclude, with their probability.
+    carrier, driver : str
+        What of the model varies and what it follows, where no card names the finding.
+    curve : Curve, optional
     """
 
     effect: str
@@ -66,6 +114,9 @@ class Finding:
     equivalents: tuple[tuple[str, float], ...] = ()
     separate_by: str = ""
     formula: str = ""
+    carrier: str = ""
+    driver: str = ""
+    curve: Curve | None = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +154,8 @@ class Diagnosis(Shown):
     after: Fit
     undetectable: tuple[Undetectable, ...]
     detectable: tuple[MinimalSize, ...]
+    instruments: tuple[InstrumentEntry, ...]
+    targets: Targets
     baseline: Adjustment
     adjusted: Adjustment
 
@@ -146,10 +199,11 @@ class Diagnosis(Shown):
             "global_test": {
                 "statistic": self.statistic,
                 "dof": self.dof,
-                "p_value": self.p_value,
+                "p_value": _finite(self.p_value),
                 "search_p_value": self.search_p_value,
             },
             "findings": [_finding_json(f) for f in self.findings],
+            "instruments": [_instrument_json(i) for i in self.instruments],
             "fit": {"before": _fit_json(self.before), "after": _fit_json(self.after)},
             "undetectable": [
                 {"effect": u.effect, "reason": u.reason, "hides_um": u.hides_um, "cure": u.cure}
@@ -162,13 +216,33 @@ class Diagnosis(Shown):
         }
 
 
+def _instrument_json(entry: InstrumentEntry) -> dict[str, Any]:
+    return {
+        "name": entry.name,
+        "parameters": [_estimate_json(p) for p in entry.parameters],
+        "determined": [
+            {"combination": dict(c.weights), "value": c.value, "sigma": c.sigma, "unit": c.unit}
+            for c in entry.determined
+        ],
+    }
+
+
+def _estimate_json(estimate: Estimate) -> dict[str, Any]:
+    return {"name": estimate.name, "value": estimate.value, "sigma": estimate.sigma, "unit": estimate.unit}
+
+
 def _fit_json(fit: Fit) -> dict[str, Any]:
     return {
         "chi2": fit.chi2,
         "dof": fit.dof,
-        "held_out_rms": fit.held_out_rms,
-        "held_out": fit.held_out,
+        "held_out_rms": _finite(fit.held_out_rms),
+        "held_out": {name: _finite(value) for name, value in fit.held_out.items()},
     }
+
+
+def _finite(value: float) -> float | None:
+    """A number, or nothing where there is none: JSON has no NaN."""
+    return value if np.isfinite(value) else None
 
 
 def _finding_json(finding: Finding) -> dict[str, Any]:
@@ -182,10 +256,9 @@ def _finding_json(finding: Finding) -> dict[str, Any]:
             "stations": list(where.stations),
             "targets": list(where.targets),
             "covariates": list(where.covariates),
+            "instruments": list(where.instruments),
         },
-        "parameters": [
-            {"name": p.name, "value": p.value, "sigma": p.sigma, "unit": p.unit} for p in finding.parameters
-        ],
+        "parameters": [_estimate_json(p) for p in finding.parameters],
         "evidence": {
             "chi2_drop": evidence.chi2_drop,
             "parameters": evidence.parameters,
@@ -197,4 +270,8 @@ def _finding_json(finding: Finding) -> dict[str, Any]:
     }
     if finding.formula:
         data["formula"] = finding.formula
+    if finding.carrier:
+        data |= {"carrier": finding.carrier, "driver": finding.driver}
+    if finding.curve is not None:
+        data["curve"] = dict(vars(finding.curve))
     return data

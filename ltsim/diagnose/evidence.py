@@ -1,36 +1,100 @@
-"""Evidence of hypotheses that differ in kind, place, shape and number of parameters.
+"""The one evidence of a diagnosis: log marginal likelihoods, and the prior that every hypothesis starts with.
 
-Mean shifts: with T the drop in chi2 of a signature of r visible directions, the marginal likelihood ratio against no
-effect, under Zellner's g-prior (a size that gives a noncentrality of about g r), is
-    exp(T/2 * g / (1 + g)) (1 + g)^(-r/2),
-averaged over g, because nobody knows how strong an effect is. Places and shapes are averaged as well: whoever tries
-more of them pays for it (the look-elsewhere effect). Changes of the noise are averaged over a grid of sizes.
+In the residual space (whitened residuals r, projector P off all that the ordinary adjustment estimates) a hypothesis
+with signature g and coefficients b ~ N(0, t^2 L), L the squares of plausible sizes, has the marginal likelihood ratio
+against none
+    log B = sum_j [ z_j^2 t^2 / (1 + t^2 d_j) - log(1 + t^2 d_j) ] / 2,
+d_j the eigenvalues of L^1/2 g' P g L^1/2 and z_j the scores L^1/2 g' r along its eigenvectors. It is averaged over
+sizes t, because nobody knows how strong an effect is. Places, shapes and scales are averaged as well: whoever tries
+more of them pays for it. Changes of the noise are averaged over a grid of sizes and enter by their restricted
+likelihood.
+
+References
+----------
+MacKay, Information theory, inference and learning algorithms (2003), chapter 28 (evidence and Occam factors);
+Rasmussen and Williams, Gaussian processes for machine learning (2006), section 5.4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
+from scipy.special import log_ndtr
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.effect import Parameter
 from ltsim.recording.recording import OBSERVABLES
 
-STRENGTHS = np.array([10.0, 40.0, 160.0, 640.0])
-"""Values of g: noncentralities per parameter that an effect worth naming may have."""
+SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0])
+"""Sizes t tried, over a plausible one: a good part of a logarithmic scale."""
+LOG_WEIGHTS = np.log(np.array([0.15, 0.2, 0.25, 0.22, 0.13, 0.05]))
+"""Their prior: a size ten times a plausible one is rare, a tenth of it is common."""
 
-PLAUSIBLE = 3.0
-"""Sizes up to so many prior sigmas are not marked down."""
+PRIOR = {
+    "named": 0.735,  # an effect of the catalogue, all of them alike
+    "law": 0.16,  # a carrier that follows a driver, no card for it
+    "noise": 0.10,  # a catalogued change of the noise
+    "scatter": 0.005,  # noise that no card describes
+}
+"""What is missing where something is missing; shared among all that is tried."""
+SECOND_ALIKE = np.log(0.03)
+"""Log odds of a second effect of a kind that hardly comes twice (two windows), against any other second effect."""
 
 
-def log_evidence(drop: Floats, rank: Floats | Ints) -> Floats:
-    """Log marginal likelihood ratio of mean shifts; `drop` (..., k) of chi2, `rank` (k,) visible directions."""
-    g = STRENGTHS.reshape(-1, *([1] * np.ndim(drop)))
-    terms = 0.5 * drop * g / (1.0 + g) - 0.5 * rank * np.log1p(g)
-    top = terms.max(axis=0)
-    averaged: Floats = top + np.log(np.exp(terms - top).mean(axis=0))
-    return averaged
+def log_average(values: Floats, axis: int = 0) -> Floats:
+    """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
+    top = np.max(values, axis=axis, keepdims=True, initial=-np.inf)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        total: Floats = np.log(np.sum(np.exp(values - top), axis=axis)) + np.squeeze(top, axis=axis)
+    return total
+
+
+def forms_of(strength: Floats) -> tuple[Floats, Floats]:
+    """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
+    scale = 1.0 + SIZES**2 * np.asarray(strength)[..., None]
+    return 0.5 * SIZES**2 / scale, LOG_WEIGHTS - 0.5 * np.log(scale).sum(axis=-2)
+
+
+def by_size(squares: Floats, strength: Floats) -> Floats:
+    """The weighted log marginal likelihood ratio (..., sizes) for each size; see `log_evidence`."""
+    weights, constants = forms_of(strength)
+    found: Floats = (squares[..., None, :] @ weights)[..., 0, :] + constants
+    return found
+
+
+def log_evidence_of(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
+    """The log evidence (...) of squared scores (..., k) by forms at hand."""
+    return log_average((squares[..., None, :] @ forms[0])[..., 0, :] + forms[1], axis=-1)
+
+
+def log_evidence(squares: Floats, strength: Floats) -> Floats:
+    """Log marginal likelihood ratio (...), averaged over sizes.
+
+    Parameters
+    ----------
+    squares : (..., k) float
+        Squared scores z_j^2 along the eigenvectors.
+    strength : (..., k) float
+        Eigenvalues d_j.
+    """
+    return log_average(by_size(squares, strength), axis=-1)
+
+
+AT_ONCE = 500_000
+"""Simulated scores whose evidence is computed at once: memory of some tens of MB."""
+
+
+def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
+    """The same (h, ..., trials) for scores (h, ..., k, trials) of simulated residuals."""
+    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
+    parts = [_simulated(scores[i : i + step], strength[i : i + step]) for i in range(0, len(scores), step)]
+    return np.concatenate(parts)
+
+
+def _simulated(scores: Floats, strength: Floats) -> Floats:
+    weights, constants = forms_of(strength)
+    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ (scores.astype(np.float32) ** 2)
+    logs += constants[..., None].astype(np.float32)
+    return log_average(logs.astype(np.float64), axis=-2)
 
 
 def log_means(values: Floats, groups: Ints, count: int) -> Floats:
@@ -44,6 +108,46 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     return means
 
 
+def posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float, float]:
+    """Mean (k,), covariance (k, k), log evidence and expected size t of coefficients with prior N(0, t^2 spread^2).
+
+    Averaged over sizes, as the evidence is.
+    """
+    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
+    values = np.maximum(values, 0.0)
+    z = vectors.T @ (score * spread)
+    logs = by_size(z**2, values)
+    total = float(log_average(logs))
+    weight = np.exp(logs - total)
+    means = [t**2 * z / (1.0 + t**2 * values) for t in SIZES]
+    mean = sum(w * m for w, m in zip(weight, means, strict=True))
+    inner = np.zeros((len(z), len(z)))
+    for w, m, t in zip(weight, means, SIZES, strict=True):
+        inner += w * (np.diag(t**2 / (1.0 + t**2 * values)) + np.outer(m - mean, m - mean))
+    turn = spread[:, None] * vectors
+    return turn @ mean, turn @ inner @ turn.T, total, float(np.exp(weight @ np.log(SIZES)))
+
+
+WIDE = 30.0
+"""Plausible sizes to which what is told of a finding is held: what the readings hardly determine stays uncertain."""
+
+
+def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
+    """Mean (k,), covariance (k, k) and log evidence of coefficients that are held to `WIDE` plausible sizes alone."""
+    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
+    scale = 1.0 + WIDE**2 * np.maximum(values, 0.0)
+    z = vectors.T @ (score * spread)
+    turn = spread[:, None] * vectors
+    mean = turn @ (WIDE**2 * z / scale)
+    evidence = 0.5 * float((WIDE**2 * z**2 / scale).sum() - np.log(scale).sum())
+    return mean, (turn * (WIDE**2 / scale)) @ turn.T, evidence
+
+
+def sign_weight(mean: float, sigma: float) -> float:
+    """Log factor on the evidence of what is never negative: twice the posterior chance of a positive size."""
+    return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
+
+
 MAINLY = 0.8
 """Share of the evidence from which one observable is said to carry it."""
 
@@ -55,18 +159,3 @@ def carried_by(use: Bools, gain: Floats) -> tuple[str, ...]:
     by_kind = by_reading.sum(axis=0)
     top = int(np.argmax(by_kind))
     return (OBSERVABLES[top],) if by_kind[top] > MAINLY * by_kind.sum() else ()
-
-
-IMPOSSIBLE = 12.0
-"""What a size of the wrong sign costs in log evidence."""
-
-
-def plausibility(parameters: Sequence[Parameter], values: Floats) -> float:
-    """Log weight of parameter values (q,) [SI]: 0 up to `PLAUSIBLE` prior sigmas, then falling fast.
-
-    Hardly any is left below zero for what is never negative.
-    """
-    sizes = values / np.array([p.prior_sigma for p in parameters])
-    excess = np.log(np.maximum(np.abs(sizes) / PLAUSIBLE, 1.0))
-    wrong = any(p.positive and size < 0.0 for p, size in zip(parameters, sizes, strict=True))
-    return -2.0 * float(np.max(excess**2, initial=0.0)) - IMPOSSIBLE * wrong

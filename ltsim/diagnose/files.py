@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment
 from ltsim.calibrate.files import residuals_csv
 from ltsim.calibrate.schema import RESIDUALS
 from ltsim.diagnose.diagnosis import Diagnosis
@@ -32,7 +31,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         When the folder cannot be written.
     """
     texts = {
-        TARGETS.file: adjusted_targets_csv(diagnosis.adjusted, diagnosis.baseline),
+        TARGETS.file: targets_csv(diagnosis),
         RESIDUALS.file: residuals_csv(diagnosis.adjusted),
         BEFORE.file: residuals_csv(diagnosis.baseline),
     }
@@ -48,9 +47,10 @@ def diagnosis_file(diagnosis: Diagnosis, recording: Recording | None = None) -> 
     return DiagnosisFile.model_validate(diagnosis.to_json() | source)
 
 
-def adjusted_targets_csv(adjusted: Adjustment, baseline: Adjustment) -> str:
+def targets_csv(diagnosis: Diagnosis) -> str:
     """The content of `targets.csv`, with the change of each coordinate against the ordinary adjustment."""
-    sigma = np.sqrt(np.einsum("tii->ti", adjusted.target_covariance))
-    change = adjusted.state.points - baseline.state.points
-    rows = np.concatenate([adjusted.state.points, sigma, change], axis=1) / MILLIMETRE
-    return TARGETS.text([name, *row] for name, row in zip(adjusted.recording.targets, rows, strict=True))
+    targets = diagnosis.targets
+    sigma = np.sqrt(np.einsum("tii->ti", targets.covariance))
+    change = targets.points - diagnosis.baseline.state.points
+    rows = np.concatenate([targets.points, sigma, change], axis=1) / MILLIMETRE
+    return TARGETS.text([name, *row] for name, row in zip(diagnosis.adjusted.recording.targets, rows, strict=True))

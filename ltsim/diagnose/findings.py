@@ -1,22 +1,23 @@
-"""Findings from hypotheses: where, how large, how sure, and what else it could be."""
+"""Findings from what a search found: where, how large, how sure, in which words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.diagnose.bank import Hypothesis
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.diagnosis import Estimate, Evidence, Finding, Where
-from ltsim.diagnose.flexible import FlexibleTerm
+from ltsim.diagnose.diagnosis import Curve, Estimate, Evidence, Finding, Where
+from ltsim.diagnose.evidence import carried_by, posterior
 from ltsim.diagnose.gross import GrossFinding
+from ltsim.diagnose.instruments import Contradiction
+from ltsim.diagnose.law import Law, curve_of, describe
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
-from ltsim.diagnose.search import EffectSet, Ranking
-from ltsim.diagnose.words import finding_sentence, number
-from ltsim.effects import find_effect
+from ltsim.diagnose.sets import Found, Hypothesis, Ranking
+from ltsim.diagnose.words import finding_sentence, number, percent, without_clock
+from ltsim.effects import BASELINE
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
@@ -25,14 +26,22 @@ NOT_EXCLUDED = 0.01
 MOST_EQUIVALENTS = 3
 
 
-def where_of(effect: Tunable) -> Where:
-    """What an effect is confined to."""
+def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
+    """What an effect is confined to; the observable that carries it where a law's carrier does not say."""
     observables = tuple(effect.observables)
+    if (
+        isinstance(effect, Law)
+        and effect.carrier.kind in ("instrument", "air", "reflector")
+        and not effect.carrier.observables
+    ):
+        observables = carried or observables
+    instruments = effect.instruments if isinstance(effect, Law) else ()
     return Where(
         () if set(observables) == set(OBSERVABLES) else observables,
-        effect.stations,
+        () if instruments else effect.stations,
         effect.targets,
         tuple(effect.covariates),
+        instruments,
     )
 
 
@@ -40,106 +49,67 @@ def equivalents_of(ranking: Ranking, name: str) -> tuple[float, tuple[tuple[str,
     """Probability of a name beside the others, and the others that are not excluded."""
     probability = ranking.probabilities()
     others = sorted(
-        ((n, p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED),
-        key=lambda pair: -pair[1],
+        ((n, p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED), key=lambda pair: -pair[1]
     )
     return probability.get(name, 0.0), tuple(others[:MOST_EQUIVALENTS])
 
 
 def mean_finding(
     hypothesis: Hypothesis,
-    estimates: Sequence[Estimate],
-    others: EffectSet,
-    found: EffectSet,
+    told: Sequence[Estimate],
+    others: Found,
+    found: Found,
     ranking: Ranking,
     detection: Detection,
+    space: ResidualSpace,
     separate_by: str = "",
+    *,
+    clock: bool = True,
 ) -> Finding:
-    """The finding of a mean shift."""
-    name = hypothesis.effect.name if hypothesis.known else "unknown"
+    """The finding of a mean shift beside the `others` of what was `found`."""
+    effect, name = hypothesis.effect, hypothesis.name
     probability, equivalents = equivalents_of(ranking, name)
     drop = float(others.residual @ others.residual - found.residual @ found.residual)
     spent = found.extension.shape[1] - others.extension.shape[1]
-    p_value = min(detection.p_value, float(np.exp(-max(found.score - others.score, 0.0))))
-    law = _law(hypothesis.effect, estimates)
-    where = where_of(hypothesis.effect)
+    gain = (others.residual**2 - found.residual**2)[: int(space.use.sum())]
+    where = where_of(effect, carried_by(space.use, gain))
+    estimates = tuple(told) if clock else tuple(without_clock(e) for e in told)
+    law, curve = "", None
+    if isinstance(effect, Law):
+        law, curve = law_words(effect, clock=clock), _curve(effect, others, space)
+    sentence = finding_sentence(
+        name, where, estimates, probability, law, implausible=_implausible(hypothesis, estimates)
+    )
     return Finding(
         effect=name,
         known=hypothesis.known,
         where=where,
-        parameters=tuple(estimates),
-        evidence=Evidence(drop, spent, p_value, probability),
-        sentence=finding_sentence(
-            name, where, estimates, probability, _told(law, estimates), implausible=_implausible(hypothesis, estimates)
-        ),
+        parameters=estimates,
+        evidence=Evidence(drop, spent, detection.chance(ranking.total), probability),
+        sentence=sentence,
         equivalents=equivalents,
         separate_by=separate_by,
-        formula=law,
+        formula=law if not hypothesis.known else "",
+        carrier=effect.carrier.name if isinstance(effect, Law) else "",
+        driver=describe(effect.driver, clock=clock) if isinstance(effect, Law) else "",
+        curve=curve,
     )
 
 
-IMITATED = 0.7
-"""Probability of physics outside the catalogue where it takes several effects of one kind, or one with a flexible term
-beside it, to follow the readings. Of 31 explanations of the first sort in experiments/20 none was true, of 71 of the
-second two; several independent causes at once are likelier in a workshop than there."""
+def law_words(law: Law, *, clock: bool = True) -> str:
+    """A law in a line: ``distance correction follows cos(3 azimuth)``."""
+    what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
+    if law.driver.kind == "constant":
+        return f"{what} differs"
+    return f"{what} follows {describe(law.driver, clock=clock)}"
 
 
-def doubted(explained: Sequence[tuple[Finding, tuple[str, ...]]]) -> list[Finding]:
-    """Findings with what each says of the others, given with the observables that carry them.
-
-    Several windows or bumps rather imitate one law that nobody has written down; several bad targets do occur.
-    """
-    told = []
-    for finding, carried in explained:
-        alike = [f for f, _ in explained if f.effect == finding.effect]
-        kinds = set(carried or finding.where.observables or OBSERVABLES)
-        beside = [f for f, _ in explained if not f.known and kinds & set(f.where.observables or OBSERVABLES)]
-        kind = find_effect(finding.effect) if finding.known else None
-        if kind and len(alike) > 1 and not kind.plural:
-            told.append(_imitating(finding, carried, "of which it would take several"))
-        elif kind and beside and kind.scope != "reading":
-            told.append(_imitating(finding, carried, "which does not follow it alone"))
-        else:
-            told.append(finding)
-    return told
-
-
-def _imitating(finding: Finding, observables: tuple[str, ...], reason: str) -> Finding:
-    """A known effect as physics outside the catalogue that it imitates, for a reason."""
-    where = replace(finding.where, observables=observables or finding.where.observables)
-    others = [(finding.effect, 1.0 - IMITATED), *((n, p) for n, p in finding.equivalents if n != "unknown")]
-    formula = f"like {finding.effect}, {reason}"
-    return replace(
-        finding,
-        effect="unknown",
-        known=False,
-        where=where,
-        evidence=replace(finding.evidence, probability=IMITATED),
-        equivalents=tuple(others[:MOST_EQUIVALENTS]),
-        formula=formula,
-        sentence=finding_sentence("unknown", where, finding.parameters, IMITATED, formula),
-    )
-
-
-MOST_TERMS = 4
-"""Terms of a formula that are written with their coefficients; longer ones keep letters."""
-
-
-def _law(effect: Tunable, estimates: Sequence[Estimate]) -> str:
-    """The formula of a flexible term, with numbers where it is short."""
-    if not isinstance(effect, FlexibleTerm):
-        return ""
-    if not 0 < len(estimates) <= MOST_TERMS:
-        return effect.formula
-    return effect.written([f"({number(e.value, e.sigma)}) {e.unit}" for e in estimates])
-
-
-def _told(law: str, estimates: Sequence[Estimate]) -> str:
-    """A formula as a sentence tells it: a long one only by its length."""
-    if law and len(estimates) > MOST_TERMS:
-        return f"{law.partition(' = ')[0]} by a smooth function with {len(estimates)} coefficients"
-    legendre = " (P1, P2: Legendre polynomials over the covariate's range)" if "P1(" in law or "P2(" in law else ""
-    return law + legendre
+def _curve(law: Law, others: Found, space: ResidualSpace) -> Curve | None:
+    left = space.project(space.signature(law))
+    left -= others.extension @ (others.extension.T @ left)
+    sizes = np.array([p.prior_sigma for p in law.parameters])
+    mean, covariance, *_ = posterior(left.T @ left, left.T @ others.residual, sizes)
+    return curve_of(law, space.sightings, mean, covariance)
 
 
 IMPLAUSIBLE = 5.0
@@ -186,4 +156,25 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
         parameters=(Estimate("size", 1e3 * gross.size, 1e3 * floor, "mm"),),
         evidence=Evidence((gross.size / floor) ** 2, 3, 0.0, 1.0),
         sentence=gross.sentence,
+    )
+
+
+def instrument_finding(found: Contradiction) -> Finding:
+    """The finding of a constant that contradicts what else is known of its instrument."""
+    p = found.parameter
+    name = next(e.name for e in BASELINE if p.name in {q.name for q in e.parameters})
+    estimate = Estimate(p.name, found.difference / p.factor, found.sigma / p.factor, p.unit)
+    probability = 1.0 / (1.0 + float(np.exp(-found.evidence)))
+    instrument = found.instrument or "the instrument"
+    sentence = (
+        f"The {p.name.replace('-', ' ')} of {instrument} differs by {number(estimate.value, estimate.sigma)} {p.unit} "
+        f"from {found.against} (probability {percent(probability)})."
+    )
+    return Finding(
+        effect=name,
+        known=True,
+        where=Where(instruments=(found.instrument,) if found.instrument else ()),
+        parameters=(estimate,),
+        evidence=Evidence((found.difference / found.sigma) ** 2, 1, float(np.exp(-found.evidence)), probability),
+        sentence=sentence,
     )

@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import minimize_scalar
-from scipy.special import expit
 
 from ltsim.adjust.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints, Singles
-from ltsim.diagnose.bank import sparse_rows
-from ltsim.diagnose.evidence import carried_by, log_means
-from ltsim.diagnose.flexible import further
-from ltsim.diagnose.repeats import deciding_repeats, repeats
+from ltsim.arrays import Floats, Ints
+from ltsim.diagnose.drivers import further
+from ltsim.diagnose.evidence import PRIOR, log_means
+from ltsim.effects import CATALOGUE
+from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature, Parameter
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -100,6 +99,12 @@ def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
                 for size in (2.0, 6.0, 20.0):
                     effect = NoisePattern((), (), observable, name, falling)
                     yield NoiseHypothesis(f"unknown:noise:{observable}", effect, (size,), False)
+    for observable in (*OBSERVABLES, ""):
+        for size in (0.25, 0.6, 1.5, 4.0, 12.0):
+            yield NoiseHypothesis(
+                "unknown:noise:repeating", NoisePattern((), (), observable, repeating=True), (size,), False
+            )
+            yield NoiseHypothesis("unknown:noise:scatter", NoisePattern((), (), observable), (size,), False)
     if len(sightings.target_names) <= 60:
         for target in sightings.target_names:
             for observable in (*OBSERVABLES, ""):
@@ -108,138 +113,121 @@ def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
                     yield NoiseHypothesis("unknown:noise:target", effect, (size,), False)
 
 
-SPARSE = 0.2
-"""Share of nonzeros from which a matrix is a dense one."""
+def noise_hypotheses(sightings: Sightings) -> list[NoiseHypothesis]:
+    """Every change of the noise that is tried, with a grid of sizes."""
+    known = [
+        NoiseHypothesis(kind.name, effect, values)
+        for kind in CATALOGUE
+        if issubclass(kind, NoiseEffect)
+        for effect in kind.candidates(sightings)
+        for values in effect.size_grid()
+    ]
+    return [*known, *pattern_hypotheses(sightings)]
 
 
 @dataclass(frozen=True)
 class NoiseBank:
-    """Noise hypotheses as linear forms of squared residuals.
+    """Noise hypotheses as linear forms of squares of residuals, and of squares of their means over repeats.
 
     Attributes
     ----------
-    gain : (h, m) float32
-        1 - 1/s of each row; sparse where most hypotheses are about few readings.
+    gain : (h, m + g) csr float32
+        1 - 1/s of each row; of each mean for what repeats.
     cost : (h,) float
         Sum of redundancy times log s.
+    groups : (m,) int
+        Repeat group of each reading; -1 without.
     """
 
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
-    gain: Singles | sp.csr_array
+    gain: sp.csr_array
     cost: Floats
+    means: sp.csr_array
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
         """Build the bank on a residual space."""
-        share = space.redundancy
+        share, means = space.redundancy, repeat_means(space)
+        mean_share = _share_of_means(means, share)
         used, stated = space.use, space.sigma**2
         cost = np.zeros(len(hypotheses))
-        parts: list[tuple[Ints, Singles]] = []
+        parts: list[tuple[Ints, Floats]] = []
         for i, h in enumerate(hypotheses):
             factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
-            rows = np.flatnonzero(factor != 1.0).astype(np.int64)
-            parts.append((rows, (1.0 - 1.0 / factor[rows]).astype(np.float32)[None]))
-            cost[i] = float(share[rows] @ np.log(factor[rows]))
-        gain = sparse_rows(parts, space.size)
-        if gain.nnz > SPARSE * len(hypotheses) * space.size:
-            gain = gain.toarray()
+            if getattr(h.effect, "repeating", False):
+                factor = np.concatenate([np.ones(space.size), _grown(means, factor)])
+                weight = np.concatenate([share, mean_share])
+            else:
+                weight = share
+            rows = np.flatnonzero(factor != 1.0)
+            parts.append((rows, 1.0 - 1.0 / factor[rows]))
+            cost[i] = float(weight[rows] @ np.log(factor[rows]))
+        ends = np.cumsum([0, *(len(rows) for rows, _ in parts)])
+        places, values = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
+        gain = sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.size + means.shape[0]))
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        return cls(list(hypotheses), names, family, gain, cost)
+        return cls(list(hypotheses), names, family, gain, cost, means)
 
     def log_likelihood_ratio(self, residual: Floats) -> Floats:
-        """(h,) or (h, trials) for whitened residuals (m,) or (m, trials)."""
-        squares = (residual**2).astype(np.float32)
-        cost = self.cost if residual.ndim == 1 else self.cost[:, None]
-        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - cost)
+        """(h, trials) for whitened residuals (m, trials)."""
+        squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
+        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - self.cost[:, None])
         return ratio
 
-    def family_evidence(self, ratio: Floats) -> Floats:
-        """Log evidence (families, ...) from log likelihood ratios (h, ...)."""
-        if not self.families:
-            return np.zeros((0, *ratio.shape[1:]))
-        return log_means(ratio, self.family, len(self.families))
+    def family_evidence(self, residual: Floats) -> Floats:
+        """Log evidence (families, trials) with priors."""
+        known = np.array([not f.startswith("unknown") for f in self.families])
+        share = np.where(known, PRIOR["noise"] / max(known.sum(), 1), PRIOR["scatter"] / max((~known).sum(), 1))
+        ratio = self.log_likelihood_ratio(residual)
+        return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
 
-    def best(self, space: ResidualSpace, ratio: Floats, prior: Floats, residual: Floats) -> NoiseHypothesis:
-        """The most probable hypothesis with its size at the maximum of the likelihood.
-
-        Parameters
-        ----------
-        ratio : (h,) float
-            Log likelihood ratios.
-        prior : (families,) float
-            Log prior odds.
-        residual : (m,) float
-            The whitened residuals they belong to.
-        """
-        rows = []
-        for family in np.argsort(-(self.family_evidence(ratio) + prior))[:PROFILED]:
+    def best(self, space: ResidualSpace, residual: Floats) -> list[tuple[float, NoiseHypothesis]]:
+        """Families in the order of their evidence, each with its likeliest hypothesis; sizes of the first estimated."""
+        evidence = self.family_evidence(residual[:, None])[:, 0]
+        ratio = self.log_likelihood_ratio(residual[:, None])[:, 0]
+        found = []
+        for family in np.argsort(-evidence)[:COMPARED]:
             members = np.flatnonzero(self.family == family)
-            chosen = self.hypotheses[members[int(np.argmax(ratio[members]))]]
-            values, drop, sigma = _most_likely(space, space.sigma, chosen, residual)
-            profiled = replace(chosen, values=values, sigma=sigma, drop=drop)
-            acting = np.abs(_factor(space, profiled) - 1.0) > 1e-3
-            spent = len(values) * np.log(max(float((acting & space.use).sum()), 2.0))
-            cost = np.log(len({h.effect for h in self._of(int(family))}))
-            evidence = 0.5 * (drop - spent) - cost + float(prior[family])
-            rows.append((evidence, profiled))
-        rows.sort(key=lambda row: -row[0])
-        weight = np.exp(np.array([row[0] for row in rows]) - rows[0][0])
-        total: dict[str, float] = {}
-        for (_, found), w in zip(rows, weight / weight.sum(), strict=True):
-            total[found.effect.name] = total.get(found.effect.name, 0.0) + float(w)
-        best = rows[0][1]
-        name = best.effect.name
-        factor = _factor(space, best)
-        doubt = _doubt(space, factor, residual)
-        total = {n: p * (1.0 - doubt) for n, p in total.items()}
-        total["unknown"] = total.get("unknown", 0.0) + doubt
-        if doubt > 0.5:
-            best, name = _repeating(space, best, factor, residual), "unknown"
-        others = sorted(((n, p) for n, p in total.items() if n != name and p > 0.01), key=lambda e: -e[1])
-        advice = deciding_repeats(space, factor, best.effect.stations) if doubt > 0.0 else ""
-        return replace(best, probability=total[name], equivalents=tuple(others[:3]), separate_by=advice)
-
-    def _of(self, family: int) -> list[NoiseHypothesis]:
-        return [h for h, f in zip(self.hypotheses, self.family, strict=True) if f == family]
+            found.append((float(evidence[family]), self.hypotheses[members[int(np.argmax(ratio[members]))]]))
+        values, drop, sigma = _most_likely(space, space.sigma, found[0][1], residual)
+        return [(found[0][0], replace(found[0][1], values=values, sigma=sigma, drop=drop)), *found[1:]]
 
 
-LOOKS_LIKE_NOISE = 0.15
-"""Odds of a law that changes from pointing to pointing against noise that looks like it; the same if it repeats."""
-QUIETER = 0.9
-"""Factor on a variance below which the stated noise is wrong, whatever else."""
+COMPARED = 6
+"""Families that are compared with the likeliest one."""
 
 
-def _factor(space: ResidualSpace, hypothesis: NoiseHypothesis) -> Floats:
-    """Variance (n, 3) of a hypothesis over that of the space."""
-    variance = hypothesis.effect.variance(space.sightings, space.sigma, np.array(hypothesis.values))
-    return np.asarray(variance / space.sigma**2)
+def repeat_means(space: ResidualSpace) -> sp.csr_array:
+    """Rows (g, m) that add up readings of one kind, target, station and face, over the root of their number."""
+    s = space.sightings
+    pair = 2 * (s.station * len(s.target_names) + s.target) + (s.face == 2)
+    key = (3 * pair[:, None] + np.arange(3))[space.use]
+    _, group, count = np.unique(key, return_inverse=True, return_counts=True)
+    keep = count[group] > 1
+    _, number = np.unique(group[keep], return_inverse=True)
+    places = np.flatnonzero(keep)
+    shape = (int(number.max(initial=-1)) + 1, space.size)
+    return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
 
 
-def _doubt(space: ResidualSpace, factor: Floats, residual: Floats) -> float:
-    """Probability that larger noise is a law; a law makes no reading quieter than stated."""
-    if float(factor[space.use].min()) < QUIETER:
-        return 0.0
-    return float(expit(np.log(LOOKS_LIKE_NOISE) + np.logaddexp(0.0, repeats(space, factor, residual))))
+def _share_of_means(means: sp.csr_array, share: Floats) -> Floats:
+    """Redundancy (g,) of means: an error common to repeats is absorbed as much as their sum of leverages says."""
+    lost = (means > 0).astype(np.float64) @ (1.0 - share)
+    return np.maximum(1.0 - lost, LEAST_SHARE)
 
 
-def _repeating(space: ResidualSpace, hypothesis: NoiseHypothesis, factor: Floats, residual: Floats) -> NoiseHypothesis:
-    """The same scatter as physics without a name: where it is, and in which observable."""
-    used, share = space.use, space.redundancy[: int(space.use.sum())]
-    gain = residual[: len(share)] ** 2 * (1 - 1 / factor[used]) - share * np.log(factor[used])
-    observable = "".join(carried_by(used, gain))
-    effect = NoisePattern(hypothesis.effect.stations, hypothesis.effect.targets, observable, repeating=True)
-    added = max(float(factor[used].max()) - 1.0, 0.1)
-    found = NoiseHypothesis("unknown:noise:repeating", effect, (added,), False)
-    values, drop, sigma = _most_likely(space, space.sigma, found, residual)
-    return replace(found, values=values, drop=drop, sigma=sigma)
+def _grown(means: sp.csr_array, factor: Floats) -> Floats:
+    """Variance (g,) of means whose members share what is above the stated variance: 1 + k v."""
+    padded = np.concatenate([factor, np.ones(means.shape[1] - len(factor))])
+    return 1.0 + np.maximum((means > 0).astype(np.float64) @ (padded - 1.0), 0.0)
 
 
-PROFILED = 8
-"""Families whose sizes are profiled before they are compared."""
+LEAST_SHARE = 0.05
+"""Redundancy that a mean of repeats has at least."""
 
 
 LARGEST = 400.0
@@ -274,14 +262,17 @@ def _most_likely(
     posterior around it, since the likelihood of a variance is skew and ends at zero.
     """
     used = space.use
-    share = space.redundancy[: int(used.sum())]
-    squares = residual[: len(share)] ** 2
+    repeating = bool(getattr(hypothesis.effect, "repeating", False))
+    means = repeat_means(space) if repeating else None
+    share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
+    squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def gain(values: Floats) -> float:
         variance = hypothesis.effect.variance(space.sightings, stated, values)
         factor = (variance / space.sigma**2)[used]
         if float(factor.min()) <= 0.0:
             return -np.inf
+        factor = factor if means is None else _grown(means, factor)
         return float(squares @ (1 - 1 / factor) - share @ np.log(factor))
 
     values = np.array(hypothesis.values, dtype=np.float64)

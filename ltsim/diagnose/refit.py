@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.diagnosis import Estimate
+from ltsim.diagnose.evidence import WIDE
 from ltsim.effects.signature import Parameter, Signature, Tunable
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
@@ -18,8 +19,6 @@ from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
-HELD_TO = 30.0
-"""Plausible sizes to which parameters are held: some combinations of an effect's may leave no residual."""
 SHAPE_STEP = 1e-3
 FELT = 1e-3
 """A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
@@ -142,8 +141,11 @@ def refit(
     sigma: Floats,
     use: Bools,
 ) -> Refit:
-    """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along."""
-    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=HELD_TO)
+    """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
+
+    Parameters are held to `WIDE` times their plausible size: some combinations of them may leave no residual.
+    """
+    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=WIDE)
     current = list(effects)
     plain = replace(start, extra=np.zeros(0))
     found = adjusted(effects=current, start=plain)

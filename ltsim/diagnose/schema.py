@@ -72,6 +72,21 @@ class EstimateEntry(Entry):
     """Of both."""
 
 
+class CurveEntry(Entry):
+    """What a carrier does over a covariate."""
+
+    covariate: str
+    """What it follows."""
+    unit: str = ""
+    """Of the carrier."""
+    at: tuple[Finite, ...]
+    """Values of the covariate: SI, or in the unit of the recording's own column."""
+    value: tuple[Finite, ...]
+    """Of the carrier there."""
+    sigma: tuple[Finite, ...]
+    """Standard deviations."""
+
+
 class FindingEntry(Entry):
     """One thing left out of the model."""
 
@@ -97,6 +112,8 @@ class FindingEntry(Entry):
     """What an effect that no card names acts on."""
     driver: str = ""
     """What an effect that no card names follows."""
+    curve: CurveEntry | None = None
+    """The same as a curve, where it follows one covariate."""
 
 
 class GlobalTest(Entry):

@@ -1,398 +1,333 @@
-"""Search for the effects that explain a mismatch: several at once, whole sets compared by their evidence.
+"""Search for what explains a mismatch: one finding at a time, then all of them together again.
 
-The score of a set is the log marginal likelihood of all its signatures together, less what each member's place and
-shape cost among the alternatives of its family, less what an implausible size costs. A beam of sets grows by one member
-at a time; then every member is examined again beside the others, and replaced or dropped where that scores better.
+All cards and all laws are scored beside what was found; the best few are computed exactly, their shapes integrated on a
+grid around the optimum, laws matched with short formulas. What explains most is added. Then every finding is examined
+again beside the others, replaced or dropped where the set as a whole gains, and two are exchanged for one that explains
+both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from ltsim.adjust.residual_space import VISIBLE, ResidualSpace, orthonormal
+from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.bank import Bank, Hypothesis
-from ltsim.diagnose.evidence import log_evidence, log_means, plausibility
-from ltsim.diagnose.flexible import FlexibleTerm
-from ltsim.diagnose.held_out import held_out_rms, pair_folds
-from ltsim.effects.effect import ShapeParameter
+from ltsim.diagnose.cards import Cards, card_hypotheses
+from ltsim.diagnose.diagnosis import Estimate
+from ltsim.diagnose.evidence import PRIOR, log_average, posterior, sign_weight
+from ltsim.diagnose.law import Law, card_of, law_of, told_of
+from ltsim.diagnose.panels import Hit, Panel, panels
+from ltsim.diagnose.probe import Probe
+from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
+from ltsim.diagnose.shapes import shape_posterior
+from ltsim.effects.signature import ShapeParameter, Tunable
 
-BEAM = 4
-MOST_MEMBERS = 4
-REFINED = 8
-MOST_BASINS = 3
-MOST_GROWTHS = 3
-MOST_STEPS = 8
-"""Moves to a neighbour that a refinement makes at most."""
-BASIN_DEPTH = 12.0
-UNKNOWN_ODDS = 1.0
-"""Prior odds of all physics outside the catalogue against one effect of it: a wrong name is worse than none."""
-LARGEST = 20.0
-"""Sizes are held to so many prior sigmas where a shape leaves hardly anything of an effect to measure it by."""
-
-
-@dataclass(frozen=True)
-class Member:
-    """A hypothesis in a set, with its signature (m, q)."""
-
-    hypothesis: Hypothesis
-    signature: Floats
-    cost: float
-
-
-@dataclass(frozen=True)
-class EffectSet:
-    """A set of effects and what it scores.
-
-    Attributes
-    ----------
-    members : tuple of Member
-    extension : (m, e) float
-        Orthonormal columns of all members.
-    residual : (m,) float
-        What they leave.
-    score : float
-        Log evidence of the set against no effect at all.
-    """
-
-    members: tuple[Member, ...]
-    extension: Floats
-    residual: Floats
-    score: float
-
-    @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """The hypotheses of the members."""
-        return tuple(m.hypothesis for m in self.members)
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """Families in the order of their evidence beside a set: (family, best hypothesis, log evidence)."""
-
-    entries: tuple[tuple[str, Hypothesis, float], ...]
-
-    def probabilities(self) -> dict[str, float]:
-        """Posterior probability of each family; all unknown families are one."""
-        logs = np.array([e[2] for e in self.entries])
-        weight = np.exp(logs - logs.max())
-        total: dict[str, float] = {}
-        for (family, _, _), w in zip(self.entries, weight / weight.sum(), strict=True):
-            name = family if not family.startswith("unknown") else "unknown"
-            total[name] = total.get(name, 0.0) + float(w)
-        return total
-
-
-def estimates(left: Floats, whole: Floats, residual: Floats) -> Floats:
-    """Sizes (q,) of signatures of which `left` (m, q) remains of `whole`; what is not visible is estimated as zero.
-
-    Columns are scaled by the whole signature, so units do not decide what is kept.
-    """
-    norm = np.linalg.norm(whole, axis=0)
-    norm[norm == 0] = 1.0
-    u, s, vt = np.linalg.svd(left / norm, full_matrices=False)
-    seen = s**2 > VISIBLE
-    return np.asarray(vt[seen].T @ ((u[:, seen].T @ residual) / s[seen]) / norm)
-
-
-def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
-    """Values of a shape constant over its bounds, denser within four `sigma` of the estimate, and widths of cells."""
-
-    def even(x: Floats) -> Floats:
-        return np.log(x) if shape.logarithmic else (1.0 / x if shape.reciprocal else x)
-
-    low, high = min(shape.low, now), max(shape.high, now)
-    grid = np.geomspace(low, high, count) if shape.logarithmic else np.linspace(low, high, count)
-    if shape.reciprocal:
-        grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
-    near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
-    values = np.unique(np.concatenate([grid, near, [now]]))
-    edges = even(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
-    return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
+MOST_MEMBERS = 5
+REFINED = 7
+"""Cards, and laws, that are computed exactly in each round."""
+CELLS = 11
+"""Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above."""
+FEW = 3
+"""The same in a large network, where each costs a solution of the whole."""
+MOST_STEPS = 6
+KEPT = 16
+"""Projected signatures that are kept."""
 
 
 class Searcher:
-    """Search over a bank of hypotheses in one residual space."""
+    """Search over cards and laws in one residual space."""
 
-    def __init__(self, space: ResidualSpace, bank: Bank) -> None:
-        self.space, self.bank = space, bank
-        self._size = np.bincount(bank.family, minlength=len(bank.families))
-        unknown = [name.startswith("unknown") for name in bank.families]
-        share = UNKNOWN_ODDS / max(sum(unknown), 1)
-        self.prior = np.log(np.where(unknown, share, 1.0))
-        self.prior -= np.log(np.exp(self.prior).sum())
+    def __init__(self, space: ResidualSpace, seed: int, *, before: Searcher | None = None) -> None:
+        """A search; `before`: the one on the same readings with other weights, judged already."""
+        self.space = space
+        self.probe = Probe.of(space, seed, judged=before is None)
+        self._most = REFINED if self.probe.basis is not None else FEW
+        if before is None:
+            self.cards = Cards.of(space, card_hypotheses(space.sightings))
+        else:
+            self.cards = before.cards.reweighted(before.space, space)
+        self.panels: list[Panel] = panels(space, PRIOR["law"])
+        self.empty = Found((), (), (), space.residual)
+        self._ranked: dict[frozenset[str], Ranking] = {}
+        self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
+        self._grams: dict[str, Floats] = {}
+        self.first = self.rank(self.empty)
 
-    @property
-    def empty(self) -> EffectSet:
-        """The set without members."""
-        return EffectSet((), np.zeros((self.space.size, 0)), self.space.residual, 0.0)
+    def rank(self, base: Found) -> Ranking:
+        """Everything beside a set: scored at once, the best computed exactly."""
+        key = frozenset(h.key for h in base.members)
+        if key not in self._ranked:
+            self._ranked[key] = self._rank(base)
+        return self._ranked[key]
 
-    def family_evidence(self, drop: Floats, rank: Ints) -> Floats:
-        """Log evidence (families,) with places and shapes averaged, prior odds included."""
-        return log_means(log_evidence(drop, rank), self.bank.family, len(self.bank.families)) + self.prior
+    def _rank(self, base: Found) -> Ranking:
+        probe = self.probe.beside(base.residual, base.extension) if base.members else self.probe
+        values, chance = self.cards.score(probe)
+        count = max(len(self.cards.families), 1)
+        prior = np.log(PRIOR["named"] / count)
+        null = log_average(chance + prior)
+        entries: list[Hypothesis] = []
+        statistic = -np.inf
+        if len(values):
+            families = self.cards.family_evidence(values) + prior
+            statistic = float(log_average(families))
+            order = np.argsort(-families)
+            entries += [
+                self._card(int(f), values, float(families[f]), base, refine=i < self._most) for i, f in enumerate(order)
+            ]
+        hits: list[Hit] = []
+        for panel in self.panels:
+            found, law_total, law_chance = panel.score(probe)
+            hits += found
+            statistic = np.logaddexp(statistic, law_total)
+            null = np.logaddexp(null, law_chance)
+        entries += self._laws(hits, base)
+        entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
+        entries.sort(key=lambda h: -h.value)
+        return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))), float(statistic), null)
 
-    def rank(self, base: EffectSet, count: int = REFINED) -> Ranking:
-        """The best hypothesis of each family beside a set, shapes refined and sizes weighed for the first ones."""
-        drop, rank = self.bank.drops(base.residual, base.extension)
-        evidence = log_evidence(drop, rank)
-        families = self.family_evidence(drop, rank)
-        entries = []
-        for f in np.argsort(-families)[: max(count, 1)]:
-            members = np.flatnonzero(self.bank.family == f)
-            tried = []
-            for i in self._basins(members[np.argsort(-evidence[members])], evidence):
-                refined, gain = self._refined(self.bank.hypotheses[i], base, float(evidence[i]))
-                size = self._plausibility(refined, base)
-                tried.append((float(evidence[i]) + gain - refined.tuning + size, refined))
-            value, refined = max(tried, key=lambda pair: pair[0])
-            top = float(evidence[members].max())
-            entries.append((self.bank.families[f], refined, float(families[f]) + value - top))
-        return Ranking(tuple(sorted(entries, key=lambda e: -e[2])))
+    def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
+        """The best of a family of cards; its evidence is that of the family."""
+        members = np.flatnonzero(self.cards.family == family)
+        members = members[np.argsort(-values[members])]
+        prior = float(np.log(PRIOR["named"] / len(self.cards.families) / len(members)))
+        best = Hypothesis(self.cards.effects[members[0]], prior, total, self.cards.families[family])
+        if not refine:
+            return best
+        for i in self._basins(members, values):
+            effect, value = self._integrated(self.cards.effects[i], base)
+            others = np.delete(values[members], np.flatnonzero(members == i))
+            whole = float(log_average(np.append(others, value))) + prior
+            if i == members[0] or value + prior > best.value:
+                best = replace(best, effect=effect, value=whole)
+        return best
 
-    def _basins(self, members: Ints, evidence: Floats) -> list[int]:
-        """The best members of a family that lie in different basins of its shape; the first where it has none.
-
-        `members` come in the order of their evidence. A grid of shapes is coarse: its best point need not lie in the
-        basin of the best shape.
-        """
-        chosen: list[int] = [int(members[0])]
-        if not type(self.bank.hypotheses[chosen[0]].effect).shape:
-            return chosen
-        for i in members[1:]:
-            if len(chosen) == MOST_BASINS or evidence[i] < evidence[chosen[0]] - BASIN_DEPTH:
+    def _basins(self, members: Ints, values: Floats) -> list[int]:
+        """The best members of a family, and others nearly as good at another place or shape."""
+        chosen = [int(members[0])]
+        for i in members[1:40]:
+            if len(chosen) == 3 or values[i] < values[chosen[0]] - 10.0:
                 break
-            if all(self._apart(int(i), j) for j in chosen):
+            if all(_apart(self.cards.effects[int(i)], self.cards.effects[j]) for j in chosen):
                 chosen.append(int(i))
         return chosen
 
-    def _apart(self, i: int, j: int) -> bool:
-        """Whether two members differ in place, or in a shape constant by more than its refinement reaches."""
-        one, other = self.bank.hypotheses[i].effect, self.bank.hypotheses[j].effect
-        if (one.stations, one.targets) != (other.stations, other.targets):
-            return True
-        for shape in type(one).shape:
-            low, high = shape.bracket(float(vars(other)[shape.name]))
-            if not low <= float(vars(one)[shape.name]) <= high:
-                return True
-        return False
+    def _integrated(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
+        """An effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
+        effect, value = self._uphill(effect, base)
+        for shape in type(effect).shape:
+            now = getattr(effect, shape.name)
+            if isinstance(now, float) and shape.steps > 1:
+                effect, value = self._over(effect, shape, base, value)
+        return effect, value
 
-    def _drop(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, int]:
-        signature = self.space.signature(hypothesis.effect)
-        left = self.space.project(signature)
-        left -= base.extension @ (base.extension.T @ left)
-        columns = orthonormal(left, signature)
-        return float(((columns.T @ base.residual) ** 2).sum()), columns.shape[1]
+    def _over(self, effect: Tunable, shape: ShapeParameter, base: Found, value: float) -> tuple[Tunable, float]:
+        """One shape constant: best value and log mean evidence over a cell, by the trapezoidal rule."""
+        now = float(getattr(effect, shape.name))
+        low, high = shape.bracket(now)
+        if not low < high:
+            return effect, value
+        u = np.linspace(-1.0, 1.0, CELLS)
+        logs = np.array([self.evidence(effect.reshaped(**{shape.name: _on(shape, low, high, x)}), base) for x in u])
+        for _ in range(2):
+            top = int(np.argmax(logs))
+            near = u[max(top - 1, 0) : top + 2]
+            more = np.setdiff1d(np.linspace(near[0], near[-1], 9), u)
+            found = [self.evidence(effect.reshaped(**{shape.name: _on(shape, low, high, x)}), base) for x in more]
+            order = np.argsort(np.concatenate([u, more]))
+            u, logs = np.concatenate([u, more])[order], np.concatenate([logs, found])[order]
+        best = effect.reshaped(**{shape.name: _on(shape, low, high, float(u[np.argmax(logs)]))})
+        share = np.exp(logs - logs.max())
+        return best, float(logs.max() + np.log(max(np.trapezoid(share, u), 1e-300)))
 
-    def _refined(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
-        """The hypothesis with its continuous shape moved to the optimum, and the gain in log evidence."""
-        best, value = self._nearby(hypothesis, base, evidence)
-        if isinstance(best.effect, FlexibleTerm):
-            return self._grown(best, base, evidence, value)
-        moves = type(hypothesis.effect).ways if value > evidence else 0
-        for shape in type(hypothesis.effect).shape:
-            now = getattr(best.effect, shape.name)
-            if not isinstance(now, float) or shape.steps < 2:
-                continue
-            bounds = shape.bracket(now)
-
-            def lost(x: float, name: str = shape.name, start: Hypothesis = best) -> float:
-                moved = replace(start, effect=start.effect.reshaped(**{name: float(x)}))
-                return -self._evidence(moved, base)
-
-            found = minimize_scalar(lost, bounds=bounds, method="bounded", options={"maxiter": 12})
-            if -found.fun > value:
-                best = replace(best, effect=best.effect.reshaped(**{shape.name: float(found.x)}))
-                value, moves = -float(found.fun), moves + 1
-        gain = value - evidence
-        return replace(best, tuning=0.5 * moves * float(np.log1p(2.0 * gain / max(moves, 1)))), gain
-
-    def _nearby(self, hypothesis: Hypothesis, base: EffectSet, evidence: float) -> tuple[Hypothesis, float]:
-        """Uphill over what an effect offers near itself (`Effect.finer`) until nothing there is better."""
-        best, value = hypothesis, evidence
+    def _uphill(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
+        """Uphill over what an effect offers near itself; the evidence is the mean over the last neighbourhood."""
+        value, mean = self.evidence(effect, base), -np.inf
         for _ in range(MOST_STEPS):
-            before = value
-            for effect in best.effect.finer(self.space.sightings):
-                near = replace(hypothesis, effect=effect)
-                found = self._evidence(near, base)
-                if found > value:
-                    best, value = near, found
-            if value <= before:
+            near = effect.finer(self.space.sightings)
+            if not near:
+                return effect, value
+            logs = np.array([self.evidence(one, base) for one in near])
+            mean = float(log_average(np.append(logs, value)) - np.log(len(logs) + 1))
+            if logs.max() <= value:
                 break
-        return best, value
+            effect, value = near[int(np.argmax(logs))], float(logs.max())
+        return effect, mean
 
-    def _grown(
-        self, hypothesis: Hypothesis, base: EffectSet, evidence: float, value: float
-    ) -> tuple[Hypothesis, float]:
-        """A flexible term made richer while that gains more than the choice among its ways costs."""
-        best, tuning = hypothesis, 0.5 * float(np.log1p(2.0 * (value - evidence)))
-        for _ in range(MOST_GROWTHS):
-            effect = best.effect
-            assert isinstance(effect, FlexibleTerm)
-            richer = [replace(best, effect=e) for e in effect.grown(self.space.sightings)]
-            if not richer:
-                break
-            found = [self._evidence(h, base) for h in richer]
-            top, cost = int(np.argmax(found)), float(np.log(len(richer)))
-            if found[top] <= value + cost + 1.0:
-                break
-            best, value, tuning = richer[top], found[top], tuning + cost
-            nearby, higher = self._nearby(best, base, value)
-            best, value, tuning = nearby, higher, tuning + 0.5 * float(np.log1p(2.0 * (higher - value)))
-        return replace(best, tuning=tuning), value - evidence
+    def evidence(self, effect: Tunable, base: Found) -> float:
+        """Log marginal likelihood ratio of an effect beside a set, sizes averaged."""
+        return evidence_of(effect, *self.moments(effect, base))
 
-    def _evidence(self, hypothesis: Hypothesis, base: EffectSet) -> float:
-        drop, rank = self._drop(hypothesis, base)
-        return float(log_evidence(np.array([drop]), np.array([rank]))[0])
+    def moments(self, effect: Tunable, base: Found) -> tuple[Floats, Floats]:
+        """Gram matrix (k, k) and score (k,) of what adjustment and a set leave of a signature.
 
-    def change_time(self, hypothesis: Hypothesis, base: EffectSet) -> tuple[float, float] | None:
-        """When a sudden change happened and its standard deviation [s], from the evidence of all gaps around it.
-
-        None for effects that do not change suddenly. Within a gap between two pointings any time is as good.
+        Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
+        products with itself alone, and these are the same beside every set.
         """
-        effects = hypothesis.effect.finer(self.space.sightings)
-        if not effects or "time" not in vars(hypothesis.effect):
-            return None
-        times = np.array([float(vars(effect)["time"]) for effect in effects])
-        drops = np.array([self._drop(replace(hypothesis, effect=effect), base)[0] for effect in effects])
-        weight = np.exp(0.5 * (drops - drops.max()))
-        weight /= weight.sum()
-        mean = float(weight @ times)
-        gap = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        return mean, float(np.sqrt(weight @ (times - mean) ** 2 + gap**2 / 12.0))
+        signature, key = self.space.signature(effect), repr(effect)
+        if key not in self._grams:
+            left = self.space.project(signature)
+            self._grams[key] = left.T @ left
+        beside = base.extension.T @ signature
+        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
 
-    def shape_posterior(
-        self, hypothesis: Hypothesis, base: EffectSet, spread: Mapping[str, float]
-    ) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation [SI] of parameters and shape constants over all shapes and near places.
+    def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
+        """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
+        found, seen = [], set[tuple[object, ...]]()
+        for hit in sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]:
+            law = Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, hit.place.instruments)
+            key = (hit.carrier.name, hit.driver.kind, hit.driver.told, hit.place.stations, hit.place.targets)
+            if len(seen) < self._most and key not in seen:
+                seen.add(key)
+                found.append(self._law(law, hit, base))
+            else:
+                found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
+        return found
 
-        Shapes on a grid, finer around the estimate (`spread`: standard deviations there), are weighed by their
-        likelihood and the room they stand for, neighbours in place (`Effect.finer`) all alike; each brings the
-        uncertainty it leaves the parameters. Unlike a curvature at the optimum this holds where a likelihood is flat,
-        skew, cut off by bounds, or has two tops. Empty for effects without such constants.
-        """
+    def _law(self, law: Law, hit: Hit, base: Found) -> Hypothesis:
+        """A law computed exactly: its best length scale, and short formulas where they explain as much."""
+        scales = [replace(law, scale=k) for k in range(len(law.driver.spreads))]
+        if len(scales) > 1:
+            moments = self.moments(law, base)
+            pairs: list[tuple[Tunable, float]] = [(one, evidence_of(one, *moments)) for one in scales]
+        else:
+            pairs = [self._uphill(law, base)]
+        logs = np.array([v for _, v in pairs])
+        best, prior = law_of(pairs[int(np.argmax(logs))][0]), hit.log_prior
+        value = float(log_average(logs)) + prior
+        short = law.formulas(self.space.sightings)
+        if short:
+            share = prior + float(np.log(len(scales) / len(short)))
+            found = [self.evidence(one, base) for one in short]
+            top = int(np.argmax(found))
+            if found[top] + share > value:
+                best, value, prior = short[top], found[top] + share, share
+        return Hypothesis(best, prior, value, card_of(best))
+
+    def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
+        """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
         effect = hypothesis.effect
-        shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
-        near = effect.finer(self.space.sightings) if hypothesis.known else []
-        if not (shapes or near) or len(shapes) > 2:
-            return {}
-        count = 33 if len(shapes) == 1 and not near else 15
-        axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
-        prior = np.diag([(LARGEST * p.prior_sigma) ** -2 for p in effect.parameters])
-        means, seconds, logs = [], [], []
-        for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
-            constants = np.array([value for value, _ in point])
-            named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
-            left = self.space.project(self.space.signature(one.reshaped(**named)))
-            left -= base.extension @ (base.extension.T @ left)
-            inverse = np.linalg.inv(left.T @ left + prior)
-            score = left.T @ base.residual
-            found = inverse @ score
-            room = float(np.sum(np.log([width for _, width in point])))
-            logs.append(0.5 * float(found @ score) + room)
-            means.append(np.concatenate([found, constants]))
-            seconds.append(np.concatenate([np.diag(inverse) + found**2, constants**2]))
-        weight = np.exp(np.array(logs) - max(logs))
-        weight /= weight.sum()
-        mean = weight @ np.array(means)
-        deviation = np.sqrt(np.maximum(weight @ np.array(seconds) - mean**2, 0.0))
-        names = [p.name for p in effect.parameters] + [s.name for s in shapes]
-        return {n: (float(m), float(d)) for n, m, d in zip(names, mean, deviation, strict=True)}
+        if isinstance(effect, Law):
+            return self._of_law(effect, others)
+        found = shape_posterior(self, effect, others, {e.name: e.sigma for e in told})
+        wider = any(found[e.name][1] > WIDER * e.sigma for e in told if e.name in found)
+        rows = [
+            replace(e, value=found[e.name][0], sigma=found[e.name][1]) if wider and e.name in found else e for e in told
+        ]
+        if "time" in found and all(e.name != "time" for e in rows):
+            rows.append(Estimate("time", *found["time"], "s"))
+        return tuple(rows)
 
-    def _plausibility(self, hypothesis: Hypothesis, base: EffectSet) -> float:
-        """Log weight of the parameters it would have beside a set."""
-        if not hypothesis.known:
-            return 0.0
-        signature = self.space.signature(hypothesis.effect)
-        left = self.space.project(signature)
-        left -= base.extension @ (base.extension.T @ left)
-        return plausibility(hypothesis.effect.parameters, estimates(left, signature, base.residual))
+    def _of_law(self, law: Law, others: Found) -> tuple[Estimate, ...]:
+        """What a person asks of a law: its size, how large it gets, its phase."""
+        gram, score = self.moments(law, others)
+        mean, covariance, *_ = posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))
+        return told_of(law, self.space.sightings, mean, covariance)
 
-    def with_members(self, hypotheses: Sequence[Hypothesis]) -> EffectSet:
-        """The set of some hypotheses, scored."""
-        members = []
-        for h in hypotheses:
-            f = self.bank.families.index(h.family)
-            members.append(
-                Member(h, self.space.signature(h.effect), float(np.log(self._size[f]) - self.prior[f]) + h.tuning)
-            )
+    def with_members(self, members: Sequence[Hypothesis]) -> Found:
+        """The set of some hypotheses, scored together."""
         if not members:
             return self.empty
-        whole = np.hstack([m.signature for m in members])
-        extension = orthonormal(self.space.project(whole), whole)
-        fitted = extension.T @ self.space.residual
-        residual = self.space.residual - extension @ fitted
-        drop = float((fitted**2).sum())
-        score = float(log_evidence(np.array([drop]), np.array([extension.shape[1]]))[0])
-        score -= sum(m.cost for m in members)
-        made = EffectSet(tuple(members), extension, residual, score)
-        return replace(made, score=score + self._set_plausibility(made))
+        parts = [self._left_of(h) for h in members]
+        return Found(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
 
-    def worth(self, member: Member, drop: float) -> float:
-        """Log evidence that a member brings to a set when chi2 drops by so much for it, its cost taken off."""
-        rank = np.array([member.signature.shape[1]])
-        return float(log_evidence(np.array([drop]), rank)[0]) - member.cost
+    def _left_of(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """What the adjustment leaves of a signature, and the lengths of its columns; the last few are kept."""
+        key = hypothesis.key
+        if key not in self._left:
+            whole = self.space.signature(hypothesis.effect)
+            self._left[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
+        self._left.move_to_end(key)
+        if len(self._left) > KEPT:
+            self._left.popitem(last=False)
+        return self._left[key]
 
-    def _set_plausibility(self, made: EffectSet) -> float:
-        whole = np.hstack([m.signature for m in made.members])
-        values = estimates(self.space.project(whole), whole, self.space.residual)
-        total, at = 0.0, 0
-        for member in made.members:
-            q = member.signature.shape[1]
-            if member.hypothesis.known:
-                total += plausibility(member.hypothesis.effect.parameters, values[at : at + q])
-            at += q
-        return total
-
-    def search(self, threshold: float, *, something: bool) -> EffectSet:
-        """Find the best set.
-
-        A member is added only where it raises the score by more than `threshold` and does not raise the error on
-        readings that the fit did not see; but where the caller knows that
-        `something` is missing, the first member is the best there is.
-        """
-        beam = [self.empty]
-        best = self.empty
+    def search(self, threshold: float, *, something: bool) -> Found:
+        """The best set: each further finding must raise the evidence of all there is by `threshold`."""
+        best, ranking = self.empty, self.first
         for depth in range(MOST_MEMBERS):
-            grown: dict[tuple[str, ...], EffectSet] = {}
-            for base in beam:
-                for _, hypothesis, _ in self.rank(base).entries[:BEAM]:
-                    made = self.with_members((*base.hypotheses, hypothesis))
-                    key = tuple(sorted(repr(h.effect) for h in made.hypotheses))
-                    if key not in grown:
-                        grown[key] = made
-            beam = sorted(grown.values(), key=lambda s: -s.score)[:BEAM]
-            beam[0] = self.reexamined(beam[0])
-            earned = beam[0].score >= best.score + threshold and self._held_out(beam[0]) <= self._held_out(best)
-            if (depth or not something) and not earned:
+            if ranking.total < threshold and (depth or not something):
                 break
-            best = beam[0]
-        return best
+            made = [self.with_members((*best.members, h)) for h in ranking.entries[:3]]
+            grown = self.reexamined(max(made, key=lambda s: s.score))
+            if depth and grown.score < best.score + threshold:
+                break
+            best = grown
+            ranking = self.rank(best)
+        return self._renamed(best, threshold)
 
-    def _held_out(self, found: EffectSet) -> float:
-        """Normalised error on held-out station-target pairs with the members of a set estimated."""
-        space = self.space
-        if found.members:
-            space = space.extended(np.hstack([m.signature for m in found.members]))
-        return held_out_rms(space, pair_folds(space))
+    def _renamed(self, found: Found, threshold: float) -> Found:
+        """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
+        for member in found.members[::-1]:
+            i = found.members.index(member)
+            others = found.members[:i] + found.members[i + 1 :]
+            ranking = self.rank(self.with_members(others))
+            if others and ranking.total < threshold:
+                found = self.with_members(others)
+                continue
+            probability = ranking.probabilities()
+            likeliest = max(probability, key=lambda name: probability[name])
+            if likeliest != member.name:
+                better = next(h for h in ranking.entries if h.name == likeliest)
+                found = self.with_members((*found.members[:i], better, *found.members[i + 1 :]))
+        return found
 
-    def reexamined(self, found: EffectSet) -> EffectSet:
-        """Each member replaced by what fits better beside the others, until nothing changes."""
-        if len(found.members) < 2:
-            return found
-        for _ in range(3):
+    def reexamined(self, found: Found) -> Found:
+        """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
+        for turn in range(2):
             before = found.score
-            for i in range(len(found.members)):
-                others = found.hypotheses[:i] + found.hypotheses[i + 1 :]
-                base = self.with_members(others)
-                for _, hypothesis, _ in self.rank(base, 4).entries[:2]:
-                    made = self.with_members((*others, hypothesis))
-                    if made.score > found.score + 1e-6:
-                        found = made
+            for size in (1,) if turn or self.probe.basis is None else (1, 2):
+                for some in combinations(range(len(found.members)), size):
+                    if len(found.members) < 2 or max(some) >= len(found.members):
+                        continue
+                    others = tuple(h for i, h in enumerate(found.members) if i not in some)
+                    ranking = self.rank(self.with_members(others)) if others else self.first
+                    made = [self.with_members((*others, h)) for h in ranking.entries[: 2 if others else 6]]
+                    made += [self.with_members(others)] if others else []
+                    found = max([found, *made], key=lambda s: s.score)
             if found.score <= before + 1e-6:
                 break
         return found
+
+
+def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
+    """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
+    spread = np.array([p.prior_sigma for p in effect.parameters])
+    mean, covariance, total, _ = posterior(gram, score, spread)
+    for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
+        total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
+    return total
+
+
+MOST_LAWS = 400
+"""Laws of all panels that are kept beside the ones computed exactly."""
+
+
+def _on(shape: ShapeParameter, low: float, high: float, u: float) -> float:
+    """The shape constant at u, from -1 at `low` to 1 at `high`, evenly in the coordinate of its grid."""
+    s = 0.5 * (u + 1.0)
+    if shape.logarithmic:
+        return float(low * (high / low) ** s)
+    if shape.reciprocal and low > 0:
+        return float(1.0 / ((1 - s) / low + s / high))
+    return float(low + s * (high - low))
+
+
+def _apart(one: Tunable, other: Tunable) -> bool:
+    """Whether two effects differ in place, or in a shape constant by more than integration reaches."""
+    if (one.stations, one.targets) != (other.stations, other.targets):
+        return True
+    for shape in type(one).shape:
+        low, high = shape.bracket(float(vars(other)[shape.name]))
+        if not low <= float(vars(one)[shape.name]) <= high:
+            return True
+    return False
+
+
+WIDER = 1.15
+"""Where shapes leave a parameter so many times less certain than the curvature at the optimum, a posterior is told."""

@@ -52,6 +52,8 @@ def place(where: Where) -> str:
     parts = []
     if where.stations:
         parts.append(f"at {'station' if len(where.stations) == 1 else 'stations'} {_list(where.stations)}")
+    if where.instruments:
+        parts.append(f"of {'instrument' if len(where.instruments) == 1 else 'instruments'} {_list(where.instruments)}")
     if where.targets:
         parts.append(f"at {'target' if len(where.targets) == 1 else 'targets'} {_list(where.targets)}")
     if where.observables:
@@ -70,6 +72,10 @@ def percent(probability: float) -> str:
     return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
+SCATTER = ("noise", "larger", "amounts")
+"""How what is told of scatter begins; it is no law of the mean."""
+
+
 def finding_sentence(
     effect: str,
     where: Where,
@@ -81,6 +87,12 @@ def finding_sentence(
 ) -> str:
     """One finding in one sentence; two where its size is `implausible` for its cause."""
     if effect == "unknown":
+        if (
+            formula
+            and (where.covariates or where.instruments)
+            and not formula.startswith(("noise", "larger", "amounts"))
+        ):
+            return _law_sentence(where, parameters, probability, formula)
         on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
         law = f"; what fits: {formula}" if formula else ""
         at = f" {place(where)}" if where.stations or where.targets or where.observables else ""
@@ -91,6 +103,15 @@ def finding_sentence(
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
     return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
+
+
+def _law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
+    """A law that no card names, in one sentence: what varies with what, where, how much."""
+    kept = Where((), where.stations, where.targets, (), where.instruments)
+    at = f" {place(kept)}" if kept.stations or kept.targets or kept.instruments else ""
+    told = estimates(parameters)
+    size = f" ({told})" if told else ""
+    return f"The {law}{at}{size}: physics outside the catalogue (probability {percent(probability)})."
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

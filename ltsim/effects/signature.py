@@ -10,7 +10,7 @@ Sign: a parameter is a correction, truth - reading; the change of a reading is t
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, Self
 
@@ -152,16 +152,15 @@ class Signature(Protocol):
         """(n,) 1 where it acts, 0 elsewhere."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
-            ids = [i for i, name in enumerate(sightings.station_names) if name in self.stations]
-            acts &= _among(sightings.station, ids)
+            acts &= _among(sightings.station, sightings.station_ids, self.stations)
         if self.targets:
-            ids = [i for i, name in enumerate(sightings.target_names) if name in self.targets]
-            acts &= _among(sightings.target, ids)
+            acts &= _among(sightings.target, sightings.target_ids, self.targets)
         return acts.astype(np.float64)
 
 
-def _among(values: Ints, ids: Sequence[int]) -> Bools:
-    """(n,): whether each value is one of a few; one is the common case, and much faster alone."""
+def _among(values: Ints, known: Mapping[str, int], names: Sequence[str]) -> Bools:
+    """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
+    ids = [known[name] for name in names if name in known]
     among: Bools = values == ids[0] if len(ids) == 1 else np.isin(values, ids)
     return among
 
@@ -246,5 +245,10 @@ def on_readings(
 
 def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3, p) of the raw readings when targets move by (n, 3, p) [m] in the network frame."""
-    change: Floats = sightings.by_target @ displacement
+    acts = np.flatnonzero(displacement.any(axis=(1, 2)))
+    if 2 * len(acts) > len(displacement):
+        whole: Floats = sightings.by_target @ displacement
+        return whole
+    change = np.zeros(displacement.shape)
+    change[acts] = sightings.by_target[acts] @ displacement[acts]
     return change

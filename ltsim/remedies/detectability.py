@@ -22,7 +22,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.reliability import noncentrality
-from ltsim.adjust.residual_space import VISIBLE, ResidualSpace
+from ltsim.adjust.residual_space import VISIBLE, ResidualSpace, orthonormal
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect, Parameter
@@ -94,7 +94,7 @@ class Seen:
         Minimal detectable sizes at each place; infinite where nothing is left.
     visible : tuple of float
     columns : tuple of (m, r) float
-        Orthonormal, spanning what is left; empty for noise.
+        Orthonormal, spanning what is left; empty for noise, and where they are not asked for.
     """
 
     name: str
@@ -152,43 +152,45 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
-def examine(space: ResidualSpace, places: Sequence[Effect]) -> Seen | None:
+def examine(space: ResidualSpace, places: Sequence[Effect], *, columns: bool = True) -> Seen | None:
     """What is left of one effect at each of the places where it is sought; None where the network lacks what it needs.
 
     Parameters
     ----------
     places : sequence of Effect
         All that a search would try; at most `MOST_PLACES` of them are looked at.
+    columns : bool
+        Whether what is left of each place is kept, as `Seen.columns`: as many vectors as the network has readings.
     """
     some = thinned(places)
     noises = [effect for effect in some if isinstance(effect, NoiseEffect)]
-    found: list[tuple[Effect, Floats, float, Floats]] = []
+    found: list[tuple[Effect, Floats, float, int, Floats]] = []
     told = _noise_information(space, noises) if noises else []
-    found += [(effect, own, 1.0, np.zeros((0, 0))) for effect, own in zip(noises, told, strict=True)]
+    found += [(effect, own, 1.0, len(own), np.zeros((0, 0))) for effect, own in zip(noises, told, strict=True)]
     for effect in () if noises else some:
         whole = space.signature(effect)
         if np.isfinite(whole).all() and whole.any():
-            found.append((effect, *_left(space, whole)))
+            found.append((effect, *_left(space, whole, columns=columns)))
     if not found:
         return None
-    kept, information, visible, columns = zip(*found, strict=True)
-    spent = [len(i) if not c.size else c.shape[1] for i, c in zip(information, columns, strict=True)]
+    kept, information, visible, spent, left = zip(*found, strict=True)
     needed = [search_noncentrality(max(dof, 1), len(places)) for dof in spent]
     sizes = tuple(map(_smallest, information, needed))
     names, laws = tuple(map(_place, kept)), tuple(effect.parameters for effect in kept)
-    return Seen(kept[0].name, laws, names, sizes, visible, columns)
+    return Seen(kept[0].name, laws, names, sizes, visible, left)
 
 
-def _left(space: ResidualSpace, whole: Floats) -> tuple[Floats, float, Floats]:
-    """Information (q, q), visible share and orthonormal columns of a signature (m, q)."""
+def _left(space: ResidualSpace, whole: Floats, *, columns: bool) -> tuple[Floats, float, int, Floats]:
+    """Information (q, q), visible share, rank and orthonormal columns of a signature (m, q)."""
     norm = np.linalg.norm(whole, axis=0)
     scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
-    basis, singular, _ = np.linalg.svd(scaled, full_matrices=False)
-    share = float(np.mean(np.sum(scaled**2, axis=0)))
-    information = (scaled.T @ scaled) * np.outer(norm, norm)
-    hidden = np.sum(scaled**2, axis=0) < VISIBLE
+    gram = scaled.T @ scaled
+    share = np.diag(gram)
+    information = gram * np.outer(norm, norm)
+    hidden = share < VISIBLE
     information[hidden] = information[:, hidden] = 0.0
-    return information, share, basis[:, singular**2 > VISIBLE]
+    basis = orthonormal(scaled, np.ones(len(norm))) if columns else np.zeros((0, 0))
+    return information, float(np.mean(share)), int(np.sum(np.linalg.eigvalsh(gram) > VISIBLE)), basis
 
 
 def _smallest(information: Floats, needed: float) -> Floats:

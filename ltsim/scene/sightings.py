@@ -71,6 +71,16 @@ class Sightings:
         return replace(self, position=position, rotation=rotation, points=points, encoder=None)
 
     @cached_property
+    def station_ids(self) -> dict[str, int]:
+        """Places of the names of stations."""
+        return {name: i for i, name in enumerate(self.station_names)}
+
+    @cached_property
+    def target_ids(self) -> dict[str, int]:
+        """Places of the names of targets."""
+        return {name: i for i, name in enumerate(self.target_names)}
+
+    @cached_property
     def arm(self) -> Floats:
         """(n, 3) [m]: from the instrument to the reflector, network frame."""
         arm: Floats = self.points[self.target] - self.position[self.station]

@@ -13,6 +13,7 @@ from ltsim.diagnose import diagnose
 from ltsim.diagnose.files import write_diagnosis
 from ltsim.effects import find_effect
 from ltsim.effects.effect import by_displacement, on_readings
+from ltsim.geometry.alignment import align
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, sightings_of
 from ltsim.randomness import stream
@@ -237,8 +238,36 @@ def test_turbulence_is_told_from_a_higher_noise_level():
 def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
     recording, state = workshop(3)
     sightings = sightings_of(recording, state)
-    change = on_readings(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
+    change = on_readings(sightings, distance=np.sin(83.7 * sightings.elevation + 1.0))
     found = diagnose(strengthened(recording, state, change)[0])
     assert [f.effect for f in found.findings] == ["unknown"]
-    assert found.findings[0].where.covariates == ("elevation",)
-    assert "cos(8" in found.findings[0].formula
+    first = found.findings[0]
+    assert first.where.covariates == ("elevation",)
+    assert first.carrier == "distance"
+    assert "a wave in elevation, 83." in first.driver
+
+
+def test_an_encoder_of_any_number_of_lines_is_named():
+    recording, state = workshop(3)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["encoder-interpolation"]
+    assert found.findings[0].where.observables == ("elevation",)
+
+
+def test_targets_are_no_worse_than_those_of_the_right_explanation():
+    """An imitated law, unknown to the catalogue: targets after the diagnosis, and with the law itself."""
+    recording, state = workshop(4)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=np.sin(3 * sightings.azimuth))
+    hidden, _ = strengthened(recording, state, change)
+    found = diagnose(hidden)
+    assert rigid(found.targets.points, state.points) < 1.05 * rigid(found.baseline.state.points, state.points)
+    assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)
+
+
+def rigid(points, truth):
+    """Root mean square distance after the best rigid fit."""
+    rotation, translation = align(points, truth)
+    return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))

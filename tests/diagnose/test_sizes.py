@@ -7,10 +7,7 @@ import pytest
 
 from benchmarks.adjust_size import network as ring_of
 from ltsim.adjust import adjust
-from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose import diagnose
-from ltsim.diagnose.bank import Bank, Hypothesis
-from ltsim.diagnose.flexible import FlexibleTerm, smooth
 from ltsim.effects import find_effect
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment
@@ -18,7 +15,7 @@ from ltsim.model.measurement import MeasurementModel, State, sightings_of
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Setup, Station
-from ltsim.solve.projection import BasisProjection, FactorProjection
+from ltsim.solve.projection import FactorProjection
 from tests.networks import drawn
 
 REFLECTORS = np.array([[8.0, 1.0, 0.5], [2.0, 9.0, 1.0], [-7.0, 3.0, 2.5], [-4.0, -8.0, 0.2], [6.0, -5.0, 3.0]])
@@ -84,36 +81,10 @@ def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
 
 def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltsim.solve.projection.DENSE", 0)
-    monkeypatch.setattr("ltsim.diagnose.bank.LARGE", 0)
+    monkeypatch.setattr("ltsim.diagnose.probe.MOST_UNKNOWNS", 0)
     recording, target = knocked(26)
     found = diagnose(recording, seed=1)
     assert isinstance(found.baseline.projection, FactorProjection)
     assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
     assert found.search_p_value < 1e-6
     assert found.after.held_out_rms < found.before.held_out_rms
-
-
-def test_scores_with_sparse_signatures_are_those_of_dense_ones() -> None:
-    """Local and general hypotheses, alone and beside an accepted one, against the basis of the whole design."""
-    adjustment = adjust(knocked(90)[0], misalignment())
-    space = ResidualSpace.of(adjustment)
-    assert isinstance(space.projection, FactorProjection)
-    basis = BasisProjection.of(adjustment.solution.system.design)
-    kinds = [find_effect(name) for name in ("station-bump", "station-weather", "target-moved", "station-levelling")]
-    effects = [e for kind in kinds for e in kind.candidates(space.sightings)[::41]]
-    effects.append(FlexibleTerm((), (), "distance", smooth("azimuth", 4)))
-    bank = Bank.of(space, [Hypothesis("any", effect) for effect in effects])
-    assert {isinstance(group.rows, np.ndarray) for group in bank.groups} == {True, False}
-    whole = space.signature(FlexibleTerm((), (), "elevation", smooth("time", 2)))
-    extension = np.linalg.qr(basis.project(whole))[0]
-    for columns in (extension[:, :0], extension):
-        residual = space.residual - columns @ (columns.T @ space.residual)
-        drop, rank = bank.drops(residual, columns)
-        for i, effect in enumerate(effects):
-            signature = space.signature(effect)
-            left = basis.project(signature) / np.linalg.norm(signature, axis=0)
-            left -= columns @ (columns.T @ left)
-            u, s, _ = np.linalg.svd(left, full_matrices=False)
-            assert rank[i] == np.sum(s**2 > 1e-6)
-            fitted = u[:, s**2 > 1e-6].T @ residual
-            assert drop[i] == pytest.approx(float(fitted @ fitted), rel=1e-3, abs=1e-3)

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjust import adjust
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.arrays import Floats
-from ltsim.diagnose.bank import Bank
-from ltsim.diagnose.diagnose import catalogue_hypotheses
+from ltsim.diagnose.cards import card_hypotheses
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.face_confusion import FaceConfusion
@@ -190,10 +189,15 @@ def rigid_error(points: Floats, truth: Floats) -> float:
 def _nearest_known(space: ResidualSpace, hidden: Hidden) -> dict[str, Any]:
     """The effect of the catalogue that explains most of an invented one, and the share it explains."""
     left = left_by_adjustment(space, hidden)[1]
-    bank = Bank.of(space, catalogue_hypotheses(space.sightings))
-    share = bank.drops(left)[0] / float(left @ left)
-    best = int(np.argmax(share))
-    return {"effect": bank.hypotheses[best].effect.name, "share": float(share[best])}
+    best, share = "", 0.0
+    for effect in card_hypotheses(space.sightings):
+        signature = space.signature(effect)
+        norms = np.linalg.norm(signature, axis=0)
+        columns = orthonormal(space.project(signature), norms) if norms.any() else signature[:, :0]
+        explained = float(((columns.T @ left) ** 2).sum()) / float(left @ left)
+        if explained > share:
+            best, share = effect.name, explained
+    return {"effect": best, "share": share}
 
 
 def _entry(hidden: Hidden, space: ResidualSpace) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ltsim.recording.files import write_text
 from ltsim.report.style import new_figure, styled, svg
 
+from .reliability import reliability_figure
 from .score import Row
 
 CURVES = {
@@ -27,10 +28,11 @@ CURVES = {
 
 
 def draw(rows: Sequence[Row], summary: dict[str, Any], out: Path) -> None:
-    """Write power.svg, and confusion.svg where effects of the catalogue were hidden."""
+    """Write power.svg, reliability.svg, and confusion.svg where effects of the catalogue were hidden."""
     clean = [r["search_p_value"] for r in rows if r["kind"] == "clean" and r["exit"] == 0]
     named = [r for r in rows if r["kind"] in ("single", "mistake") and r["exit"] == 0]
     write_text(out / "power.svg", svg(power_figure(summary, clean)))
+    write_text(out / "reliability.svg", svg(reliability_figure(rows)))
     if named:
         write_text(out / "confusion.svg", svg(confusion_figure(named)))
 

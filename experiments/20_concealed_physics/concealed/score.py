@@ -42,6 +42,9 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     row["held_out_after"] = found["fit"]["after"]["held_out_rms"]
     row["error_um"] = _target_error(truth, folder / "targets.csv")
     row["told_um"], row["ordinary_um"] = truth["told_um"], truth["ordinary_um"]
+    row["carrier"], row["driver"] = (findings[0].get(k, "") if findings else "" for k in ("carrier", "driver"))
+    row["stated"] = " ".join(f"{e['effect']}:{e['probability']:.2f}" for f in findings[:1] for e in f["equivalents"])
+    row["right"] = row["first"] in {e["effect"] for e in truth["effects"]} | {_invented(truth)}
     match truth["kind"]:
         case "single" | "mistake":
             row.update(_named(truth["effects"][0], findings[0] if findings else None))
@@ -51,6 +54,11 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
         case "pair":
             row.update(_pair(truth["effects"], findings))
     return row
+
+
+def _invented(truth: dict[str, Any]) -> str:
+    """What an invented law is rightly called; nothing where none was hidden."""
+    return "unknown" if truth["kind"] == "unknown" else "-"
 
 
 def _target_error(truth: dict[str, Any], file: Path) -> float:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from .reliability import by_kind
+from .reliability import lines as reliability_lines
 from .score import Row
 
 RATIOS = ("error_over_told_median", "error_over_told_90", "ordinary_over_told_median")
@@ -53,6 +55,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
             "one_at_least": rate(r["pair_stated"] >= 1 for r in chosen),
             **_errors(chosen),
         }
+    result["reliability"] = by_kind(rows)
     if by["mistake"]:
         result["mistakes"] = _single(by["mistake"])
     return result
@@ -81,6 +84,9 @@ def _unknown(rows: Sequence[Row]) -> dict[str, Any]:
         "found": rate(r["found"] for r in chosen),
         "called_unknown": rate(r["called_unknown"] for r in chosen),
         "and_observable_right": rate(r["observable_right"] for r in chosen),
+        "and_covariate_right": rate(r.get("right_covariates", False) for r in chosen),
+        "told_as_one_finding": rate("+" not in r["answer"] for r in chosen),
+        "targets_worse_than_plain_by_5_percent": rate(r["error_um"] > 1.05 * r["ordinary_um"] for r in chosen),
         "wrong_name_above_0.9": rate(r["wrong_name"] for r in chosen),
         "distinct_from_catalogue": {
             "and_observable_right": rate(r["observable_right"] for r in own),
@@ -140,6 +146,7 @@ def markdown(rows: Sequence[Row], summary: dict[str, Any], command: str) -> str:
             kind, _, strength = key.partition("_")
             words = ["" if block[k] is None else f"{block[k]:.2f}" for k in RATIOS]
             lines.append(f"| {kind} | {strength} | " + " | ".join(words) + " |")
+    lines += reliability_lines(rows)
     lines += ["", "| effect | recordings | named first | named or stated | other first names |"]
     lines.append("|---|---|---|---|---|")
     lines += [f"| {t} | {n} | {a} | {b} | {w} |" for t, n, a, b, w in confusion(rows)]

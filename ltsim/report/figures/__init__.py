@@ -7,6 +7,7 @@ from ltsim.report.figures.correlation import correlation
 from ltsim.report.figures.criteria import Criterion, criteria
 from ltsim.report.figures.displacements import displacements, enlargement
 from ltsim.report.figures.distributions import Distribution, distributions
+from ltsim.report.figures.driver_curve import driver_curve
 from ltsim.report.figures.evidence import Candidate, evidence
 from ltsim.report.figures.floor_plan import floor_plan
 from ltsim.report.figures.parameters import ParameterRow, parameters
@@ -38,6 +39,7 @@ __all__ = [
     "criteria",
     "displacements",
     "distributions",
+    "driver_curve",
     "enlargement",
     "evidence",
     "floor_plan",

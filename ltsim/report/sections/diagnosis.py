@@ -10,6 +10,7 @@ from ltsim.calibrate.files import read_targets
 from ltsim.calibrate.schema import RESIDUALS
 from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile, DiagnosisFit, FindingEntry, WhereEntry
 from ltsim.recording import Recording
+from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Fact, Note, Section, Table, mood, picture
@@ -41,7 +42,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None) -> Secti
     blocks += _fit(content)
     if after is not None:
         blocks += residual_blocks(after, before, what="the findings")
-    blocks += _limits(content) + _targets(folder, content)
+    blocks += _instruments(content) + _limits(content) + _targets(folder, content)
     title = (recording.setup.title if recording else "") or folder.name
     return Section(title, "Diagnosis", typeset(content.summary), mood(_good(content)), _facts(content), blocks)
 
@@ -112,7 +113,50 @@ def _finding(finding: FindingEntry, number: int, before: Residuals | None, after
     ]
     text = "How probable each explanation is after the data, among those that were tried."
     blocks.append(picture(f"Evidence for finding {number}", figures.evidence(rivals), text))
-    return blocks + _signature(finding, number, before, after)
+    return blocks + _curve(finding, number, before) + _signature(finding, number, before, after)
+
+
+def _curve(finding: FindingEntry, number: int, before: Residuals | None) -> list[Block]:
+    """What a carrier does over its driver, where a finding has a curve."""
+    curve = finding.curve
+    if curve is None or len(curve.at) < MOST_STEPS:
+        return []
+    columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
+    figure = figures.driver_curve(
+        *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
+    )
+    text = f"What fits: the {finding.carrier} over {curve.covariate}, with its 95 % band."
+    if before is not None and finding.carrier in OBSERVABLES and curve.covariate in before.covariates:
+        text += " Dots: residuals without the finding."
+    return [picture(f"Curve of finding {number}", figure, text)]
+
+
+MOST_STEPS = 3
+"""Points from which a curve is drawn."""
+
+
+def _instruments(content: DiagnosisFile) -> list[Block]:
+    """Constants of each instrument, and the combinations of them that the recording determines."""
+    blocks: list[Block] = []
+    for entry in content.instruments:
+        name = f" of {entry.name}" if entry.name else ""
+        rows = [
+            [p.name, f"{style.with_sigma(p.value, p.sigma or 0.0)} {style.unit_text(p.unit)}"] for p in entry.parameters
+        ]
+        title = f"Constants{name}, with the findings modelled"
+        blocks.append(Table(title, ["constant", "value"], rows, text_columns=2))
+        joined = [
+            [
+                " ".join(f"{weight:+.2f} {constant}" for constant, weight in c.combination.items()),
+                f"{style.with_sigma(c.value, c.sigma or 0.0)} {style.unit_text(c.unit)}",
+            ]
+            for c in entry.determined
+        ]
+        if joined:
+            note = "Together they are known far better than each of them."
+            together = f"What the recording determines{name} in combination"
+            blocks.append(Table(together, ["combination", "value"], joined, 2, note))
+    return blocks
 
 
 def _signature(finding: FindingEntry, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:

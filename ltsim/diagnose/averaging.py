@@ -1,0 +1,76 @@
+"""Targets after a diagnosis: averaged over the explanations that the recording leaves open.
+
+Each explanation shifts the adjusted coordinates; sizes are shrunk by their prior, and what cannot be told apart is
+averaged by its probability, no effect at all among it (Bayesian model averaging; Hoeting et al. 1999, Statistical
+Science 14). The covariance adds what the explanations disagree by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.diagnose.diagnosis import Targets
+from ltsim.diagnose.evidence import posterior, wide_posterior
+from ltsim.diagnose.noise import NoisePattern
+from ltsim.diagnose.refit import Refit
+from ltsim.diagnose.search import Searcher
+from ltsim.diagnose.sets import Found, Hypothesis, Ranking
+from ltsim.effects.effect import NoiseEffect
+
+MOST_OPEN = 12
+LEAST = 0.003
+"""Explanations less probable than this do not count."""
+
+
+def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
+    """The targets of a refit, moved by what other explanations of each finding would move them, times their chance."""
+    adjusted = fitted.adjustment
+    points, covariance = adjusted.state.points.copy(), adjusted.target_covariance.copy()
+    for i, ranking in enumerate(rankings):
+        others = searcher.with_members(found.members[:i] + found.members[i + 1 :])
+        weights, shifts = _open(searcher, others, found.members[i], ranking)
+        mean = np.einsum("k,kti->ti", weights, shifts)
+        points += mean - shift_of(searcher, others, found.members[i], wide=True)
+        apart = shifts - mean
+        covariance += np.einsum("k,kti,ktj->tij", weights, apart, apart)
+    return Targets(points, covariance)
+
+
+def _open(searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Ranking) -> tuple[Floats, Floats]:
+    """Probabilities (k,) of explanations, the chosen one first, and the shift (k, T, 3) of the targets by each."""
+    logs = np.array([0.0, *(h.value for h in ranking.entries)])
+    share = np.exp(logs - logs.max())
+    share /= share.sum()
+    none = float(share[0])
+    entries = [
+        (h, float(p))
+        for h, p in zip(ranking.entries, share[1:], strict=True)
+        if p > LEAST and not isinstance(h.effect, NoiseEffect | NoisePattern)
+    ]
+    entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
+    rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
+    shifts = [shift_of(searcher, others, chosen)]
+    shifts += [shift_of(searcher, others, h) for h, _ in entries]
+    shifts.append(np.zeros_like(shifts[0]))
+    weights = np.array([rest, *(p for _, p in entries), none])
+    return weights / weights.sum(), np.array(shifts)
+
+
+def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide: bool = False) -> Floats:
+    """Shift (T, 3) [m] of the adjusted targets when an explanation is taken out of the readings.
+
+    Its size is shrunk by its prior, or, `wide`, that of the refit.
+    """
+    space = searcher.space
+    whole = space.signature(hypothesis.effect)
+    left = space.project(whole)
+    left -= others.extension @ (others.extension.T @ left)
+    found = (wide_posterior if wide else posterior)(left.T @ left, left.T @ others.residual, hypothesis.spread)
+    mean = found[0]
+    adjustment = space.adjustment
+    change = adjustment.factor.covariance_columns((adjustment.solution.system.design.T @ (whole @ mean))[:, None])
+    shift: Floats = -change[:, 0][adjustment.problem.layout.target]
+    return shift

@@ -1,0 +1,157 @@
+"""Cards: the effects of the catalogue as hypotheses, each at every place and shape that its card offers.
+
+Cards with a geometry of their own (a window, a plume, a layer) bring their own signature; all are scored with the same
+vectors and the same evidence as the space of carriers and drivers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.arrays import Floats, Ints, Singles
+from ltsim.diagnose.evidence import log_evidence, log_means, simulated_evidence
+from ltsim.diagnose.probe import Probe, square
+from ltsim.effects import BASELINE, CATALOGUE
+from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.signature import Tunable
+from ltsim.scene.sightings import Sightings
+
+SPARSE = 0.15
+"""Share of nonzeros below which the signature of an effect is kept sparse."""
+
+
+def card_hypotheses(sightings: Sightings) -> list[Tunable]:
+    """Every effect of the catalogue beyond the ordinary calibration, at every place and shape."""
+    ordinary = {type(effect) for effect in BASELINE}
+    return [
+        effect
+        for kind in CATALOGUE
+        if kind not in ordinary and not issubclass(kind, NoiseEffect)
+        for effect in kind.candidates(sightings)
+    ]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Effects of one number of parameters k, all kept sparse or all dense.
+
+    `members` (h,), scaled signatures as rows (h k, m), their products with each other (h, k, k), and those of what the
+    adjustment leaves of them, filled when they are scored first.
+    """
+
+    size: int
+    members: Ints
+    rows: Singles | sp.csr_array
+    own: Floats
+    gram: Floats
+
+    def scaled(self, ratio: Singles) -> Group:
+        """The same with the rows of the space times a `ratio` (m,)."""
+        rows: Singles | sp.csr_array
+        if isinstance(self.rows, np.ndarray):
+            rows = self.rows * ratio
+            blocks = list(rows.reshape(len(self.members), self.size, -1))
+        else:
+            data = self.rows.data * ratio[self.rows.indices]
+            rows = sp.csr_array((data, self.rows.indices, self.rows.indptr), self.rows.shape)
+            ends = self.rows.indptr[:: self.size].tolist()
+            blocks = [data[low:high].reshape(self.size, -1) for low, high in pairwise(ends)]
+        own = np.stack([block @ block.T for block in blocks]).astype(np.float64)
+        return replace(self, rows=rows, own=own, gram=np.zeros_like(self.gram))
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Cards with their signatures in units of plausible sizes.
+
+    Attributes
+    ----------
+    effects : list of Tunable
+        Those that touch a reading.
+    groups : list of Group
+    families : tuple of str
+    family : (h,) int
+    """
+
+    effects: list[Tunable]
+    groups: list[Group]
+    families: tuple[str, ...]
+    family: Ints
+
+    @classmethod
+    def of(cls, space: ResidualSpace, effects: Sequence[Tunable]) -> Cards:
+        """Signatures of all effects that touch a reading of this recording."""
+        kept: list[Tunable] = []
+        alike: dict[tuple[int, bool], list[tuple[int, Ints, Singles]]] = {}
+        for effect in effects:
+            sizes = np.array([p.prior_sigma for p in effect.parameters])
+            signature = space.signature(effect) * sizes
+            places = np.flatnonzero(signature.any(axis=1))
+            if len(places):
+                rows = np.ascontiguousarray(signature[places].T.astype(np.float32))
+                key = len(sizes), len(places) < SPARSE * space.size
+                alike.setdefault(key, []).append((len(kept), places, rows))
+                kept.append(effect)
+        groups = [_group(size, made, space.size, sparse=sparse) for (size, sparse), made in sorted(alike.items())]
+        names = tuple(dict.fromkeys(effect.name for effect in kept))
+        index = {name: i for i, name in enumerate(names)}
+        return cls(kept, groups, names, np.array([index[e.name] for e in kept], dtype=np.int64))
+
+    def reweighted(self, before: ResidualSpace, after: ResidualSpace) -> Cards:
+        """The same signatures with the weights of another adjustment of the same readings.
+
+        The geometry stays as it was: adjusted again with other weights, a network moves by far less than its lengths.
+        """
+        ratio = np.ones(after.size, dtype=np.float32)
+        ratio[: int(after.use.sum())] = (before.sigma / after.sigma)[after.use]
+        return replace(self, groups=[group.scaled(ratio) for group in self.groups])
+
+    def score(self, probe: Probe) -> tuple[Floats, Floats]:
+        """Log evidence (h,) of each card, and of the trials by family (families, trials)."""
+        values = np.zeros(len(self.effects))
+        chance = []
+        order = []
+        for group in self.groups:
+            scores = np.asarray(group.rows @ probe.vectors).astype(np.float64)
+            scores = scores.reshape(len(group.members), group.size, -1)
+            if probe.fresh:
+                group.gram[:] = probe.gram(scores, group.own)
+            score, beside, trials, _ = probe.split(scores)
+            gram = group.gram - square(beside)
+            strength, turn = np.linalg.eigh(gram)
+            strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
+            values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
+            if not probe.scored:
+                continue
+            chance.append(simulated_evidence(turn @ trials, strength))
+            order.append(group.members)
+        if not self.effects or not probe.scored:
+            return values, np.zeros((0, probe.scored))
+        back = np.argsort(np.concatenate(order))
+        return values, log_means(np.vstack(chance)[back], self.family, len(self.families))
+
+    def family_evidence(self, values: Floats) -> Floats:
+        """Log evidence (families,) with places and shapes averaged."""
+        return log_means(values, self.family, len(self.families))
+
+
+def _group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int, *, sparse: bool) -> Group:
+    """Signatures of effects of one size as one matrix."""
+    own = np.stack([rows @ rows.T for _, _, rows in made]).astype(np.float64)
+    members = np.array([i for i, _, _ in made])
+    if not sparse:
+        dense = np.zeros((len(made), size, length), dtype=np.float32)
+        for i, (_, places, rows) in enumerate(made):
+            dense[i][:, places] = rows
+        return Group(size, members, dense.reshape(-1, length), own, np.zeros_like(own))
+    indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
+    ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))])
+    data = np.concatenate([rows.ravel() for _, _, rows in made])
+    rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
+    return Group(size, members, rows, own, np.zeros_like(own))

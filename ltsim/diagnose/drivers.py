@@ -1,0 +1,272 @@
+"""Drivers: what a carrier may follow, each as a few columns over the pointings with a prior on their coefficients.
+
+A smooth driver is a Gaussian process in one covariate, in reduced rank: a linear part and the first eigenfunctions of
+the Laplacian on the covariate's range with the spectral density of a squared-exponential kernel as variances (Solin and
+Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, eq. 20); round a circle, Fourier
+waves. Several length scales share the columns and differ in the variances; so does a random walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.scene.sightings import Sightings
+
+CIRCULAR = ("azimuth", "nest-direction")
+MODES = 9
+"""Eigenfunctions of a smooth driver."""
+EDGE = 1.25
+"""Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
+SCALES = {"long": 0.9, "middle": 0.4, "short": 0.18}
+"""Length scales over the half-width of a covariate's range; over a radian round a circle."""
+MEMORY = ("approach-", "move-", "last-", "lapse")
+"""What names of covariates begin with that tell of the pointing before."""
+WORDS = {
+    "horizontal": "distance",
+    "x": "place",
+    "y": "place",
+    "z": "place",
+    "station-time": "time",
+    "nest-direction": "incidence",
+    "air_temperature_c": "temperature",
+}
+"""Names of the interface for covariates that have others here."""
+SIMPLE = {
+    "power": lambda x, k: x**k,
+    "abs": lambda x, k: np.abs(x),
+    "cos": lambda x, k: np.cos(k * x),
+    "sin": lambda x, k: np.sin(k * x),
+    "tan": lambda x, k: np.tan(k * x),
+    "step": lambda x, k: (x > k).astype(np.float64),
+    "bend": lambda x, k: np.maximum(x - k, 0.0),
+    "saturated": lambda x, k: x / (k + np.abs(x)),
+    "decay": lambda x, k: np.exp(-x / k),
+}
+"""Functions of a covariate and a constant, of which the shortest laws are made."""
+
+
+def further(sightings: Sightings) -> list[str]:
+    """Columns of the recording beyond the format's that vary."""
+    return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
+
+
+@dataclass(frozen=True)
+class Driver:
+    """What a carrier follows.
+
+    Attributes
+    ----------
+    kind : str
+        constant, smooth, wave (cosine and sine of `constant` times a covariate), simple, product, or field: the same
+        for all and growing across the room, for what carries targets.
+    covariates : tuple of str
+    function : str
+        Of a simple driver.
+    constant : float
+    factors : tuple of Driver
+        Of a product.
+    """
+
+    kind: str
+    covariates: tuple[str, ...] = ()
+    function: str = ""
+    constant: float = 0.0
+    factors: tuple[Driver, ...] = ()
+
+    def columns(self, sightings: Sightings) -> Floats:
+        """Columns (n, k), each of rms about one over the pointings."""
+        match self.kind:
+            case "constant":
+                return np.ones((len(sightings), 1))
+            case "smooth":
+                return _smooth(self.covariates[0], sightings.quantities[self.covariates[0]])
+            case "wave":
+                phase = self.constant * sightings.quantities[self.covariates[0]]
+                return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=1)
+            case "field":
+                place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
+                place = place - place.mean(axis=0)
+                return np.hstack([np.ones((len(place), 1)), place / max(float(place.std()), 1e-300)])
+            case "simple":
+                with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                    values = SIMPLE[self.function](sightings.quantities[self.covariates[0]], self.constant)
+                values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
+                size = float(np.sqrt(np.mean(values**2)))
+                return (values / size if size > 0 else values)[:, None]
+        found = np.ones((len(sightings), 1))
+        for factor in self.factors:
+            part = factor.columns(sightings)
+            part = part[:, :LOW] if factor.kind == "smooth" else part
+            found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
+        return found
+
+    @property
+    def spreads(self) -> tuple[Floats, ...]:
+        """Prior standard deviations (k,) of the coefficients, one set a length scale."""
+        match self.kind:
+            case "constant" | "simple":
+                return (np.ones(1),)
+            case "wave":
+                return (np.full(2, np.sqrt(0.5)),)
+            case "field":
+                return (np.full(4, 0.5),)
+            case "smooth":
+                return _spreads(self.covariates[0] in CIRCULAR)
+        spread = np.ones(1)
+        for factor in self.factors:
+            part = factor.spreads[0][:LOW] if factor.kind == "smooth" else factor.spreads[0]
+            spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
+        return (spread,)
+
+    @property
+    def size(self) -> int:
+        """Number of columns k."""
+        return len(self.spreads[0])
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What it depends on, in the words of the interface."""
+        names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
+        words = ["approach" if n.startswith(MEMORY) else WORDS.get(n, n) for n in names]
+        return tuple(dict.fromkeys(words))
+
+
+LOW = 4
+"""Columns that a smooth factor brings into a product."""
+
+
+def _smooth(name: str, x: Floats) -> Floats:
+    if name in CIRCULAR:
+        orders = np.arange(1, MODES // 2 + 2)
+        phase = x[:, None] * orders
+        return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(x), -1)
+    low, high = float(x.min()), float(x.max())
+    half = max(0.5 * (high - low), 1e-300)
+    u = (x - 0.5 * (low + high)) / half
+    modes = np.arange(1, MODES + 1)
+    waves = np.sin(0.5 * np.pi * modes * (u[:, None] + EDGE) / EDGE) / np.sqrt(EDGE)
+    return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
+
+
+@cache
+def _spreads(circular: bool) -> tuple[Floats, ...]:
+    found = []
+    if circular:
+        orders = np.repeat(np.arange(1, MODES // 2 + 2), 2)
+        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES.values()]
+    else:
+        rates = 0.5 * np.pi * np.arange(1, MODES + 1) / EDGE
+        for scale in SCALES.values():
+            found.append(np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]))
+        found.append(np.concatenate([[0.5], 1.0 / np.arange(1, MODES + 1)]))
+    return tuple(spread / np.linalg.norm(spread) for spread in found)
+
+
+CONSTANT = Driver("constant")
+FIELD = Driver("field", ("x", "y", "z"))
+
+
+def across_the_room(drivers: Sequence[Driver]) -> list[Driver]:
+    """Drivers whose size may grow across the room."""
+    return [Driver("product", factors=(driver, FIELD)) for driver in drivers]
+
+
+def simple(name: str, function: str, constant: float = 1.0) -> Driver:
+    """A driver with one column."""
+    return Driver("simple", (name,), function, constant)
+
+
+def smooth(name: str) -> Driver:
+    """A smooth driver."""
+    return Driver("smooth", (name,))
+
+
+def covariates_of(sightings: Sightings) -> list[str]:
+    """What a smooth driver may follow here."""
+    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
+    if np.isfinite(sightings.incidence).any():
+        names += ["incidence", "nest-direction"]
+    names += [
+        "move-azimuth",
+        "move-elevation",
+        "move-distance",
+        "last-azimuth",
+        "last-elevation",
+        "last-distance",
+        "lapse",
+    ]
+    names += further(sightings)
+    return [n for n in names if np.ptp(sightings.quantities[n]) > 0]
+
+
+def general_drivers(sightings: Sightings) -> list[Driver]:
+    """Drivers of every carrier: constants, signs, clocks that decay, smooth in every covariate."""
+    signs = [s for s in ("face", "approach-azimuth", "approach-elevation") if np.ptp(sightings.quantities[s]) > 0]
+    found = [CONSTANT, *(simple(name, "power") for name in signs)]
+    for name in ("time", "station-time"):
+        span = float(np.ptp(sightings.quantities[name]))
+        found += [simple(name, "decay", float(t)) for t in span * np.array([0.03, 0.1, 0.3, 1.0]) if span > 0]
+    for name in ("move-azimuth", "move-elevation", "move-distance"):
+        if np.ptp(sightings.quantities[name]) > 0:
+            found.append(simple(name, "abs"))
+    for name in covariates_of(sightings):
+        found += [smooth(name)]
+    return found
+
+
+def products(sightings: Sightings) -> Iterator[Driver]:
+    """Products of two drivers: a sign and a smooth one, and two smooth ones in different covariates."""
+    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
+    if np.isfinite(sightings.incidence).any():
+        names += ["incidence", "nest-direction"]
+    names = [n for n in [*names, *further(sightings)] if np.ptp(sightings.quantities[n]) > 0]
+    for sign in ("face", "approach-azimuth", "approach-elevation"):
+        if np.ptp(sightings.quantities[sign]) > 0:
+            for name in names:
+                yield Driver("product", factors=(simple(sign, "power"), smooth(name)))
+    for length in ("move-azimuth", "move-elevation"):
+        if np.ptp(sightings.quantities[length]) > 0:
+            for function in ("abs", "power"):
+                for name in ("distance", "elevation"):
+                    yield Driver("product", factors=(simple(length, function), simple(name, "power")))
+    for one, other in combinations(names, 2):
+        if {one, other} != {"time", "station-time"}:
+            yield Driver("product", factors=(smooth(one), smooth(other)))
+
+
+WAVE_STEP = 0.6
+"""Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
+MOST_CYCLES = 60
+
+
+def rates(sightings: Sightings, name: str, most: float) -> Floats:
+    """Rates of waves in a covariate with up to `most` cycles over its span."""
+    span = float(np.ptp(sightings.quantities[name]))
+    return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > 0 else np.zeros(0)
+
+
+def waves(sightings: Sightings) -> Iterator[Driver]:
+    """Waves in clock, range, angles and place."""
+    most = min(len(sightings) / 8, MOST_CYCLES)
+    for name in ("time", "distance", "azimuth", "elevation", "x", "y", "z", "station-time"):
+        for rate in rates(sightings, name, most):
+            yield Driver("wave", (name,), constant=float(rate))
+
+
+EDGES = 20
+"""Values of a covariate at which a step or a bend is tried."""
+
+
+def edges(sightings: Sightings) -> Iterator[Driver]:
+    """Steps and bends where a covariate passes a value."""
+    for name in (*covariates_of(sightings),):
+        values = np.unique(np.quantile(sightings.quantities[name], np.linspace(0.0, 1.0, EDGES + 2)[1:-1]))
+        for edge in values:
+            for function in ("step", "bend"):
+                yield simple(name, function, float(edge))

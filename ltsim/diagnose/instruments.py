@@ -1,0 +1,127 @@
+"""What a recording says of each instrument: its constants, and the combinations of them that are determined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.diagnose.diagnosis import Combination, Estimate, InstrumentEntry
+from ltsim.diagnose.evidence import log_evidence
+from ltsim.effects.effect import Parameter
+
+DETERMINED = 0.25
+"""A combination is told where its deviation is at most this share of what it would be were its members independent."""
+PART = 0.2
+"""Weight from which a constant belongs to a combination."""
+
+
+def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
+    """Constants and determined combinations of every instrument of a recording."""
+    return tuple(_entry(adjustment, i) for i in range(len(adjustment.recording.instruments)))
+
+
+def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
+    parameters = adjustment.construction.parameters
+    values = adjustment.state.instrument[instrument]
+    covariance = adjustment.instrument_covariance_of(instrument)
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    told = tuple(
+        Estimate(p.name, float(v) / p.factor, float(s) / p.factor, p.unit)
+        for p, v, s in zip(parameters, values, sigma, strict=True)
+    )
+    found: list[Combination] = []
+    for unit in dict.fromkeys(p.unit for p in parameters):
+        at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
+        found += _determined(
+            [parameters[i].name for i in at], values[at], covariance[np.ix_(at, at)], unit, parameters[at[0]].factor
+        )
+    return InstrumentEntry(adjustment.recording.instruments[instrument], told, tuple(found))
+
+
+def _determined(names: list[str], values: Floats, covariance: Floats, unit: str, factor: float) -> list[Combination]:
+    """Eigenvectors of a covariance that join constants and are known far better than each of these."""
+    spread, vectors = np.linalg.eigh(covariance)
+    found = []
+    for variance, vector in zip(spread, vectors.T, strict=True):
+        members = np.flatnonzero(np.abs(vector) > PART * np.abs(vector).max())
+        apart = float(np.sqrt(vector[members] ** 2 @ np.diag(covariance)[members]))
+        sigma = float(np.sqrt(max(variance, 0.0)))
+        if len(members) < 2 or sigma > DETERMINED * apart:
+            continue
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        weights = tuple((names[i], float(vector[i])) for i in members)
+        found.append(Combination(weights, float(vector @ values) / factor, sigma / factor, unit))
+    return found
+
+
+PRIOR_ODDS = 0.05
+"""That some constant of some instrument is not what the others', or a correction, say; shared among all constants."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A constant of an instrument against what else is known of it.
+
+    Attributes
+    ----------
+    instrument : str
+    parameter : Parameter
+    difference, sigma : float
+        [SI], from the others' mean, or from zero for an instrument that is said to be corrected.
+    evidence : float
+        Log marginal likelihood ratio, prior odds included.
+    against : str
+        In words.
+    """
+
+    instrument: str
+    parameter: Parameter
+    difference: float
+    sigma: float
+    evidence: float
+    against: str
+
+
+def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
+    """Constants that differ from those of the other instruments, or from zero where the instrument is corrected.
+
+    The likelihoods of a constant that is off by a few plausible sizes and of one that is not are compared as everywhere
+    else; those with more than `least` of log evidence are told.
+    """
+    recording = adjustment.recording
+    names, parameters = recording.instruments, adjustment.construction.parameters
+    values = adjustment.state.instrument
+    variances = np.array([np.diag(adjustment.instrument_covariance_of(i)) for i in range(len(names))])
+    odds = float(np.log(PRIOR_ODDS / max(len(names) * len(parameters), 1)))
+    found = []
+    for i, name in enumerate(names):
+        stated = recording.setup.instruments.get(name, recording.setup.instrument)
+        for k, p in enumerate(parameters):
+            if stated.corrected:
+                gap, variance, against = values[i, k], variances[i, k], "the correction that it is said to have"
+            elif len(names) > 1:
+                others = np.delete(np.arange(len(names)), i)
+                middle = float(np.median(values[others, k]))
+                gap, against = values[i, k] - middle, "the other instruments"
+                variance = variances[i, k] + float(np.median(variances[others, k])) / max(len(others), 1) * MEDIAN
+            else:
+                continue
+            size = p.sigma_from(stated.prior)
+            evidence = float(log_evidence(np.array([(gap * size / variance) ** 2]), np.array([size**2 / variance])))
+            if evidence + odds > least:
+                found.append(Contradiction(name, p, float(gap), float(np.sqrt(variance)), evidence + odds, against))
+    if len(names) == 2:  # Which of two is off nobody can say; the one farther from zero is the likelier.
+        largest = {c.parameter.name: float(np.abs(values[:, parameters.index(c.parameter)]).max()) for c in found}
+        found = [
+            c
+            for c in found
+            if abs(values[names.index(c.instrument), parameters.index(c.parameter)]) >= largest[c.parameter.name]
+        ]
+    return sorted(found, key=lambda c: -c.evidence)
+
+
+MEDIAN = np.pi / 2
+"""Variance of a median over that of a mean."""

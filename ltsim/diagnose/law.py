@@ -1,0 +1,311 @@
+"""A law: a carrier that follows a driver at a place, as an effect like any other; and the shortest formulas for it.
+
+Laws are tested, refitted and drawn like the effects of the catalogue. Where the catalogue has a card for what a law
+does (a vertical index that follows the clock is `index-drift`), it bears that name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.diagnose.carriers import CARRIERS, Carrier
+from ltsim.diagnose.diagnosis import Curve, Estimate
+from ltsim.diagnose.drivers import CONSTANT, WAVE_STEP, Driver, simple
+from ltsim.effects.signature import Parameter, Tunable
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class Law(Tunable):
+    """A carrier that follows a driver, perhaps at some stations, targets, or one instrument's stations only.
+
+    Attributes
+    ----------
+    stations, targets : tuple of str
+        Where it acts; empty for everywhere.
+    carrier : Carrier
+    driver : Driver
+    instruments : tuple of str
+        Named where the stations are those of one instrument.
+    scale : int
+        Which of the driver's sets of prior deviations holds.
+    """
+
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    carrier: Carrier = CARRIERS["distance"][0]
+    driver: Driver = CONSTANT
+    instruments: tuple[str, ...] = ()
+    scale: int = 0
+
+    name = "unknown"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One coefficient a column of the driver, with the prior deviation of its length scale."""
+        spread = self.driver.spreads[self.scale] * self.carrier.size
+        names = column_names(self.driver)
+        return tuple(
+            Parameter(name, self.carrier.unit, "coefficient", float(s)) for name, s in zip(names, spread, strict=True)
+        )
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """What the law acts on."""
+        return self.carrier.observables or OBSERVABLES
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """What the law depends on, in the words of the interface."""
+        return self.driver.told
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, k) of the raw readings per unit of each coefficient."""
+        moved = CARRIERS[self.carrier.name][1](sightings)
+        columns = self.driver.columns(sightings) * self.mask(sightings)[:, None]
+        found: Floats = moved[:, :, None] * columns[:, None, :]
+        return found
+
+    def finer(self, sightings: Sightings) -> list[Law]:
+        """Rates between those tried for a wave, gaps around a step."""
+        driver = self.driver
+        if driver.kind == "wave":
+            step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
+            rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
+            return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
+        if driver.function in ("step", "bend"):
+            values = np.unique(sightings.quantities[driver.covariates[0]])
+            middles = 0.5 * (values[1:] + values[:-1])
+            near = middles[np.argsort(np.abs(middles - driver.constant))[:12]]
+            return [replace(self, driver=replace(driver, constant=float(edge))) for edge in near]
+        return []
+
+    def formulas(self, sightings: Sightings) -> list[Law]:
+        """Short laws that a smooth one may turn out to be."""
+        if self.driver.kind == "smooth":
+            return [replace(self, driver=d, scale=0) for d in _short(sightings, self.driver.covariates[0])]
+        if self.driver.kind != "product":
+            return []
+        options = [
+            list(_short(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
+            for f in self.driver.factors
+        ]
+        return [replace(self, driver=Driver("product", factors=factors), scale=0) for factors in product(*options)]
+
+
+ANGULAR = ("azimuth", "elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+SHARES = (0.05, 0.15, 0.5)
+"""Constants of decays and saturations, as a share of a covariate's span."""
+
+
+def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Driver]:
+    """Short drivers in a covariate."""
+    x = sightings.quantities[name]
+    span = float(np.ptp(x))
+    if name in ("azimuth", "nest-direction"):
+        for order in (1.0, 2.0, 3.0) if few else (1.0, 2.0, 3.0, 4.0, 5.0, 6.0):
+            yield Driver("wave", (name,), constant=order)
+        if few:
+            return
+    yield simple(name, "power", 1.0)
+    if name in ANGULAR and name != "azimuth":
+        for function, order in (
+            ("sin", 1.0),
+            ("cos", 1.0),
+            ("sin", 2.0),
+            ("cos", 2.0),
+            ("sin", 3.0),
+            ("cos", 3.0),
+            ("tan", 1.0),
+        ):
+            yield simple(name, function, order)
+    yield simple(name, "power", 2.0)
+    if few:
+        return
+    yield simple(name, "power", 3.0)
+    if name in ("distance",):
+        yield simple(name, "power", -1.0)
+    if name.startswith("move-"):
+        yield simple(name, "abs")
+    for share in SHARES:
+        if name in ("station-time", "time", "lapse"):
+            yield simple(name, "decay", share * span)
+        if name.startswith("move-"):
+            yield simple(name, "saturated", share * span)
+
+
+def column_names(driver: Driver) -> list[str]:
+    """A word for each column of a driver."""
+    match driver.kind:
+        case "constant":
+            return ["constant"]
+        case "simple":
+            return [describe(driver)]
+        case "wave":
+            phase = _phase(driver)
+            return [f"cos({phase})", f"sin({phase})"]
+        case "field":
+            return ["everywhere", "with x", "with y", "with z"]
+        case "smooth":
+            return [f"curve {i + 1}" for i in range(driver.size)]
+    names = [""]
+    for factor in driver.factors:
+        part = column_names(factor)[: 4 if factor.kind == "smooth" else None]
+        names = [f"{a} {b}".strip() for a in names for b in part]
+    return names
+
+
+UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
+    ("distance", "horizontal", "height", "move-distance", "last-distance", "x", "y", "z"), "m"
+)
+
+
+def value_of(name: str, value: float, *, clock: bool = True) -> str:
+    """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
+    if name.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
+        return f"{np.degrees(value):.3g} deg"
+    if UNITS.get(name) == "s" and not clock:
+        return f"{value:.3g} rows"
+    if UNITS.get(name) == "s":
+        return f"{value / 60:.3g} min" if abs(value) >= 120 else f"{value:.3g} s"
+    if UNITS.get(name) == "m":
+        return f"{1e3 * value:.4g} mm" if abs(value) < 1 else f"{value:.3g} m"
+    return f"{value:.4g}"
+
+
+def _phase(driver: Driver) -> str:
+    name, rate = driver.covariates[0], driver.constant
+    if name.endswith(("azimuth", "elevation", "nest-direction")):
+        return name if rate == 1.0 else f"{rate:.4g} {name}"
+    return f"2 pi {name} / {value_of(name, 2 * np.pi / rate)}"
+
+
+def _wave_words(driver: Driver, clock: bool) -> str:
+    name, rate = driver.covariates[0], driver.constant
+    if name.endswith(("azimuth", "elevation", "nest-direction")):
+        return f"a wave in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
+    return f"a wave in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
+
+
+def describe(driver: Driver, *, clock: bool = True) -> str:
+    """A driver in words: ``tan(elevation)``, ``a smooth function of time``."""
+    name = driver.covariates[0] if driver.covariates else ""
+    k = driver.constant
+    match driver.kind:
+        case "constant":
+            return "constant"
+        case "smooth":
+            return f"a smooth function of {name}"
+        case "field":
+            return "the place in the room"
+        case "wave":
+            return _wave_words(driver, clock)
+        case "product":
+            return " times ".join(describe(f, clock=clock) for f in driver.factors)
+    match driver.function:
+        case "power":
+            return {1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
+        case "abs":
+            return f"|{name}|"
+        case "decay":
+            return f"exp(-{name} / {value_of(name, k, clock=clock)})"
+        case "saturated":
+            return f"saturation({name}, half at {value_of(name, k, clock=clock)})"
+        case "step" | "bend":
+            return f"{driver.function}({name} above {value_of(name, k, clock=clock)})"
+    return f"{driver.function}({'' if k == 1 else f'{k:.4g} '}{name})"
+
+
+def law_of(effect: Tunable) -> Law:
+    """An effect that is known to be a law."""
+    assert isinstance(effect, Law)
+    return effect
+
+
+_CLOCK = ("time", "station-time")
+NAMED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
+    (("vertical index",), _CLOCK, "index-drift"),
+    (("azimuth",), _CLOCK, "azimuth-drift"),
+    (("range scale",), _CLOCK, "refractivity-drift"),
+    (("distance", "reflector axially"), ("incidence",), "smr-incidence"),
+)
+"""Carriers and the covariate they follow smoothly, that the catalogue has a card for."""
+CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
+"""Carriers that a wave of a circle's graduation has."""
+FINE = 20.0
+"""Periods a turn from which a wave of a circle is one of its graduation, and no harmonic of its eccentricity."""
+DECAYING = ("decay", "power")
+
+
+def card_of(law: Law) -> str:
+    """The name that the catalogue has for a law; `unknown` where it has none."""
+    driver, carrier = law.driver, law.carrier.name
+    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > FINE:
+        return "encoder-interpolation"
+    if driver.kind == "simple" and driver.function in DECAYING:
+        for carriers, covariates, name in NAMED:
+            if carrier in carriers and driver.covariates[0] in covariates:
+                return name
+    return "unknown"
+
+
+def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Estimate, ...]:
+    """What a person asks of a law: amplitude and phase of a wave, the size of a constant, how far a curve swings."""
+    factor, unit = law.parameters[0].factor, law.carrier.unit
+    acts = law.mask(sightings) > 0
+    columns = law.driver.columns(sightings)[acts]
+    match law.driver.kind:
+        case "constant":
+            return (_estimate(law.carrier.name, mean[0], covariance[0, 0], factor, unit),)
+        case "wave":
+            size = float(np.hypot(*mean))
+            way = mean / max(size, 1e-300)
+            across = np.array([-way[1], way[0]])
+            phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
+            turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
+            amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(way @ covariance @ way), factor, unit)
+            return amplitude, Estimate("phase", phase, min(turn, 180.0), "deg")
+    values = columns @ mean
+    low, high = int(np.argmin(values)), int(np.argmax(values))
+    gap = columns[high] - columns[low]
+    return (_estimate("swing", float(gap @ mean), float(gap @ covariance @ gap), factor, unit),)
+
+
+def _estimate(name: str, value: float, variance: float, factor: float, unit: str) -> Estimate:
+    return Estimate(name, float(value) / factor, float(np.sqrt(max(variance, 0.0))) / factor, unit)
+
+
+CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
+"""Points at which a curve is written down, those of each cycle of a wave, and at most."""
+
+
+def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
+    """What the carrier does over the law's covariate, with its deviation; None where it follows several."""
+    driver = law.driver
+    if len(driver.covariates) != 1:
+        return None
+    x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
+    if driver.kind == "wave":
+        cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
+        at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
+        columns = np.sqrt(2.0) * np.stack([np.cos(driver.constant * at), np.sin(driver.constant * at)], axis=1)
+    else:
+        order = np.argsort(x, kind="stable")
+        chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
+        at, columns = x[chosen], driver.columns(sightings)[law.mask(sightings) > 0][chosen]
+    factor = law.parameters[0].factor
+    sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
+    values = columns @ mean
+    return Curve(
+        driver.covariates[0],
+        law.carrier.unit,
+        tuple(at.tolist()),
+        tuple((values / factor).tolist()),
+        tuple((sigma / factor).tolist()),
+    )

@@ -1,0 +1,79 @@
+"""Changes of the noise: told from each other and from scatter that repeats, in the same currency as laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.diagnose.evidence import PRIOR
+from ltsim.diagnose.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from tests.networks import network
+
+
+@pytest.fixture(scope="module")
+def repeated():
+    """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
+    recording, truth = network(repeats=3, seed=6)
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    return space, recording.station * len(recording.targets) + recording.target, bank
+
+
+def scattered(space, pair, *, shared):
+    """Residuals with scatter of 1.5 sigma, new at each pointing or `shared` by the repeats of a pair."""
+    rng = stream(1, "scatter")
+    count = int(space.use.sum())
+    own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
+    more = np.zeros((space.size, 1))
+    more[:count, 0] = 1.5 * (common if shared else own)[space.use]
+    return space.residual + space.project(more)[:, 0]
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
+    space, pair, bank = repeated
+    evidence = dict(
+        zip(bank.families, bank.family_evidence(scattered(space, pair, shared=shared)[:, None])[:, 0], strict=True)
+    )
+    more = evidence["unknown:noise:repeating"] - evidence["noise-level"]
+    assert more > 20.0 if shared else more < -20.0
+
+
+def test_what_looks_like_noise_may_still_be_a_law(repeated):
+    """Scatter alone is as good an explanation as a noise level; only the prior odds tell them apart."""
+    space, pair, bank = repeated
+    evidence = dict(
+        zip(bank.families, bank.family_evidence(scattered(space, pair, shared=False)[:, None])[:, 0], strict=True)
+    )
+    assert -6.0 < evidence["unknown:noise:scatter"] - evidence["noise-level"] < 0.0
+
+
+def test_quiet_residuals_are_no_law(repeated):
+    space, _, bank = repeated
+    evidence = dict(zip(bank.families, bank.family_evidence(0.6 * space.residual[:, None])[:, 0], strict=True))
+    assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
+
+
+def test_nothing_is_found_where_there_is_nothing(repeated):
+    """Each family's evidence is at most its prior, on average over recordings without any change."""
+    space, _, bank = repeated
+    white = space.project(stream(2, "white").standard_normal((space.size, 200)))
+    mean = np.log(np.exp(bank.family_evidence(white)).mean(axis=1).sum())
+    assert mean < np.log(PRIOR["noise"] + PRIOR["scatter"]) + 1.0
+
+
+def test_means_of_repeats_are_of_unit_variance(repeated):
+    space, _, _ = repeated
+    means = repeat_means(space)
+    assert means.shape[0] == int(space.use.sum()) // 3
+    np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
+
+
+def test_without_repeats_nothing_is_said():
+    recording, truth = network(repeats=1, seed=6)
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    assert repeat_means(space).shape[0] == 0

@@ -1,0 +1,173 @@
+"""Carriers, drivers, places: what is scored at once is what each law is worth alone."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.diagnose.cards import Cards
+from ltsim.diagnose.carriers import CARRIERS, carrier_designs
+from ltsim.diagnose.drivers import Driver, general_drivers, products, simple, smooth, waves
+from ltsim.diagnose.evidence import PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
+from ltsim.diagnose.law import Law, card_of, told_of
+from ltsim.diagnose.panels import panels
+from ltsim.diagnose.probe import Probe
+from ltsim.effects import find_effect
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def space() -> ResidualSpace:
+    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
+    return ResidualSpace.of(adjust(recording, misalignment()))
+
+
+@pytest.fixture(scope="module")
+def made(space):
+    """All panels, scored once."""
+    probe = Probe.of(space, 0, judged=True)
+    found = panels(space, PRIOR["law"])
+    return probe, found, [panel.score(probe) for panel in found]
+
+
+def alone(space: ResidualSpace, law: Law, residual: np.ndarray, extension: np.ndarray) -> float:
+    """Log evidence of a law by its own signature."""
+    left = space.project(space.signature(law))
+    left -= extension @ (extension.T @ left)
+    sizes = np.array([p.prior_sigma for p in law.parameters])
+    return posterior(left.T @ left, left.T @ residual, sizes)[2]
+
+
+def test_priors_sum_to_one(made):
+    assert sum(PRIOR.values()) == pytest.approx(1.0)
+    _, found, _ = made
+    hypotheses = (np.exp(p.log_prior).sum() * len(p.places) * sum(len(d.spreads) for d in p.drivers) for p in found)
+    assert sum(hypotheses) == pytest.approx(PRIOR["law"])
+
+
+def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
+    _, found, scored = made
+    nothing = np.zeros((space.size, 0))
+    for (hits, _, _), panel in zip(scored, found, strict=True):
+        for hit in (hits[0], hits[-1]):
+            scales = range(len(hit.driver.spreads))
+            laws = [Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale=k) for k in scales]
+            logs = np.array([alone(space, law, space.residual, nothing) for law in laws])
+            exact = log_average(logs) + hit.log_prior
+            assert hit.value == pytest.approx(float(exact), abs=0.02), (panel.carriers[0], hit)
+
+
+def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
+    probe, found, _ = made
+    law = Law((), (), CARRIERS["elevation"][0], simple("time", "power"))
+    extension = space.project(space.signature(law))
+    extension /= np.linalg.norm(extension)
+    residual = space.residual - extension @ (extension.T @ space.residual)
+    hits = [h for p in found for h in p.score(probe.beside(residual, extension))[0]]
+    same = [h for h in hits if h.carrier == law.carrier and h.driver == law.driver and not h.place.stations]
+    assert all(h.value < h.log_prior + 0.1 for h in same)
+
+
+def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
+    """Marginal likelihood ratios average to one where there is nothing."""
+    for _, _, null in made[2]:
+        assert log_average(null) - np.log(len(null)) < np.log(PRIOR["law"]) + 1.5
+
+
+def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
+    monkeypatch.setattr("ltsim.diagnose.probe.MOST_UNKNOWNS", 0)
+    probe = Probe.of(space, 0, judged=False)
+    assert probe.basis is None
+    effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
+    sampled = Cards.of(space, effects)
+    sampled.score(probe)
+    monkeypatch.undo()
+    exact = Cards.of(space, effects)
+    exact.score(Probe.of(space, 0, judged=False))
+    for one, other in zip(sampled.groups, exact.groups, strict=True):
+        np.testing.assert_allclose(one.gram, other.gram, rtol=0.35)
+
+
+def test_evidence_is_that_of_the_dense_covariance():
+    """log N(r; 0, 1 + t^2 G G') - log N(r; 0, 1), averaged over sizes, by determinants."""
+    rng = stream(4, "dense")
+    signature, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
+    logs = []
+    for t in SIZES:
+        covariance = np.eye(12) + t**2 * signature @ signature.T
+        quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
+        logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
+    gram = signature.T @ signature
+    found = posterior(gram, signature.T @ residual, np.ones(2))
+    single = [log_average(np.array([log])) for log in logs]
+    assert min(single) < found[2] < max(single)
+    strength, turn = np.linalg.eigh(gram)
+    assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
+
+
+def test_a_negative_thickness_is_no_explanation():
+    assert sign_weight(3.0, 1.0) == pytest.approx(np.log(2.0), abs=0.01)
+    assert sign_weight(-5.0, 1.0) < -10.0
+
+
+def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(space):
+    words = {
+        "time",
+        "azimuth",
+        "elevation",
+        "distance",
+        "incidence",
+        "height",
+        "place",
+        "temperature",
+        "approach",
+        "face",
+    }
+    drivers = [*general_drivers(space.sightings), *products(space.sightings), *list(waves(space.sightings))[::50]]
+    for driver in drivers:
+        columns = driver.columns(space.sightings)
+        assert columns.shape == (len(space.sightings), driver.size)
+        assert np.isfinite(columns).all()
+        assert set(driver.told) <= words | set(space.sightings.covariates)
+        spread = np.sqrt(((columns * driver.spreads[0]) ** 2).sum(axis=1).mean())
+        assert 0.2 < spread < 2.0, driver
+
+
+def test_carriers_are_derivatives_of_the_readings(space):
+    designs = carrier_designs(space.sightings)
+    assert "vertical index" in designs  # two faces tell it from the elevation
+    assert set(designs) <= set(CARRIERS)
+    for name, (carrier, design) in designs.items():
+        assert design.shape == (len(space.sightings), 3)
+        assert np.isfinite(design).all(), name
+        if len(carrier.observables) == 1:
+            column = ("distance", "azimuth", "elevation").index(carrier.observables[0])
+            assert (design[:, column] ** 2).sum() > 0.6 * (design**2).sum(), name
+
+
+def test_laws_are_effects_like_any_other(space):
+    law = Law(("S2",), (), CARRIERS["vertical index"][0], smooth("station-time"))
+    assert pickle.loads(pickle.dumps(law)) == law
+    design = law.design(space.sightings)
+    assert design.shape == (len(space.sightings), 3, len(law.parameters))
+    assert not design[space.sightings.station != 1].any()
+    short = law.formulas(space.sightings)
+    assert {d.driver.function for d in short} >= {"power", "decay"}
+    assert card_of(Law((), (), law.carrier, simple("station-time", "decay", 900.0))) == "index-drift"
+    wave = Law((), (), CARRIERS["elevation"][0], Driver("wave", ("elevation",), constant=107.35))
+    assert card_of(wave) == "encoder-interpolation"
+    assert card_of(law) == "unknown"
+
+
+def test_a_wave_is_told_by_amplitude_and_phase(space):
+    wave = Law((), (), CARRIERS["distance"][0], Driver("wave", ("azimuth",), constant=3.0))
+    amplitude, phase = told_of(wave, space.sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))
+    assert amplitude.value == pytest.approx(5.0 * np.sqrt(2.0))
+    assert amplitude.sigma == pytest.approx(0.1 * np.sqrt(2.0))
+    assert (phase.value, phase.unit) == (pytest.approx(53.13, abs=0.01), "deg")
