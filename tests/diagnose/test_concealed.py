@@ -118,7 +118,7 @@ def test_drawn_shapes_lie_between_the_points_of_the_search() -> None:
     assert all(min(tried) <= c <= max(tried) for c in constants)
 
 
-@pytest.mark.parametrize("laws", ["first", "later", "latest", "last"])
+@pytest.mark.parametrize("laws", ["first", "later", "latest", "last", "newest"])
 def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: Any) -> None:
     scene = draw_scene(stream(2, "laws"))
     sightings = space_of([], scene).sightings
@@ -134,7 +134,9 @@ def test_no_invented_law_is_in_the_catalogue_and_each_acts_where_it_says(laws: A
     assert acting >= 8
 
 
-@pytest.mark.parametrize(("laws", "count"), [("first", 16), ("later", 16), ("latest", 20), ("last", 20)])
+@pytest.mark.parametrize(
+    ("laws", "count"), [("first", 16), ("later", 16), ("latest", 20), ("last", 20), ("newest", 24)]
+)
 def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any, count: int) -> None:
     """Some need a column, two faces or fixed reflectors, so that one workshop does not serve them all."""
     missing = set(SETS[laws])
@@ -158,15 +160,17 @@ def test_every_invented_law_of_a_set_is_drawn_and_seen(laws: Any, count: int) ->
 
 def test_the_set_of_laws_changes_what_is_drawn_and_no_name(root: Path, tmp_path: Path) -> None:
     folder = root / "experiments" / "20_concealed_physics"
-    chosen = {name: {c.laws for c in read_plan(folder / f"{name}.toml")} for name in ("quick", "seventh", "full")}
-    assert chosen == {"quick": {"first"}, "seventh": {"last"}, "full": {"later"}}
+    chosen = {
+        name: {c.laws for c in read_plan(folder / f"{name}.toml")} for name in ("quick", "seventh", "tenth", "full")
+    }
+    assert chosen == {"quick": {"first"}, "seventh": {"last"}, "tenth": {"newest"}, "full": {"later"}}
     one, other = Case(3, "unknown", 200, 1, "first"), Case(3, "unknown", 200, 1, "later")
     assert (one.name, one.key) == (other.name, other.key)
     scene = draw_scene(stream(6, "sets"))
     sightings = sightings_of(scene.recording, scene.state)
     each = [*SETS["first"], *SETS["later"], *SETS["latest"], *SETS["last"]]
-    assert len(set(each)) == len(each)
     assert set(SETS["all"]) == set(each)
+    assert len({*each, *SETS["newest"]}) == len(each) + len(SETS["newest"]) == len(ALL)
     assert {draw_invented(sightings, stream(6, n), "first").law in SETS["first"] for n in range(30)} == {True}
     plan = tmp_path / "plan.toml"
     plan.write_text('seed = 1\nlaws = "none"\n', encoding="utf-8")

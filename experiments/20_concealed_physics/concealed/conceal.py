@@ -33,6 +33,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, MILLIMETRE
 
 from .hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
+from .invented import Invented
 from .plan import Case
 from .workshop import GAUGE_SIGMA, Scene, draw_scene
 
@@ -218,6 +219,7 @@ def _entry(hidden: Hidden, space: ResidualSpace) -> dict[str, Any]:
         "shape": felt,
         "size": hidden.size,
         "strength": strength(space, hidden),
+        "words": effect.words if isinstance(effect, Invented) else {},
     }
 
 

@@ -12,19 +12,20 @@ from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_r
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
-from .laws import first, last, later, latest
+from .laws import first, last, later, latest, newest
 
-Laws = Literal["first", "later", "latest", "last", "all"]
-"""Which of the invented laws are drawn."""
+Laws = Literal["first", "later", "latest", "last", "newest", "all"]
+"""Which of the invented laws are drawn; all: those of the first four sets, so that its recordings stay the same."""
 
-SETS_OF_LAWS = {"first": first, "later": later, "latest": latest, "last": last}
+SETS_OF_LAWS = {"first": first, "later": later, "latest": latest, "last": last, "newest": newest}
 ALL = {name: law for part in SETS_OF_LAWS.values() for name, law in part.LAWS.items()}
 SETS: dict[Laws, tuple[str, ...]] = {
     "first": tuple(first.LAWS),
     "later": tuple(later.LAWS),
     "latest": tuple(latest.LAWS),
     "last": tuple(last.LAWS),
-    "all": tuple(ALL),
+    "newest": tuple(newest.LAWS),
+    "all": tuple(name for name in ALL if name not in newest.LAWS),
 }
 AT_A_STATION = set().union(*(part.AT_A_STATION for part in SETS_OF_LAWS.values()))
 OF_NEIGHBOURS = set().union(*(part.OF_NEIGHBOURS for part in SETS_OF_LAWS.values()))
@@ -50,6 +51,14 @@ class Invented(Effect):
         object.__setattr__(self, "covariates", covariates)
         if observable != "place":
             object.__setattr__(self, "observables", (observable,))
+        elif self.law in newest.WORDS:
+            object.__setattr__(self, "observables", newest.WORDS[self.law].observables)
+
+    @property
+    def words(self) -> dict[str, str]:
+        """Carrier, driver and place of a law whose set tells them."""
+        told = newest.WORDS.get(self.law)
+        return {"carrier": told.carrier, "driver": told.driver, "place": told.place or "everywhere"} if told else {}
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of size."""

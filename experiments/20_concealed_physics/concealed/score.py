@@ -122,6 +122,7 @@ def _unknown(truth: dict[str, Any], findings: list[dict[str, Any]]) -> Row:
     row: Row = {"nearest_known": nearest["effect"], "nearest_share": nearest["share"], "called_unknown": False}
     row.update(law=effect["parameters"][0]["name"], observable_right=False, wrong_name=False)
     row["law"] = effect["text"].partition("law='")[2].partition("'")[0]
+    row.update({f"true_{what}": told for what, told in effect.get("words", {}).items()})
     if not findings:
         return row
     first = findings[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,15 @@ from ltsim.scene.sightings import Sightings
 
 Law = Callable[[Sightings, Floats], Floats]
 """Correction (n,) per unit of size at constants (5,), each uniform between 0 and 1; or displacement (n, 3)."""
+
+
+class Words(NamedTuple):
+    """What a law turns or moves, what that follows, and where; empty: everywhere, or as the law's observable says."""
+
+    carrier: str
+    driver: str
+    place: str = ""
+    observables: tuple[str, ...] = ()
 
 
 def turn(u: float) -> float:
