@@ -158,9 +158,9 @@ class Signature(Protocol):
         return acts.astype(np.float64)
 
 
-def _among(values: Ints, known: Mapping[str, int], names: Sequence[str]) -> Bools:
+def _among(values: Ints, known: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
     """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
-    ids = [known[name] for name in names if name in known]
+    ids = [i for name in names for i in known.get(name, ())]
     among: Bools = values == ids[0] if len(ids) == 1 else np.isin(values, ids)
     return among
 

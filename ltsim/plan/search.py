@@ -189,7 +189,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
-            if value > before * (1 - LEAST_IMPROVEMENT):
+            if not value < before * (1 - LEAST_IMPROVEMENT):
                 break
         return layout, value
 
@@ -205,7 +205,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
-            if value > before * (1 - LEAST_IMPROVEMENT):
+            if not value < before * (1 - LEAST_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -71,14 +71,14 @@ class Sightings:
         return replace(self, position=position, rotation=rotation, points=points, encoder=None)
 
     @cached_property
-    def station_ids(self) -> dict[str, int]:
-        """Places of the names of stations."""
-        return {name: i for i, name in enumerate(self.station_names)}
+    def station_ids(self) -> dict[str, list[int]]:
+        """Places of each name of a station: several where candidates for one station are looked at together."""
+        return _places(self.station_names)
 
     @cached_property
-    def target_ids(self) -> dict[str, int]:
-        """Places of the names of targets."""
-        return {name: i for i, name in enumerate(self.target_names)}
+    def target_ids(self) -> dict[str, list[int]]:
+        """Places of each name of a target."""
+        return _places(self.target_names)
 
     @cached_property
     def arm(self) -> Floats:
@@ -261,3 +261,11 @@ class Sightings:
     def incidence_direction(self) -> Floats:
         """(n,) [rad]: where the station lies around the nest's normal, 0 along the open face's horizontal."""
         return self._nest[1]
+
+
+def _places(names: Sequence[str]) -> dict[str, list[int]]:
+    """Where each name stands."""
+    found: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        found.setdefault(name, []).append(i)
+    return found
