@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,12 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.diagnose.detect import Detection, _statistic, detect, noise_prior
+from ltsim.diagnose.detect import Detection, detect
+from ltsim.diagnose.evidence import log_average
+from ltsim.diagnose.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnose.probe import Probe
+from ltsim.diagnose.search import Searcher
+from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
@@ -24,18 +29,17 @@ class Search:
 
     def __init__(self, faces: int) -> None:
         recording, _ = network(values=drawn(misalignment(), 1), seed=1, faces=faces)
-        diagnose = importlib.import_module("ltsim.diagnose.diagnose")
-        self.space: ResidualSpace
-        self.space, self.searcher, self.noise = diagnose._prepare(adjust(recording, misalignment()))
-        self.detection: Detection = detect(self.searcher, self.noise, 0)
+        self.space = ResidualSpace.of(adjust(recording, misalignment()))
+        self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
+        self.detection: Detection = detect(Searcher(self.space, 0), self.noise)
 
     def families(self) -> Iterator[list[Effect]]:
-        """All places and shapes of each effect."""
-        found: dict[str, list[Effect]] = {}
-        for hypothesis in self.searcher.bank.hypotheses:
-            if hypothesis.known:
-                found.setdefault(hypothesis.effect.name, []).append(hypothesis.effect)
-        yield from found.values()
+        """All places and shapes of each effect beyond the ordinary calibration."""
+        ordinary = {type(effect) for effect in BASELINE}
+        for kind in CATALOGUE:
+            places = [] if kind in ordinary else list(kind.candidates(self.space.sightings))
+            if places:
+                yield places
 
     def shift(self, places: list[Effect]) -> Floats | None:
         """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none."""
@@ -55,10 +59,16 @@ class Search:
         """Share of recordings with it whose search is above the threshold."""
         white = stream(11, "power").standard_normal((self.space.size, trials))
         residual = self.space.project(white) + shift[:, None]
-        mean = self.searcher.bank.simulated_evidence(residual) + self.searcher.prior[:, None]
-        ratio = self.noise.log_likelihood_ratio(residual)
-        noise = self.noise.family_evidence(ratio) + noise_prior(self.noise)[:, None]
-        return float(np.mean(_statistic(mean, noise) > self.detection.threshold(LEVEL)))
+        usual = Probe.of
+        with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
+            patch.setattr(
+                Probe,
+                "of",
+                staticmethod(lambda *given, **how: replace(usual(*given, **how), trials=residual.astype(np.float32))),
+            )
+            scored = Searcher(self.space, 0).first.null
+        statistic = np.logaddexp(log_average(self.noise.family_evidence(residual)), scored)
+        return float(np.mean(statistic > self.detection.threshold(LEVEL)))
 
 
 @pytest.fixture(scope="module")

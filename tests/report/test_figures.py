@@ -144,6 +144,14 @@ def displacements() -> Figure:
     return figures.displacements(1e3 * draws[0], 20 * draws[1], np.full((6, 3), 15.0), moved, ["T1"] * 5 + [MARKUP])
 
 
+def driver_curve() -> Figure:
+    at = np.linspace(-0.6, 0.9, 40)
+    return figures.driver_curve(
+        at, 3.0 * np.sin(3 * at), np.full(40, 0.4), covariate="elevation", carrier="distance", unit="um",
+        residuals=residuals()[0],
+    )  # fmt: skip
+
+
 def coverage() -> Figure:
     draws = stream(2, "figure").standard_normal((5, 400))
     return figures.coverage([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
@@ -152,7 +160,8 @@ def coverage() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        budget, by_setting, check, correlation, coverage, criteria, displacements, distributions, evidence,
+        budget, by_setting, check, correlation, coverage, criteria, displacements, distributions,
+        driver_curve, evidence,
         floor_plan, history, parameters, power,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
     )
