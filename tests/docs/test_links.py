@@ -13,7 +13,7 @@ FOLDERS = ("docs", "experiments", "benchmarks", "results")
 PAGES = [ROOT / "README.md", *(p for folder in FOLDERS for p in sorted((ROOT / folder).rglob("*.md")))]
 OWN = [p for p in PAGES if p.relative_to(ROOT).parts[0] in ("README.md", "docs")]
 LINK = re.compile(r"\]\(<?([^)>\s]+)>?\)|^```\{(?:include|literalinclude|figure|image)\} (\S+)", re.MULTILINE)
-OUTSIDE = re.compile(r"(?:\.\./)*shared/|physics\.md|interface\.md|mission\.md|/work/")
+OUTSIDE = re.compile(r"(?:\.\./)*shared/|physics\.md|interface\.md|mission\.md")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.relative_to(ROOT).as_posix())
