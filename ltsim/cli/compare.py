@@ -54,7 +54,7 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.adjust import adjust
-    from ltsim.model.construction import ideal, misalignment
+    from ltsim.model.construction import ideal, stated_construction
     from ltsim.uncertainty.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
     from ltsim.uncertainty.epochs import compare as compared
 
@@ -65,7 +65,7 @@ def compare(
         recording = recording_of(path, format_name, hint, columns)
         show_notes(terminal, recording)
         terminal.say(recording_line(recording))
-        epochs.append(adjust(recording, misalignment() if calibrate else ideal(), robust=robust))
+        epochs.append(adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust))
         epochs[-1].solution.require_success()
     first, later = epochs
     found = compared(first, later, stable=names_of(stable), scaled=scale, same_instrument=same_instrument, level=level)

@@ -72,10 +72,6 @@ def percent(probability: float) -> str:
     return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
-SCATTER = ("noise", "larger", "amounts")
-"""How what is told of scatter begins; it is no law of the mean."""
-
-
 def finding_sentence(
     effect: str,
     where: Where,

@@ -17,7 +17,7 @@ from ltsim.arrays import Floats, Ints
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.model.construction import ideal, misalignment
+from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.uncertainty.spec import Tasks, TypeB
 from ltsim.units import FACTOR
@@ -89,7 +89,7 @@ class Inputs:
         ModelError, SetupError
             When a target or an effect does not exist.
         """
-        construction = misalignment() if tasks.calibrate else ideal()
+        construction = stated_construction(recording) if tasks.calibrate else ideal()
         found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
         found.solution.require_success()
         names = tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))

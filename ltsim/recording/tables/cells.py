@@ -41,11 +41,6 @@ def is_value(text: str) -> bool:
     return is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None
 
 
-def is_sexagesimal(text: str) -> bool:
-    """Whether a cell is an angle in degrees, minutes and seconds."""
-    return _SEXAGESIMAL.fullmatch(text.strip()) is not None
-
-
 def value(text: str) -> Decimal | None:
     """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none."""
     number = plain(text)
