@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ltsim.api.pages import report, view
     from ltsim.api.planning import next_measurement, plan
     from ltsim.api.recovering import recover
-    from ltsim.api.tasks import check, compare, uncertainty
+    from ltsim.api.tasks import accept, check, compare, uncertainty
     from ltsim.api.workshop import scenario, simulate
 
     __version__: str
@@ -44,6 +44,7 @@ _HOME = {
     "view": "pages",
     "report": "pages",
     "catalogue": "catalogue",
+    "accept": "tasks",
     "check": "tasks",
     "compare": "tasks",
     "uncertainty": "tasks",
@@ -51,6 +52,7 @@ _HOME = {
 """The module of `ltsim.api` in which each function is written."""
 
 __all__ = [
+    "accept",
     "adjust",
     "calibrate",
     "campaign",

@@ -42,6 +42,7 @@ VERBS = {
     "plan": "find a layout of stations and reflectors, or what to measure next",
     "report": "one page that opens offline, about any folder of results",
     "uncertainty": "what a task on a recording is worth: budget, verdict",
+    "accept": "acceptance tests of a tracker: predicted, or judged",
     "view": "show the workshop in 3D",
 }
 SETTINGS: dict[str, Any] = {

@@ -38,6 +38,8 @@ HEADLINES = {
     ("Diagnosis", "bad"): "Something is wrong with this recording.",
     ("History", "good"): "The instrument has not changed.",
     ("History", "bad"): "The instrument has changed.",
+    ("Acceptance", "good"): "The limits are kept.",
+    ("Acceptance", "bad"): "The limits are not kept.",
     ("Comparison", "good"): "No point moved.",
     ("Comparison", "bad"): "Points moved.",
 }

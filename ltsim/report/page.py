@@ -21,6 +21,7 @@ from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import About
 from ltsim.report.actions import MOST, actions_of, headline
 from ltsim.report.document import POLICY, Detail, Document, Section
+from ltsim.report.sections.acceptance import acceptance_section
 from ltsim.report.sections.calibration import calibration_section
 from ltsim.report.sections.check import check_section
 from ltsim.report.sections.comparison import comparison_section
@@ -57,6 +58,7 @@ KINDS: dict[str, Builder] = {
     "uncertainty.json": lambda part, _, __: uncertainty_section(part.folder),
     "check.json": lambda part, _, __: check_section(part.folder),
     "comparison.json": lambda part, _, __: comparison_section(part.folder),
+    "accept.json": lambda part, _, __: acceptance_section(part.folder),
     "next.json": lambda part, _, __: next_section(part.folder),
     "manifest.json": lambda part, _, __: _campaign_section(part.folder),
 }

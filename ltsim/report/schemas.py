@@ -12,6 +12,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from ltsim.acceptance import files as acceptance
+from ltsim.acceptance.spec import Acceptance
 from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile, HistoryFile
 from ltsim.campaign.schema import SUMMARY, ManifestFile, RecoveryFile, trials_table
 from ltsim.campaign.spec import Campaign
@@ -42,6 +44,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     uncertainty.UncertaintyFile,
     comparison.ComparisonFile,
     checks.CheckFile,
+    acceptance.AcceptanceFile,
 )
 """Files that verbs write and the report reads."""
 
@@ -53,6 +56,7 @@ FILES: dict[str, type[BaseModel]] = {
     "campaign.toml": Campaign,
     "plan.toml": PlanFile,
     "tasks.toml": Tasks,
+    "acceptance.toml": Acceptance,
 }
 """Every file with a model, those that people write among them."""
 
@@ -66,6 +70,7 @@ TABLES: dict[str, tuple[ResultTable, ...]] = {
     checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
+    acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
     RecoveryFile.FILE: (trials_table(("PARAMETER",)),),
 }
 """The tables beside each file."""

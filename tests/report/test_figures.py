@@ -11,9 +11,12 @@ import pytest
 from matplotlib import image
 from matplotlib.figure import Figure
 
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.acceptance.specification import SHEETS
 from ltsim.check.check import check as check_of
 from ltsim.randomness import stream
 from ltsim.report import figures, style
+from ltsim.report.figures.acceptance import shares_of_limits
 from ltsim.report.figures.history import Course, history_figure, told_apart
 from ltsim.report.residuals import Residuals
 from ltsim.report.workshop import from_adjustment
@@ -51,6 +54,34 @@ def history() -> Figure:
     values = np.array([1.0, 2.0, 1.5])
     courses = [Course(f"parameter-{i}", "urad", labels, values * (i + 1), np.full(3, 0.3), 1.5, 0.5) for i in range(3)]
     return history_figure(courses)
+
+
+def acceptance() -> Figure:
+    groups = ("bar", MARKUP)
+    tests = [
+        {
+            "name": f"{g} {i}",
+            "group": g,
+            "limit_um": 40.0,
+            "error_um": 15.0 * i,
+            "expanded_um": 8.0,
+            "passes": float(i < 3),
+        }
+        for g in groups
+        for i in range(4)
+    ]
+    content = AcceptanceFile.model_validate(
+        {
+            "kind": "measured",
+            "plan": "mine",
+            "specification": SHEETS["leica-at500"],
+            "passes": 0,
+            "sentence": "",
+            "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],
+            "tests": tests,
+        }
+    )
+    return shares_of_limits(content)
 
 
 def criteria() -> Figure:
@@ -160,7 +191,7 @@ def coverage() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        budget, by_setting, check, correlation, coverage, criteria, displacements, distributions,
+        acceptance, budget, by_setting, check, correlation, coverage, criteria, displacements, distributions,
         driver_curve, evidence,
         floor_plan, history, parameters, power,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,

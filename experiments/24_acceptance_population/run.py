@@ -1,0 +1,101 @@
+"""Whom do the acceptance tests let pass? A population of trackers, good and bad, against the errors of their points."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.common import Made, Options, tell, write_figure, write_table
+from ltsim.acceptance.prediction import Plan, harm_of
+from ltsim.acceptance.specification import SHEETS
+from ltsim.acceptance.tests import STANDARDS, builtin, envelope
+from ltsim.arrays import Bools, Floats
+from ltsim.geometry.polar import to_polar
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.report.style import CYCLE, INK, new_figure, styled
+
+SHEET = "leica-at500"
+TRIALS, SEED, BLOCK = 40_000, 24, 1000
+SPREAD = 0.5, 8.0
+"""Constants of an instrument over what its maker's limits imply: drawn evenly in the logarithm between these."""
+EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, np.inf)
+"""Of the largest point error over its limit."""
+
+
+def drawn(plans: dict[str, Plan], trials: int) -> tuple[Floats, dict[str, Bools]]:
+    """Largest point error over its limit (trials,), and whether each instrument passes each plan (trials,)."""
+    sheet = SHEETS[SHEET]
+    stated = sheet.instrument()
+    built = next(iter(plans.values())).construction
+    prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
+    points = envelope()
+    harm = harm_of(built, points, prior)
+    range_ = to_polar(points)[:, 0]
+    limit = np.hypot(np.sqrt(2) * sheet.across(range_), sheet.along(range_))
+    shares, passed = [], {name: [] for name in plans}  # type: ignore[var-annotated]
+    for start in range(0, trials, BLOCK):
+        rng = stream(SEED, "population", start)
+        size = np.exp(rng.uniform(*np.log(SPREAD), BLOCK))
+        units = rng.standard_normal((BLOCK, built.size)) * size[:, None]
+        gaps = np.linalg.norm((units @ harm.T).reshape(BLOCK, -1, 3), axis=2)
+        shares.append(np.max(gaps / limit, axis=1))
+        for name, plan in plans.items():
+            errors = np.einsum("kip,np->nki", plan.sensitivities * prior, units)
+            noise = rng.standard_normal(errors.shape) * plan.scatter
+            passed[name].append(plan.within(errors + noise).all(axis=1))
+    return np.concatenate(shares)[:trials], {name: np.concatenate(p)[:trials] for name, p in passed.items()}
+
+
+@styled
+def pass_curves(rows: list[dict[str, Any]], names: list[str]) -> Figure:
+    """Share that passes against the largest point error, with 95 % intervals."""
+    figure = new_figure(2.9)
+    ax = figure.subplots()
+    middle = np.arange(len(rows))
+    for i, name in enumerate(names):
+        share, error = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("", "_uncertainty"))
+        ax.errorbar(middle, share, 1.96 * error, color=CYCLE[i], marker="os^"[i], ms=4, capsize=2, label=name)
+    ax.axvline(EDGES.index(1.0) - 0.5, color=INK, lw=0.8, ls="--")
+    ax.set_xticks(middle, [row["error_over_limit"] for row in rows])
+    ax.set_xlabel("largest point error over its limit (dashed: the limit)")
+    ax.set_ylabel("pass every test [%]")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    return figure
+
+
+def run(options: Options) -> Made:
+    """The table is population.csv, the picture population.svg."""
+    noise = SHEETS[SHEET].instrument().noise
+    plans = {
+        name: Plan(tuple(builtin(name, 1.5, (2.0, 6.0, 12.0, 18.0, 24.0, 30.0))), misalignment(), SHEETS[SHEET], noise)
+        for name in STANDARDS
+    }
+    trials = options.trials or TRIALS
+    share, passed = drawn(plans, trials)
+    passed["both"] = np.logical_and.reduce(list(passed.values()))
+    rows: list[dict[str, Any]] = []
+    for low, high in pairwise(EDGES):
+        mine = (share >= low) & (share < high)
+        count = int(mine.sum())
+        row: dict[str, Any] = {
+            "error_over_limit": f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}",
+            "instruments": count,
+        }
+        for name, good in passed.items():
+            rate = float(good[mine].mean()) if count else float("nan")
+            row[name] = round(100 * rate, 2)
+            row[f"{name}_uncertainty"] = round(100 * float(np.sqrt(max(rate * (1 - rate), 1 / count) / count)), 2)
+        rows.append(row)
+    write_table(options.out / "population.csv", rows)
+    write_figure(options.out / "population.svg", pass_curves(rows, list(passed)))
+    bad = share > 1.0
+    for name, good in passed.items():
+        tell(
+            f"{name}: {100 * good[~bad].mean():.1f} % of the {int((~bad).sum())} good instruments pass, "
+            f"{100 * good[bad].mean():.1f} % of the {int(bad.sum())} whose points err by more than the limit"
+        )
+    return Made(seed=SEED, trials=trials, more={"specification": SHEET, "spread": list(SPREAD)})

@@ -1,0 +1,161 @@
+"""Errors that were measured, against the maker's limits: of calibrated lengths, or of one's own network."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.acceptance.specification import Specification
+from ltsim.acceptance.tests import Test
+from ltsim.adjust import adjust
+from ltsim.arrays import Floats
+from ltsim.errors import NetworkError, SetupError, unknown_name
+from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
+from ltsim.model.construction import stated_construction
+from ltsim.recording.files import read_text, shown
+from ltsim.recording.recording import Recording
+from ltsim.units import MICROMETRE
+
+RATIO = 4.0
+"""Limit over expanded uncertainty from which an error is accepted as it is (simple acceptance, ASME B89.7.3.1)."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where nobody said it."""
+
+    name: str
+    group: str
+    error: float
+    limit: float
+    expanded: float = float("nan")
+
+    @property
+    def passed(self) -> bool:
+        """Whether the limit is kept."""
+        return abs(self.error) <= self.limit
+
+    @property
+    def sharp(self) -> bool:
+        """Whether the uncertainty is small enough to judge by the error alone."""
+        return not self.expanded * RATIO > self.limit
+
+
+def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Found]:
+    """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
+
+    Raises
+    ------
+    SetupError
+        When a test is none of the plan or stands there twice, or a field is no number.
+    """
+    reader = csv.DictReader(io.StringIO(read_text(file)), restval="")
+    missing = [name for name in ("test", "error_um") if name not in (reader.fieldnames or ())]
+    if missing:
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected test,error_um,U_um")
+    place = {test.name: i for i, test in enumerate(tests)}
+    found: dict[str, Found] = {}
+    for number, row in enumerate(reader, start=1):
+        name = row["test"].strip()
+        if name not in place:
+            raise SetupError(f"{file}: row {number}: {unknown_name('test', name, place)}")
+        if name in found:
+            raise SetupError(f"{file}: row {number}: test '{shown(name)}' stands there twice; give its largest error")
+        numbers = [_number(row.get(c) or "", c, number, file) for c in ("error_um", "U_um")]
+        if not np.isfinite(numbers[0]):
+            raise SetupError(f"{file}: row {number}: error_um is empty, expected micrometres")
+        i = place[name]
+        found[name] = Found(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
+    if not found:
+        raise SetupError(f"{file}: holds no error, expected a row a test")
+    return list(found.values())
+
+
+def _number(text: str, column: str, row: int, file: Path) -> float:
+    try:
+        return float(text) if text.strip() else float("nan")
+    except ValueError:
+        raise SetupError(f"{file}: row {row}: {column} is '{shown(text)}', expected micrometres") from None
+
+
+def by_network(recording: Recording, specification: Specification) -> list[Found]:
+    """Lengths of a network as each station reads them, against the network's own, and differences of two faces.
+
+    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what
+    a station reads between two targets, as read and in one face, is then compared with these.
+
+    Raises
+    ------
+    NetworkError
+        When the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
+
+    References
+    ----------
+    Wang, Muralikrishnan, Icasio Hernandez, Shakarji, Sawyer, Measurement 165 (2020) 108165.
+    """
+    if len(recording.stations) < 2:
+        raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
+    found = adjust(recording, stated_construction(recording)).in_inner_datum()
+    found.solution.require_success()
+    points, covariance = found.state.points, found.target_covariance
+    whole = recording.measured.all(axis=1) & ~found.gross
+    errors: list[Found] = []
+    for s, station in enumerate(recording.stations):
+        front, back = (
+            _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
+        )
+        errors += _lengths(station, recording.targets, front or back, points, covariance, specification)
+        both = sorted(front.keys() & back.keys())
+        for t in both:
+            error = _across(front[t] - back[t], front[t])
+            limit = float(specification.of_two_faces(front[t][None])[0])
+            errors.append(Found(f"{station}: {recording.targets[t]}", "two-face", error, limit))
+    if not errors:
+        raise NetworkError("no station measured two whole targets; a length needs both ends")
+    return errors
+
+
+def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
+    """Mean points (3,) [m] in the instrument's frame of the targets in some rows, as read."""
+    seen = from_polar(recording.readings[rows])
+    targets = recording.target[rows]
+    return {int(t): seen[targets == t].mean(axis=0) for t in np.unique(targets)}
+
+
+def _lengths(
+    station: str,
+    names: Sequence[str],
+    seen: dict[int, Floats],
+    points: Floats,
+    covariance: Floats,
+    specification: Specification,
+) -> list[Found]:
+    pairs = np.array(list(combinations(sorted(seen), 2)), dtype=np.int64).reshape(-1, 2)
+    pairs = pairs[np.isfinite(points[pairs]).all(axis=(1, 2))]
+    if not len(pairs):
+        return []
+    first, second = (np.array([seen[int(t)] for t in ends]) for ends in pairs.T)
+    way = points[pairs[:, 1]] - points[pairs[:, 0]]
+    length = np.linalg.norm(way, axis=1)
+    direction = way / length[:, None]
+    both = covariance[pairs[:, 0]] + covariance[pairs[:, 1]]
+    expanded = 2 * np.sqrt(np.einsum("ki,kij,kj->k", direction, both, direction))
+    error = np.linalg.norm(second - first, axis=1) - length
+    limit = specification.of_lengths(first, second)
+    named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
+    return [
+        Found(name, f"lengths from {station}", float(e), float(m), float(u))
+        for name, e, m, u in zip(named, error, limit, expanded, strict=True)
+    ]
+
+
+def _across(gap: Floats, point: Floats) -> float:
+    polar = to_polar(point[None])
+    _, left, up = unit_vectors(polar[:, 1], polar[:, 2])
+    return float(np.hypot(gap @ left[0], gap @ up[0]))

@@ -1,0 +1,241 @@
+"""What an instrument's constants and noise do to the tests: errors, sensitivities, chance to pass, blind directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.acceptance.specification import Specification
+from ltsim.acceptance.tests import Test
+from ltsim.arrays import Bools, Floats
+from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.model.construction import Construction
+from ltsim.randomness import stream
+from ltsim.recording.setup import Noise
+from ltsim.units import ARCSECOND, MILLIMETRE, PPM
+
+UNSEEN = 1e-6
+"""Share of a limit that a constant of usual size makes by rounding alone."""
+PLAUSIBLE = 3.0
+"""Prior standard deviations within which an instrument is looked for that passes although it is bad."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Tests of an instrument of one construction, with their limits.
+
+    Attributes
+    ----------
+    tests : tuple of Test
+    construction : Construction
+    specification : Specification
+    noise : Noise
+    """
+
+    tests: tuple[Test, ...]
+    construction: Construction
+    specification: Specification
+    noise: Noise
+
+    @cached_property
+    def _ends(self) -> tuple[Floats, Floats]:
+        return np.array([t.first for t in self.tests]), np.array([t.second for t in self.tests])
+
+    @cached_property
+    def is_length(self) -> Bools:
+        """(k,): lengths; the others are two-face tests."""
+        return np.array([t.kind == "length" for t in self.tests])
+
+    @cached_property
+    def limits(self) -> Floats:
+        """(k,) [m]: what the specification permits."""
+        first, second = self._ends
+        limit = self.specification.of_two_faces(first)
+        chosen = self.is_length
+        limit[chosen] = self.specification.of_lengths(first[chosen], second[chosen])
+        return limit
+
+    def errors(self, values: Floats) -> Floats:
+        """Errors (k, 2) [m] of the tests by an instrument with constants (p,) [SI], without noise; exact.
+
+        Of a length: measured minus true, and 0. Of a two-face test: the front face's point less the back face's, to
+        the left and up as seen from the instrument.
+        """
+        first, second = self._ends
+        front = np.ones(len(first), dtype=np.int64)
+        seen = from_polar(self.construction.readings(first, front, values))
+        far = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), values))
+        errors = np.zeros((len(first), 2))
+        errors[:, 0] = np.linalg.norm(far - seen, axis=1) - np.linalg.norm(second - first, axis=1)
+        left, up = _across(first)
+        gap = np.stack([np.einsum("ki,ki->k", seen - far, way) for way in (left, up)], axis=1)
+        errors[~self.is_length] = gap[~self.is_length]
+        return errors
+
+    @cached_property
+    def sensitivities(self) -> Floats:
+        """(k, 2, p) [m per SI unit]: change of the errors with each constant, by central differences."""
+        steps = np.diag([p.prior_sigma for p in self.construction.parameters])
+        columns = [(self.errors(s) - self.errors(-s)) / (2 * s.sum()) for s in steps]
+        return np.stack(columns, axis=2)
+
+    @cached_property
+    def scatter(self) -> Floats:
+        """(k, 2) [m]: standard deviations of the errors by the noise of the readings."""
+        first, second = self._ends
+        squares = np.zeros((len(first), 2))
+        near, far = (self._point_noise(points) for points in (first, second))
+        way = second - first
+        length = np.linalg.norm(way, axis=1, keepdims=True)
+        direction = way / np.where(length > 0, length, 1.0)
+        for axes, sigma in (near, far):
+            squares[:, 0] += np.sum((np.einsum("kai,ki->ka", axes, direction) * sigma) ** 2, axis=1)
+        squares[~self.is_length] = 2 * near[1][~self.is_length, 1:] ** 2
+        return np.sqrt(squares)
+
+    def _point_noise(self, points: Floats) -> tuple[Floats, Floats]:
+        """Beam, left and up (k, 3, 3) and the standard deviations (k, 3) [m] along them."""
+        polar = to_polar(points)
+        axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
+        noise, range_ = self.noise, polar[:, 0]
+        along = noise.distance_mm * MILLIMETRE + noise.distance_ppm * PPM * range_
+        sides = (range_ * angle * ARCSECOND for angle in (noise.azimuth_arcsec, noise.elevation_arcsec))
+        return axes, np.stack([along, *sides], axis=1)
+
+    def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> Prediction:
+        """Errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
+
+        The chance to pass is that of `trials` draws of constants and noise; the errors of each draw are linear in its
+        distance from the mean, where they are exact.
+        """
+        rng = stream(seed, "accept")
+        middle = self.errors(mean)
+        root = _root(covariance)
+        passed = np.zeros(len(self.tests))
+        every, groups = 0, dict.fromkeys((t.group for t in self.tests), 0)
+        of_group = {g: np.array([t.group == g for t in self.tests]) for g in groups}
+        for start in range(0, trials, 2000):
+            count = min(2000, trials - start)
+            drawn = (
+                rng.standard_normal((count, root.shape[1])) @ (self.sensitivities @ root).reshape(-1, root.shape[1]).T
+            )
+            noise = rng.standard_normal((count, *self.scatter.shape)) * self.scatter
+            within = self.within(middle + drawn.reshape(count, *middle.shape) + noise)
+            passed += within.sum(axis=0)
+            every += int(within.all(axis=1).sum())
+            for name, mine in of_group.items():
+                groups[name] += int(within[:, mine].all(axis=1).sum())
+        variance = np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.scatter**2
+        return Prediction(
+            errors=middle,
+            sigma=np.sqrt(variance),
+            passes=passed / trials,
+            all_pass=every / trials,
+            group_passes={name: count / trials for name, count in groups.items()},
+        )
+
+    def within(self, errors: Floats) -> Bools:
+        """Whether errors (..., k, 2) [m] keep the limits."""
+        kept: Bools = np.hypot(errors[..., 0], errors[..., 1]) <= self.limits
+        return kept
+
+    def smallest_failing(self) -> tuple[Floats, list[Test]]:
+        """Size (p,) [SI] at which each constant alone fails a test, and the test that it fails first; inf if none."""
+        per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.limits[:, None]
+        at = np.argmax(per_unit, axis=0)
+        most = per_unit[at, np.arange(len(at))]
+        usual = np.array([p.prior_sigma for p in self.construction.parameters])
+        size = np.where(most * usual > UNSEEN, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
+        return size, [self.tests[i] for i in at]
+
+    def worst_passing(self, prior: Floats, points: Floats) -> Worst:
+        """The constants that harm points (n, 3) [m] around the instrument most, and still keep every limit.
+
+        Looked for along the directions in which harm over what the tests see is largest, each as long as the limits
+        and `PLAUSIBLE` prior standard deviations (p,) allow.
+        """
+        harm = harm_of(self.construction, points, prior)
+        seen = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
+        bound = seen.T @ seen + np.eye(len(prior)) / PLAUSIBLE**2
+        root = np.linalg.inv(np.linalg.cholesky(bound))
+        _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
+        best: tuple[float, Floats] = (-1.0, np.zeros(len(prior)))
+        for direction in (root.T @ vectors).T:
+            values = self._stretched(direction / np.linalg.norm(direction), prior)
+            size = float(np.sqrt(np.mean((harm @ (values / prior)) ** 2) * 3))
+            best = max(best, (size, values), key=lambda found: found[0])
+        values = best[1]
+        gaps = np.linalg.norm((harm @ (values / prior)).reshape(-1, 3), axis=1)
+        return Worst(values, best[0], float(gaps.max()))
+
+    def _stretched(self, direction: Floats, prior: Floats) -> Floats:
+        """The longest (p,) [SI] along a direction in units of the prior that keeps every limit, to 0.1 %."""
+        low, high = 0.0, PLAUSIBLE
+        while high - low > 1e-3 * PLAUSIBLE:
+            middle = (low + high) / 2
+            kept = self.within(self.errors(middle * direction * prior)).all()
+            low, high = (middle, high) if kept else (low, middle)
+        return low * direction * prior
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What tests will find.
+
+    Attributes
+    ----------
+    errors, sigma : (k, 2) float, [m]
+        Expected errors and their standard deviations, noise included.
+    passes : (k,) float
+        Chance that each test is passed.
+    all_pass : float
+        Chance that all are.
+    group_passes : dict of str to float
+        Chance that all of a group are.
+    """
+
+    errors: Floats
+    sigma: Floats
+    passes: Floats
+    all_pass: float
+    group_passes: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Worst:
+    """An instrument that keeps every limit: its constants (p,) [SI], and the error of points, rms and largest [m]."""
+
+    values: Floats
+    rms: float
+    largest: float
+
+
+def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats:
+    """(3 n, p) [m]: displacement of front-face points (n, 3) [m] by each constant at `scale`, after a best fit.
+
+    A common shift and turn of all points does no harm.
+    """
+    front = np.ones(len(points), dtype=np.int64)
+    columns = [
+        (from_polar(construction.readings(points, front, s)) - from_polar(construction.readings(points, front, -s))) / 2
+        for s in np.diag(scale)
+    ]
+    moved = np.stack([c.ravel() for c in columns], axis=1)
+    rigid, _ = np.linalg.qr(rigid_motion(points, points.mean(axis=0)))
+    harm: Floats = moved - rigid @ (rigid.T @ moved)
+    return harm
+
+
+def _across(points: Floats) -> tuple[Floats, Floats]:
+    polar = to_polar(points)
+    _, left, up = unit_vectors(polar[:, 1], polar[:, 2])
+    return left, up
+
+
+def _root(covariance: Floats) -> Floats:
+    """A root (p, r) of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,0 +1,113 @@
+"""An acceptance file (ltsim-acceptance/1): which tests, what the maker permits, what is known of the instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from ltsim.acceptance.specification import SHEETS, Specification
+from ltsim.acceptance.tests import STANDARDS, Test, builtin, read_tests
+from ltsim.errors import RecordError, SetupError, unknown_name
+from ltsim.recording.settings import checked, load_settings
+from ltsim.recording.setup import Positive, Section
+
+MOST = 10_000_000
+
+
+class Acceptance(Section):
+    """The whole file. Names of other files are seen from this one.
+
+    Without a `recording` or `measured` the tests are predicted: for the instrument of a `calibration`, or for any
+    instrument of the specification. With `measured` they are judged; with a `recording` its own network takes the place
+    of calibrated lengths.
+    """
+
+    format: Literal["ltsim-acceptance/1"] = "ltsim-acceptance/1"
+    """Which format and version this file is in."""
+    title: str = ""
+    """Free text."""
+    standard: Literal["asme-b89.4.19-2006", "iso-10360-10-two-face"] | None = None
+    """A built-in plan of tests."""
+    tests: str | None = None
+    """A plan of one's own in place of it: a CSV with a row a test."""
+    instrument: str | None = None
+    """A built-in data sheet."""
+    specification: Specification | None = None
+    """The maker's limits in place of it."""
+    construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
+    """Where the beam comes from."""
+    height_mm: Positive = 1500.0
+    """Of the instrument's head above the floor: two-face tests stand on the floor and at twice that height."""
+    ranges_m: Annotated[tuple[Positive, ...], Field(min_length=2)] = (2.0, 6.0, 12.0, 18.0, 24.0, 30.0)
+    """Lengths along the line of sight go from the first to each of the others."""
+    calibration: str | None = None
+    """What is known of the instrument: a `calibration.json` or its folder."""
+    corrected: bool = False
+    """The calibration is applied before the tests, so that its uncertainty remains."""
+    recording: str | None = None
+    """A network that the instrument measured: its own targets are the reference lengths."""
+    measured: str | None = None
+    """Errors that were found: a CSV with the columns test, error_um and U_um (may be empty)."""
+    trials: Annotated[int, Field(ge=1000, le=MOST)] = 20_000
+    """Draws behind the chance to pass."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Root of the draws."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Acceptance:
+        if (self.instrument is None) == (self.specification is None):
+            raise ValueError("it should give either instrument or the table [specification]")
+        if self.recording is None and (self.standard is None) == (self.tests is None):
+            raise ValueError("it should give either standard or tests")
+        if self.recording is not None and self.measured is not None:
+            raise ValueError("it should give recording or measured, not both")
+        return self
+
+    @property
+    def limits(self) -> Specification:
+        """The maker's limits.
+
+        Raises
+        ------
+        SetupError
+            When no built-in data sheet has the name.
+        """
+        if self.specification is not None:
+            return self.specification
+        name = self.instrument or ""
+        if name not in SHEETS:
+            raise SetupError(str(unknown_name("data sheet", name, SHEETS)))
+        return SHEETS[name]
+
+    def plan_of(self, folder: Path) -> tuple[Test, ...]:
+        """The tests, by a file that lies in (or is named from) `folder`, or by the standard; raises SetupError."""
+        if self.tests is not None:
+            return tuple(read_tests(folder / self.tests))
+        return tuple(builtin(self.standard or STANDARDS[0], self.height_mm / 1000, self.ranges_m))
+
+
+def load_acceptance(path: Path) -> Acceptance:
+    """The contents of an acceptance file.
+
+    Raises
+    ------
+    SetupError
+        One sentence: file, key, what was found, what would be right.
+    """
+    return load_settings(path, Acceptance, "acceptance file")
+
+
+def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
+    """Check the tables of an acceptance file; `file` is named in errors.
+
+    Raises
+    ------
+    SetupError
+    """
+    try:
+        return checked(data, Acceptance, "acceptance file", file)
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None

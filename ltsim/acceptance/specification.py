@@ -1,0 +1,132 @@
+"""What a maker's data sheet permits (MPE), as limits of tests and as standard deviations and priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from ltsim.arrays import Floats
+from ltsim.geometry.polar import to_polar
+from ltsim.recording.setup import Instrument, Noise, NonNegative, Prior, Section
+from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+
+COVERAGE = 2.0
+"""Standard deviations in a maximum permissible error: makers state typical errors as half of it."""
+TWO_FACES = 2.0
+"""Limit of a two-face difference over that of a point across the beam (ISO 10360-10:2021, 6.3 and annex D)."""
+
+
+class Specification(Section):
+    """Maximum permissible errors of the subsystems, as ISO 10360-10:2021, annex D, and data sheets state them."""
+
+    name: str = ""
+    """The instrument."""
+    source: str = ""
+    """Where the figures stand."""
+    transverse_um: NonNegative
+    """Across the beam, the part that does not grow with the range (e_T)."""
+    transverse_um_per_m: NonNegative
+    """Across the beam, the part that does."""
+    range_um: NonNegative
+    """Of a range, the part that does not grow with it (e_ADM or e_IFM)."""
+    range_um_per_m: NonNegative
+    """Of a range, the part that does."""
+    range_offset_um: NonNegative = 0.0
+    """Of the zero of the ranges (e_R0)."""
+    noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
+    """Share of the variance that is noise; the rest is of the instrument's constants."""
+
+    def across(self, range_: Floats) -> Floats:
+        """Limit [m] of a point's error across the beam at ranges [m]."""
+        return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
+
+    def along(self, range_: Floats) -> Floats:
+        """Limit [m] of a point's error along the beam at ranges [m], the zero of the ranges apart."""
+        return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
+
+    def of_lengths(self, first: Floats, second: Floats) -> Floats:
+        """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
+
+        The root sum of squares of what both ends permit in the direction of the length; the zero of the ranges is
+        one for both ends, and cancels along one line of sight.
+        """
+        way = second - first
+        direction = way / np.linalg.norm(way, axis=1, keepdims=True)
+        squares, offset = np.zeros(len(way)), np.zeros(len(way))
+        for points, sign in ((first, -1.0), (second, 1.0)):
+            range_ = to_polar(points)[:, 0]
+            cosine = np.einsum("ki,ki->k", direction, points) / range_
+            squares += (cosine * self.along(range_)) ** 2 + (1 - cosine**2) * self.across(range_) ** 2
+            offset += sign * cosine
+        limit: Floats = np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
+        return limit
+
+    def of_two_faces(self, points: Floats) -> Floats:
+        """Limit (k,) [m] of the distance across the beam between both faces of points (k, 3) [m]."""
+        return TWO_FACES * self.across(to_polar(points)[:, 0])
+
+    def instrument(self, construction: str = "source-in-head") -> Instrument:
+        """Standard deviations and priors that make these limits `COVERAGE` sigma.
+
+        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. Of each
+        variance `noise_share` is noise of the readings and the rest belongs to the instrument's constants; two angular
+        constants act on each direction across the beam. Offsets are no noise: all of the constant transverse part is
+        theirs, and all of the constant part of the range is noise where the zero has a limit of its own.
+        """
+        sigma = 1.0 / COVERAGE
+        noise, rest = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
+        angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
+        apart = self.range_offset_um > 0
+        offset = self.range_offset_um if apart else rest * self.range_um
+        return Instrument(
+            construction=construction,  # type: ignore[arg-type]
+            noise=Noise(
+                distance_mm=sigma * self.range_um * (1.0 if apart else noise) * MICROMETRE / MILLIMETRE,
+                distance_ppm=sigma * self.range_um_per_m * noise,
+                azimuth_arcsec=_least(angle * noise),
+                elevation_arcsec=_least(angle * noise),
+            ),
+            prior=Prior(
+                range_scale_ppm=_least(sigma * self.range_um_per_m * rest),
+                range_offset_mm=_least(sigma * offset * MICROMETRE / MILLIMETRE),
+                angle_arcsec=_least(angle * rest / np.sqrt(2.0)),
+                offset_mm=_least(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
+            ),
+        )
+
+    @property
+    def assumption(self) -> str:
+        """What `instrument` takes for granted, in a sentence."""
+        return (
+            f"limits are taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
+            "noise and the rest as constants of the instrument"
+        )
+
+
+def _least(sigma: float) -> float:
+    return max(float(sigma), 1e-6)
+
+
+SHEETS: MappingProxyType[str, Specification] = MappingProxyType(
+    {
+        "leica-at500": Specification(
+            name="Leica Absolute Tracker AT500",
+            source="Leica AT500 user manual, sections 2.8.1 to 2.8.3 (MPE by ISO 10360-10:2021, annex D)",
+            transverse_um=15.0,
+            transverse_um_per_m=6.0,
+            range_um=10.0,
+            range_um_per_m=0.3,
+            range_offset_um=5.0,
+        ),
+    }
+)
+"""Data sheets that were read, by name; any other is a table `[specification]` of the file."""
+
+
+def names() -> Sequence[str]:
+    """The data sheets that are built in."""
+    return tuple(SHEETS)

@@ -1,0 +1,161 @@
+"""Test plans: which lengths and which two-face targets stand where, in the instrument's frame (z up, its head at 0)."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.errors import SetupError
+from ltsim.geometry.polar import from_polar
+from ltsim.recording.files import read_text, shown
+
+Kind = Literal["length", "two-face"]
+COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+LENGTH = 2.3
+"""[m] Shortest reference length of ASME B89.4.19-2006."""
+NEAREST = 1.2
+"""[m] From the instrument to the reference length where it stands as close as can be."""
+STANDARDS = ("asme-b89.4.19-2006", "iso-10360-10-two-face")
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test: a length between two points, or one target in both faces (its second point is the first) [m]."""
+
+    __test__ = False  # a test of a tracker, not one of pytest's
+
+    name: str
+    group: str
+    kind: Kind
+    first: tuple[float, float, float]
+    second: tuple[float, float, float]
+
+
+def asme(height: float, ranges: Sequence[float]) -> list[Test]:
+    """The tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
+
+    36 two-face tests (1, 3 and 6 m; on the floor, at the head's height, at twice that; every quarter turn), 33 lengths
+    (horizontal, vertical and both diagonals at 3 and 6 m, every quarter turn, and one horizontal as close as can be)
+    and lengths along the line of sight from the first to each of the other `ranges` [m]. Two further lengths are the
+    person's own choice and not here.
+
+    References
+    ----------
+    As the standard is described by Muralikrishnan, Sawyer, Blackburn, Phillips, Borchardt, Estler, J. Res. NIST 114
+    (2009) 21-35; the standard's own text prevails, and a plan of one's own can be read from a table.
+    """
+    quarters = (0, 90, 180, 270)
+    tests = list(_two_faces((1.0, 3.0, 6.0), height, quarters))
+    tests.append(_bar("horizontal", 0.0, NEAREST, 0))
+    for group, tilt in (("horizontal", 0.0), ("vertical", 90.0), ("right diagonal", 45.0), ("left diagonal", 135.0)):
+        tests += [_bar(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
+    return tests + _ranging(ranges)
+
+
+def iso_two_face(height: float) -> list[Test]:
+    """The 18 two-face tests of ISO 10360-10: 1.5 and 6 m, three heights, every third of a turn.
+
+    Distances and number as makers state them (Leica AT500 user manual, 2.8.3: positions 1 to 9 at 1.5 m, 10 to 18
+    at 6 m); the lengths of that standard are read from a table.
+    """
+    return list(_two_faces((1.5, 6.0), height, (0, 120, 240)))
+
+
+def _two_faces(distances: Sequence[float], height: float, turns: Sequence[int]) -> Iterator[Test]:
+    """Targets at horizontal distances, on the floor, level with the head and at twice its height."""
+    for away in distances:
+        for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
+            for turn in turns:
+                point = _turned(np.array([away, 0.0, z]), turn)
+                yield Test(f"two-face {away:g} m {where} {turn} deg", "two-face", "two-face", point, point)
+
+
+def _bar(group: str, tilt: float, away: float, turn: int) -> Test:
+    """A reference length, its middle level with the head and straight before it, tilted about the line of sight."""
+    half = LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
+    middle = np.array([away, 0.0, 0.0])
+    ends = _turned(middle - half, turn), _turned(middle + half, turn)
+    return Test(f"{group} {away:g} m {turn} deg", group, "length", *ends)
+
+
+def _ranging(ranges: Sequence[float]) -> list[Test]:
+    near, *others = ranges
+    return [
+        Test(f"line of sight {near:g} to {far:g} m", "line of sight", "length", (near, 0.0, 0.0), (far, 0.0, 0.0))
+        for far in others
+    ]
+
+
+def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
+    """A point turned about the vertical by an angle [deg]."""
+    angle = np.radians(turn)
+    x, y, z = point
+    return (
+        float(x * np.cos(angle) - y * np.sin(angle)),
+        float(x * np.sin(angle) + y * np.cos(angle)),
+        float(z),
+    )
+
+
+def builtin(standard: str, height: float, ranges: Sequence[float]) -> list[Test]:
+    """The tests of one of `STANDARDS`."""
+    return asme(height, ranges) if standard == STANDARDS[0] else iso_two_face(height)
+
+
+def read_tests(file: Path) -> list[Test]:
+    """A plan of one's own: a CSV with the columns `COLUMNS`; a two-face test leaves its second point empty.
+
+    Raises
+    ------
+    SetupError
+        One sentence: row, column, what was found, what would be right.
+    """
+    reader = csv.DictReader(io.StringIO(read_text(file)), restval="")
+    missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+    if missing:
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join(COLUMNS)}")
+    tests = [_test(row, number, file) for number, row in enumerate(reader, start=1)]
+    if not tests:
+        raise SetupError(f"{file}: holds no test, expected a row for each")
+    return tests
+
+
+def _test(row: dict[str, str], number: int, file: Path) -> Test:
+    kind = row["kind"].strip()
+    if kind not in ("length", "two-face"):
+        raise SetupError(f"{file}: row {number}: kind is '{shown(kind)}', expected length or two-face")
+    first = _point(row, "1", number, file)
+    second = _point(row, "2", number, file) if kind == "length" else first
+    if kind == "length" and first == second:
+        raise SetupError(f"{file}: row {number}: both ends of the length are the same point")
+    name = row["test"].strip() or f"{kind} {number}"
+    return Test(name, row["group"].strip() or kind, kind, first, second)  # type: ignore[arg-type]
+
+
+def _point(row: dict[str, str], end: str, number: int, file: Path) -> tuple[float, float, float]:
+    values = []
+    for axis in "xyz":
+        column = f"{axis}{end}_mm"
+        try:
+            values.append(float(row[column]) / 1000)
+        except ValueError:
+            found = shown(row[column])
+            raise SetupError(f"{file}: row {number}: {column} is '{found}', expected millimetres") from None
+    if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
+        raise SetupError(f"{file}: row {number}: point {end} is on the instrument's own axis, which has no azimuth")
+    return values[0], values[1], values[2]
+
+
+def envelope() -> Floats:
+    """Points (180, 3) [m] all around an instrument: 1.5 to 9 m, 50 degrees down to 50 up, every 30 degrees."""
+    azimuth, elevation, range_ = np.meshgrid(
+        np.radians(np.arange(0, 360, 30)), np.radians((-50, -25, 0, 25, 50)), (1.5, 4.0, 9.0), indexing="ij"
+    )
+    return from_polar(np.stack([range_.ravel(), azimuth.ravel(), elevation.ravel()], axis=1))

@@ -1,0 +1,121 @@
+"""`ltsim accept`: what a person gives and gets."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.errors import NetworkError
+
+SHEET = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
+PLAN = """test,group,kind,x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm
+bar,bar,length,3000,-1150,0,3000,1150,0
+ball,faces,two-face,2000,0,-1500,,,
+"""
+
+
+def write(folder: Path, text: str, **files: str) -> Path:
+    for name, content in files.items():
+        (folder / f"{name}.csv").write_text(content, encoding="utf-8")
+    file = folder / "mine.toml"
+    file.write_text('format = "ltsim-acceptance/1"\n' + text + "\n", encoding="utf-8")
+    return file
+
+
+def test_predicted_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write(tmp_path, 'standard = "asme-b89.4.19-2006"\ninstrument = "leica-at500"')
+    assert run(["accept", str(file), "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "passes all 74 tests with a chance of" in said
+    assert "no test sees azimuth-second-order-cos, elevation-eccentricity-cos" in said
+    content = json.loads((tmp_path / "out" / "accept.json").read_text())
+    assert len(content["tests"]) == 74
+    assert run(["report", str(tmp_path / "out")]) == 0
+    assert "Errors over limits" in (tmp_path / "out" / "report.html").read_text()
+    assert run(["accept", str(file), "--out", str(tmp_path / "out")]) == 0, "its own result is replaced"
+
+
+def test_a_calibrated_instrument_as_it_reads_and_corrected(tmp_path: Path) -> None:
+    recording, _ = lt.simulate("paper-workshop-two-face", seed=2)
+    assert run(["calibrate", str(_written(recording, tmp_path)), "--out", str(tmp_path / "cal"), "--quiet"]) == 0
+    as_read = lt.accept({**SHEET, "calibration": "cal"}, tmp_path)
+    corrected = lt.accept({**SHEET, "calibration": "cal", "corrected": True}, tmp_path)
+    assert corrected.passes > as_read.passes
+    largest = [max(abs(t.error_um) for t in found.tests) for found in (as_read, corrected)]
+    assert largest[1] < 0.1 * largest[0]
+
+
+def _written(recording: object, folder: Path) -> Path:
+    lt.write(recording, folder / "rec")  # type: ignore[arg-type]
+    return folder / "rec"
+
+
+def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = 'tests = "plan.csv"\ninstrument = "leica-at500"\nmeasured = "found.csv"'
+    file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-12.5,4\nball,30,2\n")
+    assert run(["accept", str(file)]) == 0
+    assert "all 2 errors are within their limits" in capsys.readouterr().out
+    file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-62.5,\nball,30,20\n")
+    assert run(["accept", str(file)]) == 1
+    said = capsys.readouterr().out
+    assert "1 of 2 errors are over their limits; the worst is bar: -62.5 um where 45.7 um are permitted" in said
+    assert "for 1 the uncertainty is more than a quarter of the limit" in said
+    file = write(tmp_path, text, plan=PLAN, found="test,error_um\nbar,-2.5\n")
+    assert run(["accept", str(file)]) == 1
+    assert "1 tests of the plan were not measured" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "plan", "found", "said"),
+    [
+        ('standard = "asme-b89.4.19-2006"', PLAN, "", "instrument or the table [specification]"),
+        ('instrument = "leica-at500"', PLAN, "", "either standard or tests"),
+        ('instrument = "leica-at5"\nstandard = "asme-b89.4.19-2006"', PLAN, "", "did you mean leica-at500"),
+        ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("two-face", "face"), "", "kind is 'face'"),
+        ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("3000,1150", "3000,x"), "", "y2_mm is 'x'"),
+        ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("2000,0", "0,0"), "", "own axis"),
+        (
+            'instrument = "leica-at500"\ntests = "plan.csv"\nmeasured = "found.csv"',
+            PLAN,
+            "test,error_um\nbat,1\n",
+            "row 1: there is no test called 'bat'; did you mean bar",
+        ),
+    ],
+)
+def test_wrong_input_is_one_sentence(
+    text: str, plan: str, found: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["accept", str(write(tmp_path, text, plan=plan, found=found))]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_network_method(tmp_path: Path) -> None:
+    """A good instrument keeps its maker's limits on its own network; one with a tilted beam does not."""
+    sheet = {"specification": {"transverse_um": 15, "transverse_um_per_m": 6, "range_um": 20, "range_um_per_m": 1}}
+    verdicts = []
+    for tilt in (0.5, 60.0):
+        errors = {"draw": False, "beam-tilt": tilt}
+        recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", {"instrument.errors": errors}), seed=4)
+        lt.write(recording, tmp_path / f"rec{tilt:g}")
+        verdicts.append(lt.accept({**sheet, "recording": f"rec{tilt:g}"}, tmp_path))
+    good, bad = verdicts
+    assert good.passes == 1
+    assert "two-face" in bad.sentence or "are over their limits" in bad.sentence
+    failed = {g.name for g in bad.groups if g.passes < 1}
+    assert "two-face" in failed
+    assert np.isfinite([t.expanded_um or np.nan for t in good.tests if t.group != "two-face"]).all()
+
+
+def test_one_station_is_refused(tmp_path: Path) -> None:
+    recording, _ = lt.simulate("paper-laboratory", seed=1)
+    only = recording.select(recording.station == 0)
+    lt.write(only, tmp_path / "one")
+    with pytest.raises(NetworkError, match="two at least"):
+        lt.accept({**SHEET, "recording": "one"}, tmp_path)

@@ -1,0 +1,148 @@
+"""What constants of the instrument do to the tests: closed forms, chances, blind directions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.acceptance.prediction import Plan
+from ltsim.acceptance.specification import SHEETS, Specification
+from ltsim.acceptance.tests import asme, envelope, iso_two_face
+from ltsim.arrays import Floats
+from ltsim.model.construction import misalignment, steering_mirror
+
+SHEET = SHEETS["leica-at500"]
+URAD = MICROMETRE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return Plan(tuple(asme(1.5, (2.0, 6.0, 30.0))), misalignment(), SHEET, SHEET.instrument().noise)
+
+
+def one(plan: Plan, name: str, size: float) -> Floats:
+    values = np.zeros(plan.construction.size)
+    values[plan.construction.index(name)] = size
+    return values
+
+
+def test_count_of_the_standards(plan: Plan) -> None:
+    kinds = [t.kind for t in plan.tests]
+    assert kinds.count("two-face") == 36
+    assert sum(t.group != "line of sight" for t in plan.tests if t.kind == "length") == 33
+    assert len(iso_two_face(1.5)) == 18
+    assert len({t.name for t in plan.tests}) == len(plan.tests)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_unit"),
+    [
+        ("beam-tilt", lambda r, phi: 2 * r),  # azimuth by t / cos(phi) in each face, r cos(phi) of it across the beam
+        ("vertical-index", lambda r, phi: 2 * r),
+        ("transit-tilt", lambda r, phi: 2 * r * abs(np.sin(phi))),  # azimuth by t tan(phi)
+        ("beam-offset-lateral", lambda r, phi: 2.0),
+        ("beam-offset-vertical", lambda r, phi: 2.0),
+        ("transit-offset", lambda r, phi: 2 * abs(np.sin(phi))),
+        ("range-offset", lambda r, phi: 0.0),
+        ("range-scale", lambda r, phi: 0.0),
+    ],
+)
+def test_two_face_sensitivities_in_closed_form(plan: Plan, name: str, per_unit) -> None:
+    """As Muralikrishnan et al. (2009) give them: what flips with the face shows twice."""
+    size = 10 * MICROMETRE
+    errors = plan.errors(one(plan, name, size))
+    for test, error in zip(plan.tests, errors, strict=True):
+        if test.kind == "two-face":
+            x, y, z = test.first
+            r, phi = np.linalg.norm(test.first), np.arctan2(z, np.hypot(x, y))
+            assert np.hypot(*error) == pytest.approx(per_unit(r, phi) * size, abs=2e-4 * size)
+
+
+def test_length_sensitivities_in_closed_form(plan: Plan) -> None:
+    """A scale stretches every length; the zero of the ranges acts by the sum of the ends' cosines."""
+    scale, zero = plan.errors(one(plan, "range-scale", 1e-6)), plan.errors(one(plan, "range-offset", 10 * MICROMETRE))
+    for test, stretched, moved in zip(plan.tests, scale, zero, strict=True):
+        if test.kind == "length":
+            first, second = np.array(test.first), np.array(test.second)
+            way = second - first
+            u = way / np.linalg.norm(way)
+            cosines = u @ (second / np.linalg.norm(second) - first / np.linalg.norm(first))
+            assert abs(stretched[0]) == pytest.approx(1e-6 * np.linalg.norm(way), rel=1e-4)
+            assert abs(moved[0]) == pytest.approx(10 * MICROMETRE * abs(cosines), abs=1e-10)
+
+
+def test_limits(plan: Plan) -> None:
+    limits = dict(zip((t.name for t in plan.tests), plan.limits / MICROMETRE, strict=True))
+    assert limits["two-face 6 m level 0 deg"] == pytest.approx(2 * (15 + 6 * 6))
+    # the zero of the ranges cancels along one line of sight
+    assert limits["line of sight 2 to 6 m"] == pytest.approx(np.hypot(10 + 0.3 * 2, 10 + 0.3 * 6))
+
+
+def test_data_sheet_as_two_sigma() -> None:
+    """Errors drawn from the noise and the priors of a sheet fill half of its limit in the root mean square."""
+    sheet = Specification(transverse_um=0, transverse_um_per_m=6, range_um=10, range_um_per_m=0)
+    stated = sheet.instrument()
+    across = np.hypot(stated.noise.azimuth_arcsec, np.sqrt(2) * stated.prior.angle_arcsec) * np.pi / 648000
+    along = np.hypot(stated.noise.distance_mm, stated.prior.range_offset_mm)
+    assert across == pytest.approx(3e-6)
+    assert along == pytest.approx(0.005)
+    assert "2 standard deviations" in sheet.assumption
+
+
+def test_chance_to_pass_is_that_of_simulated_instruments(plan: Plan) -> None:
+    stated = SHEET.instrument()
+    prior = np.array([p.sigma_from(stated.prior) for p in plan.construction.parameters])
+    told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), trials=20_000, seed=3)
+    rng = np.random.default_rng(11)
+    passed = [
+        plan.within(
+            plan.errors(rng.standard_normal(len(prior)) * prior)
+            + rng.standard_normal((len(plan.tests), 2)) * plan.scatter
+        ).all()
+        for _ in range(600)
+    ]
+    assert np.mean(passed) == pytest.approx(told.all_pass, abs=3 * np.sqrt(0.25 / 600))
+    assert 0 < told.all_pass < min(told.passes)
+    assert set(told.group_passes) == {t.group for t in plan.tests}
+
+
+@pytest.mark.parametrize("design", ["source-in-head", "steering-mirror"])
+def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
+    built = steering_mirror() if design == "steering-mirror" else misalignment()
+    stated = SHEET.instrument(design)
+    plan = Plan(tuple(iso_two_face(1.5)), built, SHEET, stated.noise)
+    prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
+    worst = plan.worst_passing(prior, envelope())
+    assert plan.within(plan.errors(worst.values)).all()
+    assert np.linalg.norm(worst.values / prior) <= 3.001
+    assert worst.largest > worst.rms > 10 * MICROMETRE
+
+
+def test_it_errs_on_a_network_as_told(plan: Plan) -> None:
+    """The worst instrument that passes is simulated in the workshop: targets are off, a good one's are not."""
+    prior = np.array([p.sigma_from(SHEET.instrument().prior) for p in plan.construction.parameters])
+    worst = plan.worst_passing(prior, envelope())
+    quiet = {"distance_mm": 1e-4, "distance_ppm": 0.0, "azimuth_arcsec": 1e-3, "elevation_arcsec": 1e-3}
+    sizes = []
+    for factor in (0.0, 1.0):
+        values = zip(plan.construction.parameters, factor * worst.values, strict=True)
+        errors = {"draw": False, **{p.name: float(v / p.factor) for p, v in values}}
+        scenario = lt.scenario(
+            "paper-workshop",
+            {
+                "instrument.errors": errors,
+                "instrument.noise": quiet,
+                "instrument.resolution": {"distance_um": 0.0, "angle_arcsec": 0.0},
+            },
+        )
+        recording, truth = lt.simulate(scenario, seed=1)
+        found = lt.adjust(recording)
+        places = dict(zip(found.targets, found.points, strict=True))
+        told = np.array([places[name] for name in truth.targets])
+        gaps = np.linalg.norm(told[:, None] - told[None], axis=2) - np.linalg.norm(
+            truth.points[:, None] - truth.points[None], axis=2
+        )
+        sizes.append(float(np.sqrt(np.mean(gaps**2))))
+    assert sizes[1] > 5 * MICROMETRE
+    assert sizes[1] > 10 * sizes[0]
