@@ -19,7 +19,7 @@ from ltsim.randomness import stream
 from ltsim.report.style import CYCLE, INK, new_figure, styled
 
 SHEET = "leica-at500"
-TRIALS, SEED, BLOCK = 40_000, 24, 1000
+TRIALS, SEED, BLOCK = 40_000, 25, 1000
 SPREAD = 0.5, 8.0
 """Constants of an instrument over what its maker's limits imply: drawn evenly in the logarithm between these."""
 EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, np.inf)
