@@ -14,19 +14,14 @@ from ltsim.recording.recording import Recording
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """A normal prior of the parameters of each instrument; instruments are independent of each other.
-
-    Attributes
-    ----------
-    mean : (I, p) float [SI]
-    covariance : (I, p, p) float [SI]
-    held : (I, p) bool
-        Parameters that stay at their mean whatever the readings say.
-    """
+    """A normal prior of the parameters of each instrument; instruments are independent of each other."""
 
     mean: Floats
+    """(I, p) [SI]."""
     covariance: Floats
+    """(I, p, p) [SI]."""
     held: Bools
+    """(I, p): parameters that stay at their mean whatever the readings say."""
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:
@@ -37,8 +32,7 @@ class ParameterPrior:
     @property
     def sigma(self) -> Floats:
         """Standard deviations (I, p) [SI]."""
-        deviation: Floats = np.sqrt(np.einsum("ipp->ip", self.covariance))
-        return deviation
+        return np.sqrt(np.einsum("ipp->ip", self.covariance))
 
     @cached_property
     def correlated(self) -> bool:
@@ -51,8 +45,7 @@ class ParameterPrior:
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
         lower = np.linalg.cholesky(correlation)
-        roots: Floats = np.linalg.inv(lower) / sigma[:, None, :]
-        return roots
+        return np.linalg.inv(lower) / sigma[:, None, :]
 
     def residual(self, values: Floats) -> Floats:
         """Whitened rows (m,) of values (I, p): one a parameter with a prior."""

@@ -24,19 +24,12 @@ VISIBLE = 1e-6
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """The projection off what is estimated, and the residuals off it.
-
-    Attributes
-    ----------
-    projection : Projection
-        Off the whitened design, and further signatures where they are estimated too.
-    residual : (m,) float
-        Whitened residuals, orthogonal to the design.
-    adjustment : Adjustment
-    """
+    """The projection off what is estimated, and the residuals off it."""
 
     projection: Projection
+    """Off the whitened design, and further signatures where they are estimated too."""
     residual: Floats
+    """(m,): whitened residuals, orthogonal to the design."""
     adjustment: Adjustment
 
     @classmethod
@@ -69,8 +62,7 @@ class ResidualSpace:
     @cached_property
     def redundancy(self) -> Floats:
         """(m,): share of an error of a row that stays in its residual."""
-        share: Floats = 1.0 - self.projection.leverage()
-        return share
+        return 1.0 - self.projection.leverage()
 
     @cached_property
     def _readings(self) -> tuple[Ints, Floats]:

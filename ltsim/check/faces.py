@@ -30,26 +30,17 @@ class Mpe:
 
 @dataclass(frozen=True)
 class Faces:
-    """Two-face half differences of one set-up.
-
-    Attributes
-    ----------
-    pairs : TwoFace
-    noise : (m, 3) float, [m, rad, rad]
-        Standard deviation of each half difference by the stated noise.
-    guarantee : (m, 3) float, [m, rad, rad]
-        Standard deviation of what the guaranteed errors of the instrument add.
-    over : (m, 3) bool
-        Beyond the limit.
-    limit : (m, 3) float
-        Largest half difference that passes.
-    """
+    """Two-face half differences of one set-up."""
 
     pairs: TwoFace
     noise: Floats
+    """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
     guarantee: Floats
+    """(m, 3) [m, rad, rad]: standard deviation of what the guaranteed errors of the instrument add."""
     over: Bools
+    """(m, 3): beyond the limit."""
     limit: Floats
+    """(m, 3): largest half difference that passes."""
 
     @classmethod
     def of(cls, recording: Recording, construction: Construction, level: float, mpe: Mpe | None = None) -> Faces:
@@ -75,11 +66,6 @@ class Faces:
             allowed = 0.5 * (mpe.constant + mpe.per_metre * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
         return cls(pairs, noise, guarantee, np.abs(pairs.half) > limit, limit)
-
-    @property
-    def systematic(self) -> Floats:
-        """(3,) root mean square of the half differences over their noise: 1 for an instrument without errors."""
-        return np.asarray(np.sqrt(np.mean((self.pairs.half / self.noise) ** 2, axis=0)))
 
 
 def faces_or_none(recording: Recording, construction: Construction, level: float, mpe: Mpe | None) -> Faces | None:

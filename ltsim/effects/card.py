@@ -21,48 +21,31 @@ _PART = re.compile(rf"^({'|'.join(PARTS)}): ", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Card:
-    """What is known of a physical cause.
-
-    Attributes
-    ----------
-    title, cause : str
-        What it is called, and what happens.
-    law : str
-        The equation with its sign, in lines as they are written; often with what gives it away.
-    size : str
-        Of a good and of a bad instrument or room.
-    like : str
-        What leaves similar residuals. Two numbers are correlations of the residuals in the reference workshop, one face
-        and two faces.
-    separate_by : str
-        The measurement that tells it from these.
-    valid : str
-        Where the law holds.
-    source : str
-        Literature: author, year, title, equation or page where they are known.
-    status : str
-        How the law was validated.
-    """
+    """What is known of a physical cause."""
 
     title: str
     cause: str
+    """What it is called, and what happens."""
     law: str
+    """The equation with its sign, in lines as they are written; often with what gives it away."""
     size: str
+    """Of a good and of a bad instrument or room."""
     like: str
+    """What leaves similar residuals. Two numbers are correlations of the residuals in the reference workshop, one face
+    and two faces.
+    """
     separate_by: str
+    """The measurement that tells it from these."""
     valid: str
+    """Where the law holds."""
     source: str
+    """Literature: author, year, title, equation or page where they are known."""
     status: str
+    """How the law was validated."""
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """The card in a docstring.
-
-        Raises
-        ------
-        ModelError
-            Naming the part that is missing, given twice or out of order.
-        """
+        """The card in a docstring; raises ModelError, naming the part that is missing, given twice or out of order."""
         head, _, rest = inspect.cleandoc(text).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
@@ -85,13 +68,7 @@ class Card:
 
 @cache
 def card_of(kind: type) -> Card:
-    """The card of an effect.
-
-    Raises
-    ------
-    ModelError
-        When neither the class nor its file has one that is complete.
-    """
+    """The card of an effect; raises ModelError when neither the class nor its file has one that is complete."""
     own = kind.__dict__.get("__doc__") or ""
     text = own if _PART.search(inspect.cleandoc(own)) else sys.modules[kind.__module__].__doc__
     try:

@@ -51,24 +51,17 @@ def table_error(table: tuple[float, ...], incidence: Floats, direction: Floats) 
     even = PchipInterpolator(TABLE_ANGLES, 0.5 * (values + values[::-1]))
     odd = PchipInterpolator(TABLE_ANGLES, 0.5 * (values - values[::-1]))
     angle = np.clip(incidence, 0.0, EDGE)
-    error: Floats = even(angle) + odd(angle) * np.cos(direction)
-    return error
+    return even(angle) + odd(angle) * np.cos(direction)
 
 
 @dataclass(frozen=True)
 class SmrIncidence(Effect):
-    """Range error of reflectors that are not turned to the station.
-
-    Attributes
-    ----------
-    table : tuple of 9 float, [m]
-        Range error (reading - truth) at `TABLE_ANGLES`; empty: the first-order form alone.
-    direction : float, [rad]
-        chi_0: where the table's positive side lies around the nest's normal.
-    """
+    """Range error of reflectors that are not turned to the station."""
 
     table: tuple[float, ...] = ()
+    """[m]: range error (reading - truth) at `TABLE_ANGLES`; empty: the first-order form alone."""
     direction: float = 0.0
+    """[rad], chi_0: where the table's positive side lies around the nest's normal."""
 
     name: ClassVar[str] = "smr-incidence"
     stage: ClassVar[Stage] = Stage.TARGET

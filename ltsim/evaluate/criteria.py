@@ -31,17 +31,12 @@ AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class Differences:
-    """Sizes of disagreement, one an item.
-
-    Attributes
-    ----------
-    items : (k, c) int
-        Which: pairs of targets for distances (c = 2), targets for coordinates (c = 1).
-    values : (k,) float, [m]
-    """
+    """Sizes of disagreement, one an item."""
 
     items: np.ndarray
+    """(k, c): which: pairs of targets for distances (c = 2), targets for coordinates (c = 1)."""
     values: Floats
+    """(k,) [m]."""
 
     @property
     def mean(self) -> float:
@@ -127,8 +122,7 @@ class Criteria(Shown):
 def pair_distances(cloud: Floats) -> Floats:
     """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
     first, second = np.triu_indices(cloud.shape[-2], k=1)
-    lengths: Floats = np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
-    return lengths
+    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
 
 
 @dataclass(frozen=True)

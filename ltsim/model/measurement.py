@@ -19,25 +19,18 @@ from ltsim.units import MILLIMETRE
 
 @dataclass(frozen=True)
 class State:
-    """Everything an adjustment can change; SI, network frame.
-
-    Attributes
-    ----------
-    position : (S, 3) float
-    rotation : (S, 3, 3) float
-        Instrument frame to network frame.
-    points : (T, 3) float
-    instrument : (I, p) float
-        Construction parameters of each instrument.
-    extra : (q,) float
-        Parameters of the further effects.
-    """
+    """Everything an adjustment can change; SI, network frame."""
 
     position: Floats
+    """(S, 3)."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to network frame."""
     points: Floats
+    """(T, 3)."""
     instrument: Floats
+    """(I, p): construction parameters of each instrument."""
     extra: Floats = field(default_factory=lambda: np.zeros(0))
+    """(q,): parameters of the further effects."""
 
     def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> State:
         """The state after increments; `pose` (S, 6) is translation, then rotation vector in the network frame."""
@@ -94,16 +87,14 @@ def _nest_normals(recording: Recording) -> Floats:
     missing = (np.nan, np.nan, np.nan)
     stated = [recording.target_setup(name).nest_normal or missing for name in recording.targets]
     normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
-    unit: Floats = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return unit
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def verticals(recording: Recording) -> Floats:
     """Direction of plumb (S, 3) at each station, a unit vector of the network frame."""
     up = (0.0, 0.0, 1.0)
     stated = np.array([recording.station_setup(name).vertical or up for name in recording.stations], dtype=np.float64)
-    unit: Floats = stated / np.linalg.norm(stated, axis=1, keepdims=True)
-    return unit
+    return stated / np.linalg.norm(stated, axis=1, keepdims=True)
 
 
 def lift_of(recording: Recording) -> Floats | None:
@@ -134,8 +125,7 @@ class MeasurementModel:
     def _instrument_values(self, state: State) -> Floats:
         if len(state.instrument) == 1:
             return state.instrument[0]
-        values: Floats = state.instrument[self.recording.instrument]
-        return values
+        return state.instrument[self.recording.instrument]
 
     @cached_property
     def _nowhere(self) -> Sightings:

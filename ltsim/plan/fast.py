@@ -33,26 +33,18 @@ POSE_SCALE = 1e-5
 
 @dataclass(frozen=True)
 class StationBlocks:
-    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters.
-
-    Attributes
-    ----------
-    position : (N, 3) float, [m]
-    held : (N,) bool
-        Whether the targets in sight hold the pose.
-    tt : (N, T, 3, 3) float
-        Target with target.
-    tx : (N, T, 3, 6 + P) float
-        Target with pose and parameters.
-    xx : (N, 6 + P, 6 + P) float
-        Pose and parameters, summed over targets.
-    """
+    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters."""
 
     position: Floats
+    """(N, 3) [m]."""
     held: Bools
+    """(N,): whether the targets in sight hold the pose."""
     tt: Floats
+    """(N, T, 3, 3): target with target."""
     tx: Floats
+    """(N, T, 3, 6 + P): target with pose and parameters."""
     xx: Floats
+    """(N, 6 + P, 6 + P): pose and parameters, summed over targets."""
 
     def take(self, which: Ints) -> StationBlocks:
         """Some of the set-ups."""
@@ -66,18 +58,14 @@ class StationBlocks:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Reduced layouts: B layouts, P parameters.
-
-    Attributes
-    ----------
-    information : (B, P, P) float
-        Of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose open.
-    target_rms : (B,) float, [m]
-        Root mean square point error, datum the mean of all targets; NaN there too, and where not asked for.
-    """
+    """Reduced layouts: B layouts, P parameters."""
 
     information: Floats
+    """(B, P, P): of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose
+    open.
+    """
     target_rms: Floats
+    """(B,) [m]: root mean square point error, datum the mean of all targets; NaN there too, and where not asked for."""
 
 
 class Reducer:
@@ -253,8 +241,7 @@ class Reducer:
         roots, _ = cholesky_where_determined(unit)
         last = slice(schur.shape[1] - len(self.scale), schur.shape[1])
         corner = roots[:, last, last] / scale[:, last, None]
-        information: Floats = corner @ np.swapaxes(corner, 1, 2)
-        return information
+        return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
@@ -347,5 +334,4 @@ class Reducer:
         own += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
         own[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum("beif,beif->be", motion[:, :count], moved)
         weight = np.broadcast_to(self._weight[at], own.shape)
-        rms: Floats = POSE_SCALE * np.sqrt(np.sum(weight * own, axis=1) / weight.sum(axis=1))
-        return rms
+        return POSE_SCALE * np.sqrt(np.sum(weight * own, axis=1) / weight.sum(axis=1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,32 +26,23 @@ COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "
 
 @dataclass(frozen=True)
 class Residuals:
-    """Observed minus adjusted, one row an observation.
-
-    Attributes
-    ----------
-    row : (n,) int
-        Data row of the recording, from 1.
-    station, target : (n,) str
-    observable : (n,) int
-        Index into `OBSERVABLES`.
-    residual : (n,) float
-        In um for a distance, in arcsec for an angle.
-    w : (n,) float
-        Normalised residual, standard normal where the model holds.
-    redundancy : (n,) float
-    covariates : mapping of str to (n,) float
-        In the units of `COVARIATE_UNIT`.
-    """
+    """Observed minus adjusted, one row an observation."""
 
     row: Ints
+    """(n,): data row of the recording, from 1."""
     station: Names
     target: Names
+    """(n,) each."""
     observable: Ints
+    """(n,): index into `OBSERVABLES`."""
     residual: Floats
+    """(n,): in um for a distance, in arcsec for an angle."""
     w: Floats
+    """(n,): normalised residual, standard normal where the model holds."""
     redundancy: Floats
+    """(n,)."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,): in the units of `COVARIATE_UNIT`."""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -63,8 +54,15 @@ class Residuals:
 
     def of(self, observable: str) -> Bools:
         """(n,) bool: which rows are of one observable."""
-        rows: Bools = self.observable == OBSERVABLES.index(observable)
-        return rows
+        return self.observable == OBSERVABLES.index(observable)
+
+    def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+        """(n,): which rows are at the named stations and targets; all where none is named."""
+        inside = np.ones(len(self), dtype=np.bool_)
+        for names, column in ((stations, self.station), (targets, self.target)):
+            if names:
+                inside &= np.isin(column, list(names))
+        return inside
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
@@ -85,13 +83,7 @@ class Residuals:
 
     @classmethod
     def read(cls, file: Path) -> Residuals:
-        """Residuals from a `residuals.csv`.
-
-        Raises
-        ------
-        RecordError
-            When a column is missing or a field is no number.
-        """
+        """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
         names, values = RESIDUALS.read(file)
         for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
             wrong = next((i for i, name in enumerate(names[column]) if name not in known), None)

@@ -35,18 +35,12 @@ SIDES = 64
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Triangles in the network frame.
-
-    Attributes
-    ----------
-    triangles : (m, 3, 3) float, [m]
-        Corners.
-    floor : float, [m]
-        Height on which tripods stand.
-    """
+    """Triangles in the network frame."""
 
     triangles: Floats
+    """(m, 3, 3) [m]: corners."""
     floor: float = 0.0
+    """[m]: height on which tripods stand."""
 
     @cached_property
     def _mesh(self) -> Any:
@@ -92,8 +86,7 @@ class Obstacles:
         inside = native_hits(self.triangles, points, sky, np.full(len(points), np.inf)) % 2 == 1
         feet = points.copy()
         feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
-        enclosed: Bools = inside | self.blocked(points, feet)
-        return enclosed
+        return inside | self.blocked(points, feet)
 
 
 def _bundle(beam: Floats) -> list[Floats]:
@@ -134,8 +127,7 @@ def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats
 
 def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
     """Triangles (m, 3, 3) turned by `yaw` [rad] about z and moved to `position` (3,) [m]."""
-    moved: Floats = triangles @ about_z(yaw).T + position
-    return moved
+    return triangles @ about_z(yaw).T + position
 
 
 def box(size: Floats) -> Floats:
@@ -155,13 +147,7 @@ def cylinder(diameter: float, height: float) -> Floats:
 
 
 def read_mesh(path: Path, unit: str) -> Floats:
-    """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`.
-
-    Raises
-    ------
-    SetupError
-        One sentence: the file is missing, of another kind, too large, damaged or without surface.
-    """
+    """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`; raises SetupError."""
     if path.suffix.lower() not in SUFFIXES:
         if path.suffix.lower() in EXACT:
             raise SetupError(f"{path}: holds exact surfaces; export it from the CAD system as STL, OBJ or GLB")

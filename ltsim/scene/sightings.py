@@ -22,46 +22,37 @@ class Sightings:
     """Who looks at whom, on which face, when, and the geometry of it.
 
     n pointings, S stations, T targets; SI units; the network frame unless a name says otherwise.
-
-    Attributes
-    ----------
-    station, target, instrument : (n,) int
-    face, repeat : (n,) int
-    time : (n,) float, [s]
-    position : (S, 3) float, [m]
-        Origin of each instrument.
-    rotation : (S, 3, 3) float
-        Instrument frame to network frame.
-    points : (T, 3) float, [m]
-    nest_normal : (T, 3) float
-        Unit vector, NaN where unknown.
-    reaimed : (T,) bool
-        The reflector is turned toward the station before each pointing.
-    station_names, target_names : tuple of str
-    covariates : mapping of str to (n,) float
-    lift : (n, 3) float or None, [m]
-        From the target's mark to the reflector, less what the instrument stood higher than `position`.
-    encoder : (n, 3) float or None
-        Raw readings with the instrument's own errors in them, where they are known: the phase of fine periodic
-        errors is taken there.
     """
 
     station: Ints
     target: Ints
     instrument: Ints
+    """(n,) each."""
     face: Ints
     repeat: Ints
+    """(n,) each."""
     time: Floats
+    """(n,) [s]."""
     position: Floats
+    """(S, 3) [m]: origin of each instrument."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to network frame."""
     points: Floats
+    """(T, 3) [m]."""
     nest_normal: Floats
+    """(T, 3): unit vector, NaN where unknown."""
     reaimed: Bools
+    """(T,): the reflector is turned toward the station before each pointing."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,)."""
     lift: Floats | None = None
+    """(n, 3) [m]: from the target's mark to the reflector, less what the instrument stood higher than `position`."""
     encoder: Floats | None = None
+    """(n, 3): raw readings with the instrument's own errors in them, where they are known: the phase of fine periodic
+    errors is taken there.
+    """
 
     def __len__(self) -> int:
         return len(self.station)
@@ -89,8 +80,7 @@ class Sightings:
     @cached_property
     def local(self) -> Floats:
         """(n, 3) [m]: the target in the instrument's frame."""
-        local: Floats = np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
-        return local
+        return np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
 
     @cached_property
     def polar(self) -> Floats:
@@ -135,8 +125,7 @@ class Sightings:
     @cached_property
     def by_target(self) -> Floats:
         """(n, 3, 3): derivative of the raw reading by the target's network coordinates."""
-        by_target: Floats = self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
-        return by_target
+        return self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
 
     @cached_property
     def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
@@ -162,8 +151,7 @@ class Sightings:
         """(n,) [s]: time since the first pointing of the same station."""
         first = np.full(len(self.station_names), np.inf)
         np.minimum.at(first, self.station, self.time)
-        since: Floats = self.time - first[self.station]
-        return since
+        return self.time - first[self.station]
 
     @cached_property
     def order(self) -> Ints:

@@ -63,25 +63,17 @@ class Blocker(Protocol):
 
 @dataclass(frozen=True)
 class SightLimits:
-    """What an instrument and its reflectors allow; radians and metres.
-
-    Attributes
-    ----------
-    elevation_min, elevation_max : float
-        Travel of the elevation axis, in the instrument's frame.
-    range_min, range_max : float
-    acceptance : float
-        Largest incidence on a reflector.
-    opening : float or None
-        Full angle of a shadow cone that is kept free; None: the one that `elevation_min` hides.
-    """
+    """What an instrument and its reflectors allow; radians and metres."""
 
     elevation_min: float = -55.0 * DEGREE
     elevation_max: float = 77.0 * DEGREE
+    """Travel of the elevation axis, in the instrument's frame."""
     range_min: float = 0.5
     range_max: float = 20.0
     acceptance: float = 30.0 * DEGREE
+    """Largest incidence on a reflector."""
     opening: float | None = None
+    """Full angle of a shadow cone that is kept free; None: the one that `elevation_min` hides."""
 
     @property
     def cone_opening(self) -> float:
@@ -91,23 +83,16 @@ class SightLimits:
 
 @dataclass(frozen=True)
 class Visibility:
-    """The table of a layout.
-
-    Attributes
-    ----------
-    reason : (S, T) int8
-        Values of `Reason`.
-    range_ : (S, T) float, [m]
-    elevation : (S, T) float, [rad]
-        In the instrument's frame.
-    incidence : (S, T) float, [rad]
-        On the reflector; 0 where it is re-aimed, NaN where its nest is unknown.
-    """
+    """The table of a layout."""
 
     reason: NDArray[np.int8]
+    """(S, T): values of `Reason`."""
     range_: Floats
+    """(S, T) [m]."""
     elevation: Floats
+    """(S, T) [rad]: in the instrument's frame."""
     incidence: Floats
+    """(S, T) [rad]: on the reflector; 0 where it is re-aimed, NaN where its nest is unknown."""
 
     @property
     def visible(self) -> Bools:
@@ -137,8 +122,7 @@ def shadow_radius(position: Floats, height: float, opening: float) -> Floats:
     Zero where the instrument stands lower. The circles' centres are the positions themselves.
     """
     above = np.maximum(position[:, 2] - height, 0.0)
-    radius: Floats = above * np.tan(0.5 * opening)
-    return radius
+    return above * np.tan(0.5 * opening)
 
 
 def visibility(
@@ -209,8 +193,7 @@ def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) 
         return np.zeros(beam.shape[:2])
     length = np.linalg.norm(nest_normal, axis=1, keepdims=True)
     cosine = -np.einsum("stk,tk->st", beam, nest_normal / length)
-    angle: Floats = np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return angle
+    return np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Blocker) -> None:

@@ -27,27 +27,20 @@ REALISED = 1e-7
 
 @dataclass(frozen=True)
 class Frame:
-    """The gauge at the temperature of its calibration.
-
-    Attributes
-    ----------
-    names : (k,) of str
-    points : (k, 3) float, [m]
-        In the frame's own axes, origin in the middle.
-    first, second : (g,) int
-        Pairs whose lengths are known.
-    """
+    """The gauge at the temperature of its calibration."""
 
     names: tuple[str, ...]
+    """(k,)."""
     points: Floats
+    """(k, 3) [m]: in the frame's own axes, origin in the middle."""
     first: Ints
     second: Ints
+    """(g,): pairs whose lengths are known."""
 
     @property
     def length(self) -> Floats:
         """(g,) [m]: true lengths."""
-        gap: Floats = np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
-        return gap
+        return np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
 
 
 def frame_of(gauge: Gauge) -> Frame:
@@ -118,8 +111,7 @@ def expansion(gauge: Gauge, workshop_c: float) -> float:
 def orientation(gauge: Gauge) -> Floats:
     """Rotation (3, 3) from the frame's own axes to the workshop."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
-    matrix: Floats = Rotation.from_euler("xyz", angles).as_matrix()
-    return matrix
+    return Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def in_workshop(gauge: Gauge, frame: Frame, workshop_c: float) -> Floats:
@@ -131,8 +123,7 @@ def in_workshop(gauge: Gauge, frame: Frame, workshop_c: float) -> Floats:
 def length_sigma(cmm: Cmm, length: Floats) -> Floats:
     """Standard deviation (g,) [m] of lengths (g,) [m] from the measuring machine: its largest error over `coverage`."""
     largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
-    sigma: Floats = largest * MICROMETRE / cmm.coverage
-    return sigma
+    return largest * MICROMETRE / cmm.coverage
 
 
 def calibrated(gauge: Gauge, frame: Frame, cmm: Cmm, seed: int, *key: str | int) -> tuple[Floats, Floats]:

@@ -29,21 +29,14 @@ DENSE = 600_000
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """A whitened linear system: minimise |design @ step - residual|^2.
-
-    Attributes
-    ----------
-    design : (m, K + 3 E) sparse
-        Kept columns first.
-    residual : (m,) float
-        Observed minus predicted, over sigma.
-    kept : int
-        K.
-    """
+    """A whitened linear system: minimise |design @ step - residual|^2."""
 
     design: sp.csr_array
+    """(m, K + 3 E): kept columns first."""
     residual: Floats
+    """(m,): observed minus predicted, over sigma."""
     kept: int
+    """K."""
 
     @property
     def cost(self) -> float:
@@ -119,20 +112,17 @@ class Factor:
     def kept_sets(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of kept unknowns; cheap where each set meets in one row of the design."""
         scale = self._scale[columns]
-        covariance: Floats = self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
-        return covariance
+        return self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
         scale = self._scale[self._system.kept :].reshape(-1, 3)
-        covariance: Floats = self._local[0] * scale[:, :, None] * scale[:, None, :]
-        return covariance
+        return self._local[0] * scale[:, :, None] * scale[:, None, :]
 
     @in_one_thread
     def covariance_columns(self, rows: Floats) -> Floats:
         """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
-        columns: Floats = self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
-        return columns
+        return self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
 
     @property
     def smallest_pivot(self) -> float:

@@ -32,50 +32,33 @@ LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker gu
 
 @dataclass(frozen=True)
 class Source:
-    """One source of uncertainty of the points.
-
-    Attributes
-    ----------
-    name : str
-    kind : str
-        ``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest.
-    response : (3 T, q) float, [m]
-        Displacement of the points for one standard deviation of each independent variate.
-    distribution : str
-        Of the variates.
-    """
+    """One source of uncertainty of the points."""
 
     name: str
     kind: Literal["A", "B"]
+    """``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest."""
     response: Floats
+    """(3 T, q) [m]: displacement of the points for one standard deviation of each independent variate."""
     distribution: str = "normal"
+    """Of the variates."""
 
     @property
     def covariance(self) -> Floats:
         """(3 T, 3 T) [m^2]."""
-        covariance: Floats = self.response @ self.response.T
-        return covariance
+        return self.response @ self.response.T
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Estimated points and what they depend on.
-
-    Attributes
-    ----------
-    adjustment : Adjustment
-    targets : tuple of str
-        The points that the tasks use.
-    points : (T, 3) float, [m]
-    reach : (m, 3 T) float, [m]
-        Displacement of the points for a unit of each whitened row of the adjustment.
-    sources : tuple of Source
-    """
+    """Estimated points and what they depend on."""
 
     adjustment: Adjustment
     targets: tuple[str, ...]
+    """The points that the tasks use."""
     points: Floats
+    """(T, 3) [m]."""
     reach: Floats
+    """(m, 3 T) [m]: displacement of the points for a unit of each whitened row of the adjustment."""
     sources: tuple[Source, ...]
 
     @classmethod
@@ -119,8 +102,7 @@ def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
     spread = adjustment.factor.covariance_columns(unit)
     if adjustment.datum is not None:
         spread = spread - adjustment.datum.carried @ adjustment.datum.motion[columns].T
-    reach: Floats = np.asarray(system.design @ spread)
-    return reach
+    return np.asarray(system.design @ spread)
 
 
 def observed_rows(adjustment: Adjustment) -> list[tuple[str, Ints]]:

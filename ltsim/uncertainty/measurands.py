@@ -41,23 +41,15 @@ def _plain(*names: str) -> list[Output]:
 
 @dataclass(frozen=True)
 class Measurand:
-    """A task on the points of a network.
-
-    Attributes
-    ----------
-    task : Task
-    at : (k,) int
-        Its targets among the network's points.
-    near : Feature, optional
-        The element fitted to the estimated points: start of every further fit and side of every direction.
-    zone : Feature, optional
-        The element of their minimum zone, where the task asks for it.
-    """
+    """A task on the points of a network."""
 
     task: Task
     at: Ints
+    """(k,): its targets among the network's points."""
     near: Feature | None = field(default=None, repr=False)
+    """The element fitted to the estimated points: start of every further fit and side of every direction."""
     zone: Feature | None = field(default=None, repr=False)
+    """The element of their minimum zone, where the task asks for it."""
 
     @classmethod
     def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Measurand:
@@ -137,8 +129,7 @@ class Measurand:
         """Derivative (k,) of the results by the stretch."""
         both = np.array([stretch + STEP, stretch - STEP])
         values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
-        change: Floats = (values[0] - values[1]) / (2 * STEP)
-        return change
+        return (values[0] - values[1]) / (2 * STEP)
 
     def _feature(self, chosen: Floats) -> Floats:
         task, near = self.task, self.near
@@ -214,8 +205,7 @@ def _angle(chosen: Floats) -> Floats:
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
         raise ModelError("an arm of the angle has no length")
-    angle: Floats = np.arctan2(across, np.einsum("...i,...i->...", first, second))
-    return angle
+    return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 
 def _gaps(gap: Floats) -> Floats:
