@@ -5,29 +5,14 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import (
-    ColumnMap,
-    Datum,
-    FormatName,
-    FrameFile,
-    HintList,
-    Json,
-    NoiseFromData,
-    Out,
-    PointsFile,
-    Quiet,
-    Robust,
-    Source,
-    names_of,
-    recording_of,
-)
+from ltsim.cli.options import FramedReading, Out, PointsFile, Source, Treatment, names_of
 from ltsim.cli.places import Force, claim, claim_file
-from ltsim.cli.summary import recording_line, show_calibration, show_notes
+from ltsim.cli.summary import show_calibration
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 
@@ -105,9 +90,8 @@ def calibrate(
     source: Source,
     method: MethodOption = Method.NETWORK,
     construction: ConstructionOption = None,
-    robust: Robust = False,
-    noise_from_data: NoiseFromData = False,
-    datum: Datum = None,
+    *,
+    treatment: Treatment,
     parameters: ParameterList = None,
     without: WithoutList = None,
     hold: HoldList = None,
@@ -117,13 +101,9 @@ def calibrate(
     box: Box = None,
     out: Out = None,
     points: PointsFile = None,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    reading: FramedReading,
     force: Force = False,
-    frame: FrameFile = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> None:
     """Find the instrument's parameters from a recording, with uncertainty, and say what it cannot tell.
 
@@ -131,17 +111,14 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    terminal = Terminal(quiet, as_json)
-    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": names_of(datum)}
+    options = treatment.as_options()
     if method is not Method.NETWORK and any([*options.values(), prior]):
         message = "--robust, --noise-from-data, --datum and --prior go with --method network"
         raise SetupError(f"{message}, not {method.value}")
     options |= {"parameters": names_of(parameters), "without": names_of(without) or (), "hold": held_values(hold)}
     options |= {"prior": prior, "harmonics": harmonics, "degree": degree, "box": box}
     claim_results(out, points, adjusted=False, force=force)
-    recording = recording_of(source, format_name, hint, columns, frame)
-    show_notes(terminal, recording)
-    terminal.say(recording_line(recording))
+    recording = reading.open(source, terminal)
     built = construction.value if construction else None
     with terminal.busy("calibrating"):
         found = lt.calibrate(recording, method=method.value, construction=built, **options)
@@ -183,7 +160,5 @@ def finish(terminal: Terminal, calibration: Calibration, out: Path | None, point
     content = calibration_file(calibration) if out is None else write_calibration(calibration, out)
     terminal.answer(content.content())
     show_calibration(terminal, calibration)
-    for note in calibration.notes:
-        terminal.note(f"note: {note}")
-    if out is not None:
-        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    terminal.notes(calibration.notes)
+    terminal.written(out)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltsim.campaign import require_packages
-from ltsim.cli.options import Jobs, Json, Quiet
+from ltsim.cli.options import Jobs
 from ltsim.cli.places import Force
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError, StoppedError
@@ -53,8 +53,8 @@ def campaign(
         str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786.")
     ] = "",
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    *,
+    terminal: Terminal,
 ) -> int:
     """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
 
@@ -78,7 +78,6 @@ def campaign(
     from ltsim.campaign.statistics import Results, summary_csv
     from ltsim.campaign.store import Store
 
-    terminal = Terminal(quiet, as_json)
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file)
     total = settings.trials * len(settings.methods) * len(scenarios)

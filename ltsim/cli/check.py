@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.options import Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import LtsimError, NetworkError, RecordError
 from ltsim.recording.files import is_number
@@ -45,12 +44,10 @@ def check(
     mpe: MpeOption = None,
     watch: Watch = False,
     out: Out = None,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
 
@@ -63,19 +60,16 @@ def check(
     from ltsim.check import check_file, write_check
     from ltsim.check.files import TWO_FACE, CheckFile
 
-    terminal = Terminal(quiet, as_json)
     claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
     limit = mpe_of(mpe)
 
     def look() -> Check:
-        return check_of(recording_of(source, format_name, hint, columns), level=level, mpe=limit)
+        return check_of(reading.of(source), level=level, mpe=limit)
 
     if watch:
         follow(terminal, look, changes(source))
         return 0
-    recording = recording_of(source, format_name, hint, columns)
-    show_notes(terminal, recording)
-    terminal.say(recording_line(recording))
+    recording = reading.open(source, terminal)
     with terminal.busy("checking"):
         found = check_of(recording, level=level, mpe=limit)
     content = check_file(found)

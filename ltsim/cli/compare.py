@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, Out, Quiet, Robust, Source, names_of, recording_of
+from ltsim.cli.options import Out, Reading, Robust, Source, names_of
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
@@ -40,12 +39,10 @@ def compare(
     level: Level = 0.05,
     robust: Robust = False,
     out: Out = None,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> int:
     """Say which points moved between two recordings, by how much, and which motion could not have been seen.
 
@@ -58,13 +55,10 @@ def compare(
     from ltsim.uncertainty.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
     from ltsim.uncertainty.epochs import compare as compared
 
-    terminal = Terminal(quiet, as_json)
     claim(out, ComparisonFile, (DISPLACEMENTS.file,), force=force)
     epochs: list[Adjustment] = []
     for path in (source, second):
-        recording = recording_of(path, format_name, hint, columns)
-        show_notes(terminal, recording)
-        terminal.say(recording_line(recording))
+        recording = reading.open(path, terminal)
         epochs.append(adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust))
         epochs[-1].solution.require_success()
     first, later = epochs
@@ -75,8 +69,7 @@ def compare(
         content = write_comparison(content, out)
     terminal.answer(content.content())
     show(terminal, content)
-    if out is not None:
-        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    terminal.written(out)
     return int(bool(found.moved))
 
 

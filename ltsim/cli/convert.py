@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Quiet, recording_of
+from ltsim.cli.options import FramedReading
 from ltsim.cli.places import Force, claim_file, claim_recording
-from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import FORMATS, write
 
@@ -24,13 +23,10 @@ def convert(
     source: Input,
     destination: Output,
     to: To = "native",
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: FramedReading,
     force: Force = False,
-    frame: FrameFile = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> None:
     """Read a recording in one format and write it in another.
 
@@ -40,14 +36,13 @@ def convert(
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
-    terminal = Terminal(quiet, as_json)
     if to == "native":
         claim_recording(destination, force=force)
     else:
         claim_file(destination, force=force)
-    recording = recording_of(source, format_name, hint, columns, frame)
-    show_notes(terminal, recording)
+    recording = reading.of(source)
+    terminal.notes(recording.notes)
     write(recording, destination, to)
     terminal.answer({"pointings": len(recording), "notes": list(recording.notes)})
-    terminal.say(recording_line(recording))
+    terminal.say(recording.headline)
     terminal.say(f"written to {destination} ({to})")

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Quiet, Source, recording_of
+from ltsim.cli.options import CalibrationFile, Reading, Source
 from ltsim.cli.places import Force, claim_recording
-from ltsim.cli.summary import calibration_of, show_notes
+from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal
 from ltsim.units import ARCSECOND, MICROMETRE
 
@@ -21,12 +21,10 @@ def correct(
     source: Source,
     calibration: CalibrationFile,
     out: Destination,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> None:
     """Write the recording that an ideal tracker would have made, by a calibration of the instrument.
 
@@ -36,13 +34,12 @@ def correct(
 
     from ltsim.geometry.polar import wrap
 
-    terminal = Terminal(quiet, as_json)
     claim_recording(out, force=force)
-    recording = recording_of(source, format_name, hint, columns)
-    show_notes(terminal, recording)
+    recording = reading.of(source)
+    terminal.notes(recording.notes)
     found = calibration_of(terminal, calibration)
     if not found.names:
-        terminal.note("note: this calibration holds no instrument parameters; nothing changes")
+        terminal.notes(["this calibration holds no instrument parameters; nothing changes"])
     corrected = lt.correct(recording, found, again=force)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings

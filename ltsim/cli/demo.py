@@ -12,7 +12,7 @@ import typer
 
 import ltsim as lt
 from ltsim.campaign import require_packages
-from ltsim.cli.options import Json, Quiet, Seed
+from ltsim.cli.options import Seed
 from ltsim.cli.places import Force, claim_empty
 from ltsim.cli.terminal import Terminal
 from ltsim.recording.files import write_texts
@@ -53,15 +53,14 @@ def demo(
     out: Folder = Path("ltsim-demo"),
     seed: Seed = 0,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    *,
+    terminal: Terminal,
 ) -> None:
     """Simulate, calibrate, repeat, hide an effect and diagnose it, and leave one page to open.
 
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
-    terminal = Terminal(quiet, as_json)
     claim_empty(out, force=force)
     said = []
     for number, step in enumerate(STEPS, start=1):

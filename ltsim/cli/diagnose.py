@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Json, Out, Quiet, Seed, Source, recording_of
+from ltsim.cli.options import FramedReading, Out, Seed, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
@@ -29,13 +28,10 @@ def diagnose(
     level: Level = 0.05,
     fail_on_mismatch: FailOnMismatch = False,
     seed: Seed = 0,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: FramedReading,
     force: Force = False,
-    frame: FrameFile = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> int:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
 
@@ -46,18 +42,14 @@ def diagnose(
     from ltsim.diagnose.files import COMPANIONS, diagnosis_file, write_diagnosis
     from ltsim.diagnose.schema import DiagnosisFile
 
-    terminal = Terminal(quiet, as_json)
     claim(out, DiagnosisFile, COMPANIONS, force=force)
-    recording = recording_of(source, format_name, hint, columns, frame)
-    show_notes(terminal, recording)
-    terminal.say(recording_line(recording))
+    recording = reading.open(source, terminal)
     with terminal.busy("diagnosing"):
         found = lt.diagnose(recording, seed=seed, level=level)
     content = diagnosis_file(found, recording) if out is None else write_diagnosis(found, out, recording)
     terminal.answer(content.content())
     show(terminal, found)
-    if out is not None:
-        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    terminal.written(out)
     return 1 if fail_on_mismatch and found.verdict == "mismatch" else 0
 
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from ltsim.cli.options import Json, Quiet
 from ltsim.cli.terminal import Terminal, table
 from ltsim.effects import CATALOGUE, Effect, card_of, find_effect
 from ltsim.effects.catalogue import SHIPPED
@@ -25,14 +24,13 @@ CONVENTIONS = (
 )
 
 
-def effects(name: Name = None, quiet: Quiet = False, as_json: Json = False) -> None:
+def effects(name: Name = None, *, terminal: Terminal) -> None:
     """List the physical effects that can be simulated, calibrated and diagnosed, or print the card of one.
 
     What installed packages add is listed last, with the package it comes from.
 
     Example: ltsim effects station-settling
     """
-    terminal = Terminal(quiet, as_json)
     if name is not None:
         effect = find_effect(name)
         terminal.answer(entry(effect))

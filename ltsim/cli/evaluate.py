@@ -5,19 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ltsim.cli.options import (
-    ColumnMap,
-    FormatName,
-    HintList,
-    Json,
-    OptionalCalibrationFile,
-    Out,
-    Quiet,
-    Source,
-    recording_of,
-)
+from ltsim.cli.options import OptionalCalibrationFile, Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import calibration_of, criteria_table, recording_line, show_notes
+from ltsim.cli.summary import calibration_of, criteria_table
 from ltsim.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -30,12 +20,10 @@ def evaluate(
     source: Source,
     calibration: OptionalCalibrationFile = None,
     out: Out = None,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> None:
     """How far the stations disagree about distances and coordinates, before and after a calibration.
 
@@ -46,15 +34,12 @@ def evaluate(
     from ltsim.calibrate.result import gross_rows
     from ltsim.evaluate.schema import CriteriaFile
 
-    terminal = Terminal(quiet, as_json)
     claim(out, CriteriaFile, force=force)
-    recording = recording_of(source, format_name, hint, columns)
-    show_notes(terminal, recording)
-    terminal.say(recording_line(recording))
+    recording = reading.open(source, terminal)
     gross = gross_rows(recording)
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
-        terminal.note(f"note: {gross.sum()} pointings miss their target by far and are left out (rows {rows})")
+        terminal.notes([f"{gross.sum()} pointings miss their target by far and are left out (rows {rows})"])
     show(terminal, criteria_with(terminal, recording, calibration, ~gross), recording, out)
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Json, NoiseFromData, Out, Quiet, Robust, recording_of
+from ltsim.cli.options import NoiseFromData, Out, Reading, Robust
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import calibration_of, show_notes
+from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
 
@@ -52,12 +52,10 @@ def history(
     fail_on_change: FailOnChange = False,
     robust: Robust = False,
     noise_from_data: NoiseFromData = False,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> int:
     """Follow an instrument's parameters over calibrations: course, uncertainty, and whether it has changed since.
 
@@ -69,13 +67,12 @@ def history(
     from ltsim.calibrate.history import History
     from ltsim.calibrate.schema import HistoryFile
 
-    terminal = Terminal(quiet, as_json)
     claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []
     treated: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data}
     with terminal.progress("calibrating", len(sources)) as done:
         for source in sources:
-            named += _calibrations(terminal, source, each_set_up, format_name, hint, columns, treated)
+            named += _calibrations(terminal, source, reading, treated, each_set_up=each_set_up)
             done(1)
     found = History.of(named, instrument)
     content = history_file(found)
@@ -100,13 +97,7 @@ def _has_changed(found: History) -> bool:
 
 
 def _calibrations(
-    terminal: Terminal,
-    source: Path,
-    each_set_up: bool,
-    format_name: str | None,
-    hint: list[str] | None,
-    columns: str | None,
-    treated: dict[str, Any],
+    terminal: Terminal, source: Path, reading: Reading, treated: dict[str, Any], *, each_set_up: bool
 ) -> list[tuple[str, Calibration]]:
     """One calibration of a file, or one a set-up of a recording."""
     from ltsim.calibrate.schema import CalibrationFile
@@ -115,8 +106,8 @@ def _calibrations(
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
         return [(label or source.stem, calibration_of(terminal, source))]
-    recording = recording_of(source, format_name, hint, columns)
-    show_notes(terminal, recording)
+    recording = reading.of(source)
+    terminal.notes(recording.notes)
     label = source.stem if source.is_file() else source.name
     if not each_set_up:
         return [(label, _calibrated(recording, label, treated))]

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from ltsim.cli.options import ungrouped
 from ltsim.errors import LtsimError, StoppedError, printable
 
 BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
@@ -68,7 +69,7 @@ class Verbs(TyperGroup):
         if cmd_name not in VERBS:
             return None
         verb = typer.Typer(add_completion=False, **SETTINGS)
-        verb.command(cmd_name)(getattr(import_module(f"ltsim.cli.{cmd_name}"), cmd_name))
+        verb.command(cmd_name)(ungrouped(getattr(import_module(f"ltsim.cli.{cmd_name}"), cmd_name)))
         return typer.main.get_command(verb)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

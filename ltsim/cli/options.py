@@ -1,13 +1,16 @@
-"""Arguments and options that several verbs share, and what is done with them."""
+"""Arguments and options that several verbs share, single and in groups, and what is done with them."""
 
 from __future__ import annotations
 
-import dataclasses
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from ltsim.cli.terminal import Terminal
 from ltsim.errors import RecordError
 from ltsim.workers import MOST
 
@@ -18,15 +21,9 @@ Source = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
 ]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")]
-CalibrationFile = Annotated[
-    Path, typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
-]
-OptionalCalibrationFile = Annotated[
-    Path | None,
-    typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it."),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")]
+_IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
+CalibrationFile = Annotated[Path, _IN_FILE]
+OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random draws; the same seed, the same result.")]
 Jobs = Annotated[
     int, typer.Option("--jobs", "-j", min=1, max=MOST, help="Processes to work with; the result is the same.")
@@ -99,7 +96,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
         "date": ("dmy", "mdy"),
     }
     given: dict[str, Any] = {}
-    keys = [f.name for f in dataclasses.fields(Hints) if f.name != "columns"]
+    keys = [f.name for f in fields(Hints) if f.name != "columns"]
     for pair in pairs or []:
         key, _, value = pair.partition("=")
         if key not in keys or not value:
@@ -110,18 +107,77 @@ def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
     return Hints(**given, columns=columns)
 
 
-def recording_of(
-    path: Path,
-    format_name: str | None = None,
-    hints: list[str] | None = None,
-    columns: str | None = None,
-    frame: Path | None = None,
-) -> Recording:
-    """The recording behind the argument REC of a verb, in the axes of `frame` if given; raises RecordError."""
-    from ltsim.recording import read
+@dataclass(frozen=True)
+class Treatment:
+    """How an adjustment treats its readings."""
 
-    found = read(path, format=format_name, hints=hints_of(hints, columns))
-    return found if frame is None else in_axes(found, frame)
+    robust: Robust = False
+    noise_from_data: NoiseFromData = False
+    datum: Datum = None
+
+    def as_options(self) -> dict[str, Any]:
+        """The same as `ltsim.adjust` takes it."""
+        return {"robust": self.robust, "noise_from_data": self.noise_from_data, "datum": names_of(self.datum)}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a recording is read whose content does not tell."""
+
+    format_name: FormatName = None
+    hint: HintList = None
+    columns: ColumnMap = None
+
+    def of(self, path: Path) -> Recording:
+        """The recording; raises RecordError."""
+        from ltsim.recording import read
+
+        return read(path, format=self.format_name, hints=hints_of(self.hint, self.columns))
+
+    def open(self, path: Path, terminal: Terminal) -> Recording:
+        """The recording, with what its reader decided and its size said; raises RecordError."""
+        found = self.of(path)
+        terminal.notes(found.notes)
+        terminal.say(found.headline)
+        return found
+
+
+@dataclass(frozen=True)
+class FramedReading(Reading):
+    """The same, with the axes of the results."""
+
+    frame: FrameFile = None
+
+    def of(self, path: Path) -> Recording:
+        """The recording, in the axes of `frame` if given; raises RecordError."""
+        found = super().of(path)
+        return found if self.frame is None else in_axes(found, self.frame)
+
+
+def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
+    """A verb as Typer wants it: for a parameter that is a dataclass of options, the options themselves."""
+    hints = get_type_hints(verb, include_extras=True)
+    groups: dict[str, Any] = {name: group for name, group in hints.items() if is_dataclass(group)}
+    single: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(verb).parameters.items():
+        if name in groups:
+            kinds = get_type_hints(groups[name], include_extras=True)
+            single += [
+                inspect.Parameter(f.name, parameter.kind, default=f.default, annotation=kinds[f.name])
+                for f in fields(groups[name])
+            ]
+        else:
+            single.append(parameter.replace(annotation=hints[name]))
+
+    def run(**given: Any) -> Any:
+        for name, group in groups.items():
+            given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
+        return verb(**given)
+
+    run.__doc__ = verb.__doc__
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
+    run.__signature__ = inspect.Signature(single)  # type: ignore[attr-defined]
+    return run
 
 
 def in_axes(recording: Recording, frame: Path) -> Recording:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import ColumnMap, FormatName, HintList, Jobs, Json, Quiet, recording_of
+from ltsim.cli.options import Jobs, Reading
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import recording_line
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError
 
@@ -54,12 +53,10 @@ def plan(
     show: Show = False,
     after: After = None,
     between: Between = None,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> None:
     """Find a layout of stations and reflectors and say why; or, with --after, what to measure next.
 
@@ -72,12 +69,11 @@ def plan(
     from ltsim.plan.schema import NEXT, TABLES, NextFile, PlanResult
     from ltsim.plan.spec import plan_names, plan_text
 
-    terminal = Terminal(quiet, as_json)
     if after is not None:
         if source is not None:
             raise SetupError("ltsim plan takes either FILE or --after REC, not both")
         claim(out, NextFile, (NEXT.file,), force=force)
-        return _after(terminal, recording_of(after, format_name, hint, columns), _explanations(between), out)
+        return _after(terminal, reading.of(after), _explanations(between), out)
     if between is not None:
         raise SetupError("--between goes with --after REC: it needs a recording whose two explanations it names")
     if source is None:
@@ -85,7 +81,7 @@ def plan(
     if show:
         print(plan_text(source), end="")
         return None
-    folder = out if out is not None or as_json else Path(f"plan-{Path(source).stem}")
+    folder = out if out is not None or terminal.as_json else Path(f"plan-{Path(source).stem}")
     claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", *PICTURES, PAGE), force=force)
     return _search(terminal, source, folder, seed, starts, jobs)
 
@@ -194,7 +190,7 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
     from ltsim.plan.schema import NEXT
     from ltsim.recording.result_file import SourceEntry, write_result
 
-    terminal.say(recording_line(recording))
+    terminal.say(recording.headline)
     summary = ""
     beside: tuple[Signature, ...] = ()
     if not between:

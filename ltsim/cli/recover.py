@@ -12,7 +12,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.calibrate import Method, MethodOption
-from ltsim.cli.options import Json, Out, Quiet, Seed
+from ltsim.cli.options import Out, Seed
 from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
@@ -68,8 +68,8 @@ def recover(
     junit: JunitFile = None,
     out: Out = None,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    *,
+    terminal: Terminal,
 ) -> None:
     """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
 
@@ -82,7 +82,6 @@ def recover(
     from ltsim.campaign.recovery import FALSE_ALARM
     from ltsim.campaign.schema import RecoveryFile
 
-    terminal = Terminal(quiet, as_json)
     claim(out, RecoveryFile, ("trials.csv",), force=force)
     claim_file(junit, force=force)
     workers = jobs or (1 if trials < FEW else os.cpu_count() or 1)

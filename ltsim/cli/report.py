@@ -9,9 +9,8 @@ import typer
 from pydantic import ValidationError
 
 import ltsim as lt
-from ltsim.cli.options import Quiet
 from ltsim.cli.places import Force, claim_file
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.errors import SetupError
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import About

@@ -8,9 +8,8 @@ from typing import Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Json, Quiet, Seed
+from ltsim.cli.options import Seed
 from ltsim.cli.places import Force, claim_file, claim_recording
-from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 from ltsim.recording.files import write_text
@@ -38,14 +37,13 @@ def simulate(
     seed: Seed = 0,
     show: Show = False,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    *,
+    terminal: Terminal,
 ) -> None:
     """Measure a virtual workshop once.
 
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
-    terminal = Terminal(quiet, as_json)
     if show:
         print(builtin_text(scenario) if scenario in builtin_names() else _spelled_out(scenario), end="")
         return
@@ -63,9 +61,9 @@ def simulate(
         lt.write(true, truth)
     if nominal is not None:
         write_text(nominal, table)
-    show_notes(terminal, recording)
+    terminal.notes(recording.notes)
     terminal.answer({"pointings": len(recording), "stations": len(recording.stations), "seed": seed})
-    terminal.say(recording_line(recording))
+    terminal.say(recording.headline)
     terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
 
 

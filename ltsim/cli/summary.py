@@ -12,7 +12,6 @@ from ltsim.units import MICROMETRE
 if TYPE_CHECKING:
     from ltsim.calibrate import Calibration
     from ltsim.evaluate import Comparison, Criteria
-    from ltsim.recording import Recording
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
@@ -25,24 +24,12 @@ METHODS = {
 MOST_SHOWN = 12
 
 
-def recording_line(recording: Recording) -> str:
-    """How much was measured, in one line."""
-    return recording.headline
-
-
-def show_notes(terminal: Terminal, recording: Recording) -> None:
-    """What the reader decided about a file that did not say."""
-    for note in recording.notes:
-        terminal.note(f"note: {note}")
-
-
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
     """A calibration that was written before, with what it lacks said; raises RecordError."""
     from ltsim.calibrate import read_calibration
 
     found = read_calibration(path)
-    for note in found.notes:
-        terminal.note(f"note: {note}")
+    terminal.notes(found.notes)
     return found
 
 
@@ -65,7 +52,7 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
         show_outliers(terminal, calibration)
     if calibration.criteria is not None:
         terminal.say()
-        show_criteria(terminal, calibration.criteria)
+        terminal.say(criteria_table(calibration.criteria))
     if not math.isfinite(fit.chi2):
         terminal.say("the fit is not finite")
 
@@ -187,11 +174,6 @@ def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
         )
     if len(calibration.outliers) > MOST_SHOWN:
         terminal.say(f"  and {len(calibration.outliers) - MOST_SHOWN} more")
-
-
-def show_criteria(terminal: Terminal, criteria: Criteria) -> None:
-    """The paper's criteria as its Table 3."""
-    terminal.say(criteria_table(criteria))
 
 
 def criteria_table(criteria: Criteria) -> str:

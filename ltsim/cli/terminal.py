@@ -6,11 +6,13 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -18,14 +20,15 @@ from ltsim.errors import ModelError, printable
 
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Where a verb prints; `quiet` and `as_json` are the verb's options."""
+    """Where a verb prints."""
 
-    quiet: bool = False
-    as_json: bool = False
+    quiet: Quiet = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")] = False
 
     def say(self, text: str = "") -> None:
         """A line for a person."""
@@ -36,6 +39,16 @@ class Terminal:
         """A remark that does not belong to the answer: on standard error."""
         if not self.quiet:
             print(printable(text), file=sys.stderr)
+
+    def notes(self, notes: Iterable[str]) -> None:
+        """What was decided where the input did not say, or what it lacks."""
+        for note in notes:
+            self.note(f"note: {note}")
+
+    def written(self, out: Path | None) -> None:
+        """Where the results are, and how to look at them."""
+        if out is not None:
+            self.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
 
     def answer(self, content: Any) -> None:
         """The whole answer for a program, where it asked for it."""

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Json, Out, Quiet, recording_of
+from ltsim.cli.options import Out, Reading
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import recording_line, show_notes
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import SetupError
 from ltsim.simulate.builtin import builtin_names
@@ -38,8 +37,8 @@ def uncertainty(
     against: Against = None,
     out: Out = None,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    *,
+    terminal: Terminal,
 ) -> int:
     """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.
 
@@ -53,7 +52,6 @@ def uncertainty(
     from ltsim.uncertainty.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
     from ltsim.uncertainty.spec import load_tasks
 
-    terminal = Terminal(quiet, as_json)
     claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
     tasks = load_tasks(file)
     if seed is not None:
@@ -74,8 +72,7 @@ def uncertainty(
     show(terminal, content)
     if other is not None:
         _show_against(terminal, other)
-    if out is not None:
-        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    terminal.written(out)
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 
@@ -90,10 +87,7 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, *, beside: bool) ->
         return recording
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
-    recording = recording_of(place)
-    show_notes(terminal, recording)
-    terminal.say(recording_line(recording))
-    return recording
+    return Reading().open(place, terminal)
 
 
 def show(terminal: Terminal, content: UncertaintyFile) -> None:

@@ -9,9 +9,9 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.evaluate import show
-from ltsim.cli.options import CalibrationFile, ColumnMap, FormatName, HintList, Json, Out, Quiet, Source, recording_of
+from ltsim.cli.options import CalibrationFile, Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import calibration_of, recording_line, show_notes
+from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal
 
 Nominal = Annotated[
@@ -24,12 +24,10 @@ def verify(
     nominal: Nominal,
     calibration: CalibrationFile,
     out: Out = None,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: Reading,
     force: Force = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    terminal: Terminal,
 ) -> None:
     """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
 
@@ -39,10 +37,7 @@ def verify(
     """
     from ltsim.evaluate.schema import CriteriaFile
 
-    terminal = Terminal(quiet, as_json)
     claim(out, CriteriaFile, force=force)
-    recording = recording_of(source, format_name, hint, columns)
-    show_notes(terminal, recording)
-    terminal.say(recording_line(recording))
+    recording = reading.open(source, terminal)
     found = calibration_of(terminal, calibration)
     show(terminal, lt.verify(recording, nominal, found), recording, out)

@@ -11,9 +11,9 @@ from typing import Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import ColumnMap, FormatName, FrameFile, HintList, Quiet, recording_of
+from ltsim.cli.options import FramedReading
 from ltsim.cli.places import Force, claim_file
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.errors import RecordError
 
 
@@ -50,11 +50,9 @@ def view(
     cad: Cad = None,
     cad_unit: Unit = CadUnit.MM,
     colour: By = Colour.INCIDENCE,
-    format_name: FormatName = None,
-    hint: HintList = None,
-    columns: ColumnMap = None,
+    *,
+    reading: FramedReading,
     force: Force = False,
-    frame: FrameFile = None,
     quiet: Quiet = False,
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
@@ -70,8 +68,7 @@ def view(
     for file in (png, html):
         claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
-        described = any(given is not None for given in (format_name, hint, columns, frame))
-        source = recording_of(Path(place), format_name, hint, columns, frame) if described else place
+        source = place if reading == FramedReading() else reading.of(Path(place))
         shown = lt.view(source, cad=cad, cad_unit=cad_unit.value, colour=colour.value)
         if png is not None:
             shown.png(png)
