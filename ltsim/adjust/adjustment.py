@@ -46,31 +46,20 @@ class Outlier:
 
 @dataclass(frozen=True, repr=False)
 class Adjustment(Shown):
-    """An adjusted network.
-
-    Attributes
-    ----------
-    problem : NetworkProblem
-    solution : Solution
-    gross : (n,) bool
-        Pointings that were left out because they miss their target by far.
-    datum : InnerDatum, optional
-        Datum of the covariances where it is not that of the factor (the pose of the first station).
-    components : tuple of Component
-        Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it.
-    untied : tuple of str
-        Targets that the whole recording does not place, amid the others in the state.
-    copies : int
-        Rows that repeat others to the last digit: their readings are not counted again.
-    """
+    """An adjusted network."""
 
     problem: NetworkProblem
     solution: Solution[State]
     gross: Bools
+    """(n,): pointings that were left out because they miss their target by far."""
     datum: InnerDatum | None = None
+    """Datum of the covariances where it is not that of the factor (the pose of the first station)."""
     components: tuple[Component, ...] = ()
+    """Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it."""
     untied: tuple[str, ...] = ()
+    """Targets that the whole recording does not place, amid the others in the state."""
     copies: int = 0
+    """Rows that repeat others to the last digit: their readings are not counted again."""
 
     def _lines(self) -> list[str]:
         return [

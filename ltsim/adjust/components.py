@@ -24,27 +24,18 @@ LEAST = 3.0
 
 @dataclass(frozen=True)
 class Component:
-    """The noise of one group of readings.
-
-    Attributes
-    ----------
-    observable : str
-        One of the readings, or ``level``.
-    instrument : str
-        '' where all instruments are one group.
-    factor : float
-        On the stated standard deviations.
-    sigma : float
-        One standard deviation of `factor`; infinite where it could not be estimated.
-    redundancy : float
-        Of the group's readings together.
-    """
+    """The noise of one group of readings."""
 
     observable: str
+    """One of the readings, or ``level``."""
     instrument: str
+    """'' where all instruments are one group."""
     factor: float
+    """On the stated standard deviations."""
     sigma: float
+    """One standard deviation of `factor`; infinite where it could not be estimated."""
     redundancy: float
+    """Of the group's readings together."""
 
     @property
     def is_stated(self) -> bool:

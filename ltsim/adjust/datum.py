@@ -26,24 +26,16 @@ PASSES = 5
 
 @dataclass(frozen=True)
 class Tied:
-    """Points that a datum is tied to.
-
-    Attributes
-    ----------
-    columns : (k, 3) int
-        Their columns in the vector of unknowns.
-    places : (k, 3) float, [m]
-        Where they are.
-    stated : (k, 3) float, [m]
-        Approximate coordinates, NaN where none are stated and along axes that do not count.
-    counts : (k, 3) bool
-        Coordinates that the datum is tied to.
-    """
+    """Points that a datum is tied to."""
 
     columns: Ints
+    """(k, 3): their columns in the vector of unknowns."""
     places: Floats
+    """(k, 3) [m]: where they are."""
     stated: Floats
+    """(k, 3) [m]: approximate coordinates, NaN where none are stated and along axes that do not count."""
     counts: Bools
+    """(k, 3): coordinates that the datum is tied to."""
 
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
@@ -111,17 +103,6 @@ class InnerDatum:
 
     That is S C S^T with S = I - G (B^T G)^-1 B^T, where B are the rows of G that the datum ties.
 
-    Attributes
-    ----------
-    motion : (u, f) float
-        G, the free motions of all unknowns.
-    carried : (u, f) float
-        U.
-    middle : (f, f) float
-        M.
-    names : tuple of str
-        The points it is tied to.
-
     References
     ----------
     Baarda, S-transformations and criterion matrices (1973); Koch, Parameter Estimation and Hypothesis Testing
@@ -129,9 +110,13 @@ class InnerDatum:
     """
 
     motion: Floats
+    """(u, f): g, the free motions of all unknowns."""
     carried: Floats
+    """(u, f): u."""
     middle: Floats
+    """(f, f): m."""
     names: tuple[str, ...] = ()
+    """The points it is tied to."""
 
     @classmethod
     def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:

@@ -21,28 +21,21 @@ ROUGH_PLACE = 0.5
 
 @dataclass(frozen=True)
 class Frame:
-    """What is known of the network's frame beforehand.
-
-    Attributes
-    ----------
-    points : (T, 3) float, [m]
-        Targets that define it: known ones, and approximate ones that were chosen for the datum; NaN elsewhere.
-    stations : (S, 3) float, [m]
-        The same for instruments over marks that are no targets.
-    level : (S,) bool
-    marks : Marks
-    plan : (S, 3) float, [m]
-        Rough places of the stations on a floor plan, NaN where none is stated.
-    yaw : (S,) float, [rad]
-        Where the zero of each circle points on that plan, NaN where it is not stated.
-    """
+    """What is known of the network's frame beforehand."""
 
     points: Floats
+    """(T, 3) [m]: targets that define it: known ones, and approximate ones that were chosen for the datum; NaN
+    elsewhere.
+    """
     stations: Floats
+    """(S, 3) [m]: the same for instruments over marks that are no targets."""
     level: Bools
+    """(S,)."""
     marks: Marks
     plan: Floats
+    """(S, 3) [m]: rough places of the stations on a floor plan, NaN where none is stated."""
     yaw: Floats
+    """(S,) [rad]: where the zero of each circle points on that plan, NaN where it is not stated."""
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:

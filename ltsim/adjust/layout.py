@@ -16,27 +16,20 @@ class Layout:
     """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
 
     Set-ups over one mark share the columns of their position, with the target where that mark is one.
-
-    Attributes
-    ----------
-    pose : (S, 6) int
-        Translation, then rotation.
-    target : (T, 3) int
-        Gauge targets and those under a set-up are kept, all others are eliminated block by block.
-    instrument : (I, p) int
-    extra : (q,) int
-    kept : int
-        Number of kept columns K.
-    size : int
-        Number of all columns.
     """
 
     pose: Ints
+    """(S, 6): translation, then rotation."""
     target: Ints
+    """(T, 3): gauge targets and those under a set-up are kept, all others are eliminated block by block."""
     instrument: Ints
+    """(I, p)."""
     extra: Ints
+    """(q,)."""
     kept: int
+    """Number of kept columns K."""
     size: int
+    """Number of all columns."""
 
     @classmethod
     def of(cls, model: MeasurementModel, kept_targets: set[int], marks: Marks) -> Layout:

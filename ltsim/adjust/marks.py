@@ -14,27 +14,18 @@ from ltsim.units import MILLIMETRE
 
 @dataclass(frozen=True)
 class Marks:
-    """Where the set-ups of a recording stand.
-
-    Attributes
-    ----------
-    target : (S,) int
-        The target whose mark a set-up stands on, -1 for none.
-    first : (S,) int
-        The first set-up on the same mark that is no target; itself where it stands alone.
-    names : tuple of str
-        Name of the mark of each set-up, '' where it has none.
-    vertical : (S, 3) float
-        Direction of plumb, unit.
-    offset : (S, 3) float, [m]
-        From the mark to the instrument.
-    """
+    """Where the set-ups of a recording stand."""
 
     target: Ints
+    """(S,): the target whose mark a set-up stands on, -1 for none."""
     first: Ints
+    """(S,): the first set-up on the same mark that is no target; itself where it stands alone."""
     names: tuple[str, ...]
+    """Name of the mark of each set-up, '' where it has none."""
     vertical: Floats
+    """(S, 3): direction of plumb, unit."""
     offset: Floats
+    """(S, 3) [m]: from the mark to the instrument."""
 
     @classmethod
     def of(cls, recording: Recording) -> Marks:

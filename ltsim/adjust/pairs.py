@@ -19,27 +19,19 @@ AT_ONCE = 4096
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs (m,) of a station and a target, in the order of the stations.
-
-    Attributes
-    ----------
-    station, target : (m,) int
-    points : (m, 3) float, [m]
-        The target in the station's own frame.
-    begin : (S + 1,) int
-        Where each station's pairs begin.
-    order : (m,) int
-        Pairs in the order of their targets.
-    first : (T + 1,) int
-        Where each target's pairs begin in that order.
-    """
+    """Pairs (m,) of a station and a target, in the order of the stations."""
 
     station: Ints
     target: Ints
+    """(m,) each."""
     points: Floats
+    """(m, 3) [m]: the target in the station's own frame."""
     begin: Ints
+    """(S + 1,): where each station's pairs begin."""
     order: Ints
+    """(m,): pairs in the order of their targets."""
     first: Ints
+    """(T + 1,): where each target's pairs begin in that order."""
 
     @classmethod
     def of(cls, recording: Recording, points: Floats | None = None) -> Pairs:

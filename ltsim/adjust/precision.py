@@ -12,18 +12,12 @@ from ltsim.arrays import Floats
 
 @dataclass(frozen=True)
 class Ellipsoids:
-    """Ellipsoids of error.
-
-    Attributes
-    ----------
-    axes : (k, 3) float, [m]
-        Semi-axes, the longest first.
-    directions : (k, 3, 3) float
-        Unit vectors of the axes in the network's frame, one a row.
-    """
+    """Ellipsoids of error."""
 
     axes: Floats
+    """(k, 3) [m]: semi-axes, the longest first."""
     directions: Floats
+    """(k, 3, 3): unit vectors of the axes in the network's frame, one a row."""
 
 
 def ellipsoids(covariance: Floats, confidence: float | None = None) -> Ellipsoids:

@@ -14,19 +14,14 @@ from ltsim.recording.recording import Recording
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """A normal prior of the parameters of each instrument; instruments are independent of each other.
-
-    Attributes
-    ----------
-    mean : (I, p) float [SI]
-    covariance : (I, p, p) float [SI]
-    held : (I, p) bool
-        Parameters that stay at their mean whatever the readings say.
-    """
+    """A normal prior of the parameters of each instrument; instruments are independent of each other."""
 
     mean: Floats
+    """(I, p) [SI]."""
     covariance: Floats
+    """(I, p, p) [SI]."""
     held: Bools
+    """(I, p): parameters that stay at their mean whatever the readings say."""
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:

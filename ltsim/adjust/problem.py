@@ -32,36 +32,26 @@ class NetworkProblem:
     Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
     points, known marks under stations, levels, what no reading determines (held where it is), priors of the instrument
     parameters, weak priors of the further effects, datum.
-
-    Attributes
-    ----------
-    model : MeasurementModel
-    sigma : (n, 3) float
-        Standard deviations of the readings.
-    prior : ParameterPrior
-        Of the instrument parameters.
-    extra_sigma : (q,) float
-        Of the further effects' parameters; infinite for none.
-    free : (6, f) float
-        Rigid motions that only the datum holds.
-    use : (n, 3) bool
-        Readings in use.
-    structure : Structure
-        What these and the set-up fix.
     """
 
     model: MeasurementModel
     sigma: Floats
+    """(n, 3): standard deviations of the readings."""
     prior: ParameterPrior
+    """Of the instrument parameters."""
     extra_sigma: Floats
+    """(q,): of the further effects' parameters; infinite for none."""
     free: Floats
+    """(6, f): rigid motions that only the datum holds."""
     use: Bools
+    """(n, 3): readings in use."""
     gauge: GaugeRows
     control: ControlRows
     levels: LevelRows
     marks: Marks
     known_marks: ControlRows
     structure: Structure
+    """What these and the set-up fix."""
 
     @classmethod
     def of(

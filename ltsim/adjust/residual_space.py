@@ -24,19 +24,12 @@ VISIBLE = 1e-6
 
 @dataclass(frozen=True)
 class ResidualSpace:
-    """The projection off what is estimated, and the residuals off it.
-
-    Attributes
-    ----------
-    projection : Projection
-        Off the whitened design, and further signatures where they are estimated too.
-    residual : (m,) float
-        Whitened residuals, orthogonal to the design.
-    adjustment : Adjustment
-    """
+    """The projection off what is estimated, and the residuals off it."""
 
     projection: Projection
+    """Off the whitened design, and further signatures where they are estimated too."""
     residual: Floats
+    """(m,): whitened residuals, orthogonal to the design."""
     adjustment: Adjustment
 
     @classmethod

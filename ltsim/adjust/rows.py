@@ -57,22 +57,16 @@ class GaugeRows:
 
 @dataclass(frozen=True)
 class ControlRows:
-    """Places with known coordinates: targets, or stations over marks that are no targets.
-
-    Attributes
-    ----------
-    target : (k,) int
-        Index of the target, or of the station.
-    points : (k, 3) float, [m]
-    axes : (k, 3) bool
-        Coordinates that are known.
-    sigma : (k,) float, [m]
-    """
+    """Places with known coordinates: targets, or stations over marks that are no targets."""
 
     target: Ints
+    """(k,): index of the target, or of the station."""
     points: Floats
+    """(k, 3) [m]."""
     axes: Bools
+    """(k, 3): coordinates that are known."""
     sigma: Floats
+    """(k,) [m]."""
 
     @classmethod
     def of(cls, recording: Recording) -> ControlRows:

@@ -18,28 +18,19 @@ VERTICAL = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Structure:
-    """The unknowns of a network and what is held of them; two recordings of the same pointings share it.
-
-    Attributes
-    ----------
-    layout : Layout
-        Places of the unknowns.
-    yaw, tilt : int arrays
-        Stations without azimuths, and those without any angle or level.
-    height : int array
-        Levelled stations that only read azimuths.
-    place : int array
-        Stations without any reading.
-    unseen : (T,) bool
-        Targets without a reading in use, known coordinates or a set-up on them.
-    """
+    """The unknowns of a network and what is held of them; two recordings of the same pointings share it."""
 
     layout: Layout
+    """Places of the unknowns."""
     yaw: Ints
     tilt: Ints
+    """Stations without azimuths, and those without any angle or level."""
     height: Ints
+    """Levelled stations that only read azimuths."""
     place: Ints
+    """Stations without any reading."""
     unseen: Bools
+    """(T,): targets without a reading in use, known coordinates or a set-up on them."""
 
     @classmethod
     def of(

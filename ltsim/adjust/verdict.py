@@ -33,23 +33,15 @@ class Case(Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to believe.
-
-    Attributes
-    ----------
-    case : Case
-    sentence : str
-        The verdict and why, for a person.
-    by_estimate : bool
-        Whether standard deviations should be multiplied with the estimated sigma0.
-    outliers : int
-        Readings that do not belong by the test to be trusted.
-    """
+    """What to believe."""
 
     case: Case
     sentence: str
+    """The verdict and why, for a person."""
     by_estimate: bool
+    """Whether standard deviations should be multiplied with the estimated sigma0."""
     outliers: int
+    """Readings that do not belong by the test to be trusted."""
 
 
 def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY_LEVEL) -> Verdict:

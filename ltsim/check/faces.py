@@ -30,26 +30,17 @@ class Mpe:
 
 @dataclass(frozen=True)
 class Faces:
-    """Two-face half differences of one set-up.
-
-    Attributes
-    ----------
-    pairs : TwoFace
-    noise : (m, 3) float, [m, rad, rad]
-        Standard deviation of each half difference by the stated noise.
-    guarantee : (m, 3) float, [m, rad, rad]
-        Standard deviation of what the guaranteed errors of the instrument add.
-    over : (m, 3) bool
-        Beyond the limit.
-    limit : (m, 3) float
-        Largest half difference that passes.
-    """
+    """Two-face half differences of one set-up."""
 
     pairs: TwoFace
     noise: Floats
+    """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
     guarantee: Floats
+    """(m, 3) [m, rad, rad]: standard deviation of what the guaranteed errors of the instrument add."""
     over: Bools
+    """(m, 3): beyond the limit."""
     limit: Floats
+    """(m, 3): largest half difference that passes."""
 
     @classmethod
     def of(cls, recording: Recording, construction: Construction, level: float, mpe: Mpe | None = None) -> Faces:

@@ -40,35 +40,24 @@ class Gain:
 
 @dataclass(frozen=True)
 class Visit:
-    """A set-up with its readings whitened, and targets and instrument projected out of them.
-
-    Attributes
-    ----------
-    recording : Recording
-        Of this station alone.
-    sightings : Sightings
-        Instrument frame.
-    use : (n,) bool
-        Pointings in use.
-    whitened : (n, 3) float
-        What is left of the readings over their sigmas, 0 where not in use.
-    by_target : (n, 3, 3) float
-        Orthonormal columns of each pointing's own target.
-    by_instrument : (n, 3, k) float
-        Orthonormal columns of the instrument's errors, across all targets.
-    sigma : (n, 3) float
-    dof : int
-        Degrees of freedom.
-    """
+    """A set-up with its readings whitened, and targets and instrument projected out of them."""
 
     recording: Recording
+    """Of this station alone."""
     sightings: Sightings
+    """Instrument frame."""
     use: Bools
+    """(n,): pointings in use."""
     whitened: Floats
+    """(n, 3): what is left of the readings over their sigmas, 0 where not in use."""
     by_target: Floats
+    """(n, 3, 3): orthonormal columns of each pointing's own target."""
     by_instrument: Floats
+    """(n, 3, k): orthonormal columns of the instrument's errors, across all targets."""
     sigma: Floats
+    """(n, 3)."""
     dof: int
+    """Degrees of freedom."""
 
     @classmethod
     def of(cls, recording: Recording, construction: Construction, use: Bools | None = None) -> Visit:

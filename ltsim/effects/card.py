@@ -21,38 +21,27 @@ _PART = re.compile(rf"^({'|'.join(PARTS)}): ", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Card:
-    """What is known of a physical cause.
-
-    Attributes
-    ----------
-    title, cause : str
-        What it is called, and what happens.
-    law : str
-        The equation with its sign, in lines as they are written; often with what gives it away.
-    size : str
-        Of a good and of a bad instrument or room.
-    like : str
-        What leaves similar residuals. Two numbers are correlations of the residuals in the reference workshop, one face
-        and two faces.
-    separate_by : str
-        The measurement that tells it from these.
-    valid : str
-        Where the law holds.
-    source : str
-        Literature: author, year, title, equation or page where they are known.
-    status : str
-        How the law was validated.
-    """
+    """What is known of a physical cause."""
 
     title: str
     cause: str
+    """What it is called, and what happens."""
     law: str
+    """The equation with its sign, in lines as they are written; often with what gives it away."""
     size: str
+    """Of a good and of a bad instrument or room."""
     like: str
+    """What leaves similar residuals. Two numbers are correlations of the residuals in the reference workshop, one face
+    and two faces.
+    """
     separate_by: str
+    """The measurement that tells it from these."""
     valid: str
+    """Where the law holds."""
     source: str
+    """Literature: author, year, title, equation or page where they are known."""
     status: str
+    """How the law was validated."""
 
     @classmethod
     def read(cls, text: str) -> Self:

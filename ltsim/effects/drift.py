@@ -21,19 +21,14 @@ WARM_UP = ShapeParameter(
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """A correction of one slot that follows the clock.
-
-    Attributes
-    ----------
-    law : str
-        ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time since the
-        recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
-    time_constant : float
-        [s], of the exponential law.
-    """
+    """A correction of one slot that follows the clock."""
 
     law: Law = "linear"
+    """``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time since the
+    recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
+    """
     time_constant: float = 3600.0
+    """[s], of the exponential law."""
 
     covariates = ("time",)
     shape = (WARM_UP,)

@@ -26,28 +26,18 @@ PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-        The unit a person reads it in, a key of `units.FACTOR`; values are SI.
-    meaning : str
-    prior_kind : str or None
-        Which guarantee of the maker bounds it; None: only `prior_sigma`.
-    prior_sigma : float
-        One standard deviation [SI] where the set-up gives none; also the scale of a plausible size.
-    positive : bool
-        Never negative: a thickness.
-    """
+    """One number of an effect."""
 
     name: str
     unit: str
+    """The unit a person reads it in, a key of `units.FACTOR`; values are SI."""
     meaning: str
     prior_sigma: float
+    """One standard deviation [SI] where the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
+    """Which guarantee of the maker bounds it; None: only `prior_sigma`."""
     positive: bool = False
+    """Never negative: a thickness."""
 
     def sigma_from(self, prior: Prior) -> float:
         """Prior standard deviation [SI] under a maker's guarantee."""

@@ -57,18 +57,12 @@ def table_error(table: tuple[float, ...], incidence: Floats, direction: Floats) 
 
 @dataclass(frozen=True)
 class SmrIncidence(Effect):
-    """Range error of reflectors that are not turned to the station.
-
-    Attributes
-    ----------
-    table : tuple of 9 float, [m]
-        Range error (reading - truth) at `TABLE_ANGLES`; empty: the first-order form alone.
-    direction : float, [rad]
-        chi_0: where the table's positive side lies around the nest's normal.
-    """
+    """Range error of reflectors that are not turned to the station."""
 
     table: tuple[float, ...] = ()
+    """[m]: range error (reading - truth) at `TABLE_ANGLES`; empty: the first-order form alone."""
     direction: float = 0.0
+    """[rad], chi_0: where the table's positive side lies around the nest's normal."""
 
     name: ClassVar[str] = "smr-incidence"
     stage: ClassVar[Stage] = Stage.TARGET

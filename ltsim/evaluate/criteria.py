@@ -31,17 +31,12 @@ AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class Differences:
-    """Sizes of disagreement, one an item.
-
-    Attributes
-    ----------
-    items : (k, c) int
-        Which: pairs of targets for distances (c = 2), targets for coordinates (c = 1).
-    values : (k,) float, [m]
-    """
+    """Sizes of disagreement, one an item."""
 
     items: np.ndarray
+    """(k, c): which: pairs of targets for distances (c = 2), targets for coordinates (c = 1)."""
     values: Floats
+    """(k,) [m]."""
 
     @property
     def mean(self) -> float:

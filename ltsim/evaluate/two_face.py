@@ -19,21 +19,16 @@ from ltsim.recording.recording import Recording
 
 @dataclass(frozen=True)
 class TwoFace:
-    """Pairs of pointings of one station to one target on both faces.
-
-    Attributes
-    ----------
-    rows : (m, 2) int
-        Rows of the recording: face 1, face 2.
-    place : (m, 3) float, [m, rad, rad]
-        Mean front-face range, azimuth, elevation.
-    half : (m, 3) float, [m, rad, rad]
-        Half of face 1 minus face 2: range, azimuth across the beam (times the cosine of the elevation), elevation.
-    """
+    """Pairs of pointings of one station to one target on both faces."""
 
     rows: Ints
+    """(m, 2): rows of the recording: face 1, face 2."""
     place: Floats
+    """(m, 3) [m, rad, rad]: mean front-face range, azimuth, elevation."""
     half: Floats
+    """(m, 3) [m, rad, rad]: half of face 1 minus face 2: range, azimuth across the beam (times the cosine of the
+    elevation), elevation.
+    """
 
     def __len__(self) -> int:
         return len(self.rows)

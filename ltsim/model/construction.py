@@ -27,21 +27,13 @@ CLOSED = 1e-14
 
 @dataclass(frozen=True)
 class Construction:
-    """A chain and the parameters that feed its slots.
-
-    Attributes
-    ----------
-    name : str
-    chain : Chain
-    parameters : tuple of Parameter
-    terms : tuple of Term
-        One a parameter: slot and basis.
-    """
+    """A chain and the parameters that feed its slots."""
 
     name: str
     chain: Chain
     parameters: tuple[Parameter, ...]
     terms: tuple[Term, ...]
+    """One a parameter: slot and basis."""
 
     @property
     def size(self) -> int:

@@ -19,25 +19,18 @@ from ltsim.units import MILLIMETRE
 
 @dataclass(frozen=True)
 class State:
-    """Everything an adjustment can change; SI, network frame.
-
-    Attributes
-    ----------
-    position : (S, 3) float
-    rotation : (S, 3, 3) float
-        Instrument frame to network frame.
-    points : (T, 3) float
-    instrument : (I, p) float
-        Construction parameters of each instrument.
-    extra : (q,) float
-        Parameters of the further effects.
-    """
+    """Everything an adjustment can change; SI, network frame."""
 
     position: Floats
+    """(S, 3)."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to network frame."""
     points: Floats
+    """(T, 3)."""
     instrument: Floats
+    """(I, p): construction parameters of each instrument."""
     extra: Floats = field(default_factory=lambda: np.zeros(0))
+    """(q,): parameters of the further effects."""
 
     def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> State:
         """The state after increments; `pose` (S, 6) is translation, then rotation vector in the network frame."""

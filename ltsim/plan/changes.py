@@ -25,33 +25,24 @@ What = Literal["move", "add", "remove"]
 
 @dataclass(frozen=True)
 class Change:
-    """One reflector moved, added or left out.
-
-    Attributes
-    ----------
-    what : str
-        `move`, `add` or `remove`.
-    reflector : str
-        Which; empty for one that is added.
-    place : str
-        Where to; empty for one that is left out.
-    position : (3,) float or None, [m]
-    gain_um : float
-        By how much the point error of all other targets falls, root mean square, inner constraints; negative: rises.
-    quality : float
-        Factor on the plan's objective; where its goal is targets alone, on the error of all other targets. Below one is
-        better.
-    serves : str
-        The instrument parameter that profits most, or suffers least, and the factor on its sigma.
-    """
+    """One reflector moved, added or left out."""
 
     what: What
+    """`move`, `add` or `remove`."""
     reflector: str
+    """Which; empty for one that is added."""
     place: str
+    """Where to; empty for one that is left out."""
     position: Floats | None
+    """(3,) [m]."""
     gain_um: float
+    """By how much the point error of all other targets falls, root mean square, inner constraints; negative: rises."""
     quality: float
+    """Factor on the plan's objective; where its goal is targets alone, on the error of all other targets. Below one is
+    better.
+    """
     serves: str
+    """The instrument parameter that profits most, or suffers least, and the factor on its sigma."""
     serves_factor: float
 
     @property
@@ -71,21 +62,14 @@ class Change:
 
 @dataclass(frozen=True)
 class Changes:
-    """All single changes that were tried.
-
-    Attributes
-    ----------
-    told : tuple of Change
-        Moves and additions that help, the best first, then what can be left out at the least cost.
-    tried : dict of str to int
-        How many of each sort.
-    helped : dict of str to int
-        How many of each made the quality better by more than `MATERIAL`.
-    """
+    """All single changes that were tried."""
 
     told: tuple[Change, ...]
+    """Moves and additions that help, the best first, then what can be left out at the least cost."""
     tried: dict[str, int]
+    """How many of each sort."""
     helped: dict[str, int]
+    """How many of each made the quality better by more than `MATERIAL`."""
 
     def sentences(self) -> list[str]:
         """The changes, and what was tried and did not help."""

@@ -36,21 +36,14 @@ def likeness(first: Seen, second: Seen) -> float:
 
 @dataclass(frozen=True)
 class Detectability:
-    """Every catalogued effect in one layout.
-
-    Attributes
-    ----------
-    effects : tuple of Seen
-    silent : tuple of str
-        Effects that leave no trace anywhere in this layout, or need what the layout does not state.
-    alike : (e, e) float
-        Row effect explained by column effect, 0 to 1, for those with a signature (`names`).
-    """
+    """Every catalogued effect in one layout."""
 
     effects: tuple[Seen, ...]
     silent: tuple[str, ...]
+    """Effects that leave no trace anywhere in this layout, or need what the layout does not state."""
     names: tuple[str, ...]
     alike: Floats
+    """(e, e): row effect explained by column effect, 0 to 1, for those with a signature (`names`)."""
 
     def table(self) -> list[MinimalSize]:
         """One row a parameter of every effect."""

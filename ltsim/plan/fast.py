@@ -33,26 +33,18 @@ POSE_SCALE = 1e-5
 
 @dataclass(frozen=True)
 class StationBlocks:
-    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters.
-
-    Attributes
-    ----------
-    position : (N, 3) float, [m]
-    held : (N,) bool
-        Whether the targets in sight hold the pose.
-    tt : (N, T, 3, 3) float
-        Target with target.
-    tx : (N, T, 3, 6 + P) float
-        Target with pose and parameters.
-    xx : (N, 6 + P, 6 + P) float
-        Pose and parameters, summed over targets.
-    """
+    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters."""
 
     position: Floats
+    """(N, 3) [m]."""
     held: Bools
+    """(N,): whether the targets in sight hold the pose."""
     tt: Floats
+    """(N, T, 3, 3): target with target."""
     tx: Floats
+    """(N, T, 3, 6 + P): target with pose and parameters."""
     xx: Floats
+    """(N, 6 + P, 6 + P): pose and parameters, summed over targets."""
 
     def take(self, which: Ints) -> StationBlocks:
         """Some of the set-ups."""
@@ -66,18 +58,14 @@ class StationBlocks:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Reduced layouts: B layouts, P parameters.
-
-    Attributes
-    ----------
-    information : (B, P, P) float
-        Of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose open.
-    target_rms : (B,) float, [m]
-        Root mean square point error, datum the mean of all targets; NaN there too, and where not asked for.
-    """
+    """Reduced layouts: B layouts, P parameters."""
 
     information: Floats
+    """(B, P, P): of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose
+    open.
+    """
     target_rms: Floats
+    """(B,) [m]: root mean square point error, datum the mean of all targets; NaN there too, and where not asked for."""
 
 
 class Reducer:

@@ -52,21 +52,14 @@ class Expected:
 
 @dataclass(frozen=True)
 class Predictor:
-    """What each group of errors, at its stated size, adds to the criteria.
-
-    Attributes
-    ----------
-    groups : tuple of str
-        Noise, gauge lengths, instrument parameters by kind, and the effects that were left out.
-    distance : (2, G, rows) float, [m^2]
-        Variance of each station's deviation of each distance, before and after.
-    coordinate : (2, G, rows, 3, 3) float, [m^2]
-        Covariance of the gap between two stations' places of each target.
-    """
+    """What each group of errors, at its stated size, adds to the criteria."""
 
     groups: tuple[str, ...]
+    """Noise, gauge lengths, instrument parameters by kind, and the effects that were left out."""
     distance: Floats
+    """(2, G, rows) [m^2]: variance of each station's deviation of each distance, before and after."""
     coordinate: Floats
+    """(2, G, rows, 3, 3) [m^2]: covariance of the gap between two stations' places of each target."""
 
     @classmethod
     def of(cls, information: LayoutInformation, left_out: Sequence[Effect] = ()) -> Predictor:

@@ -22,17 +22,11 @@ from ltsim.remedies.undetermined import Direction, gains, undetermined
 
 @dataclass(frozen=True)
 class LayoutInformation:
-    """Information of a survey that has not been made.
-
-    Attributes
-    ----------
-    survey : Survey
-    adjustment : Adjustment
-        At the nominal state; everything that an adjustment knows of precision holds here too.
-    """
+    """Information of a survey that has not been made."""
 
     survey: Survey
     adjustment: Adjustment
+    """At the nominal state; everything that an adjustment knows of precision holds here too."""
 
     @classmethod
     def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:

@@ -21,25 +21,18 @@ LEAST_IMPROVEMENT = 1e-4
 
 @dataclass(frozen=True)
 class Objective:
-    """A weighted geometric mean of up to three qualities.
-
-    Attributes
-    ----------
-    weights : mapping of str to float
-        Of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error [m])
-        and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
-    criterion : "D", "A" or "E"
-        Of the instrument parameters.
-    effects : tuple of Effect
-        Those that a diagnosis should see.
-    places : mapping of str to int
-        At how many places and with how many shapes a diagnosis looks for an effect; default those of `effects`.
-    """
+    """A weighted geometric mean of up to three qualities."""
 
     weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT: 1.0})
+    """Of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error [m])
+    and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
+    """
     criterion: CriterionName = "D"
+    """Of the instrument parameters: "D", "A" or "E"."""
     effects: tuple[Effect, ...] = ()
+    """Those that a diagnosis should see."""
     places: Mapping[str, int] = field(default_factory=dict)
+    """At how many places and with how many shapes a diagnosis looks for an effect; default those of `effects`."""
 
     @property
     def wants_targets(self) -> bool:

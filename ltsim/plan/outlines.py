@@ -15,21 +15,14 @@ EDGE = 1e-9
 
 @dataclass(frozen=True)
 class Area:
-    """One area of the floor.
-
-    Attributes
-    ----------
-    outline : (k, 2) float, [m]
-        Corners, in order around it.
-    heights : (float, float), [m]
-        Lowest and highest centre of the instrument here.
-    holes : tuple of (k, 2) float, [m]
-        What is cut out of it.
-    """
+    """One area of the floor."""
 
     outline: Floats
+    """(k, 2) [m]: corners, in order around it."""
     heights: tuple[float, float]
+    """[m]: lowest and highest centre of the instrument here."""
     holes: tuple[Floats, ...] = ()
+    """(k, 2) [m]: what is cut out of it."""
 
     def holds(self, position: Floats) -> Bools:
         """(N,): positions (N, 3) [m] of an instrument that may stand here."""

@@ -39,22 +39,14 @@ FEWEST = 2
 
 @dataclass(frozen=True)
 class Option:
-    """One point of the curve: a way of working, the best layout found for it, what it costs and what it is worth.
-
-    Attributes
-    ----------
-    survey : Survey
-    value : float
-        The objective; smaller is better.
-    qualities : dict of str to float
-    efficient : bool
-        No other option is better and cheaper.
-    """
+    """One point of the curve: a way of working, the best layout found for it, what it costs and what it is worth."""
 
     survey: Survey
     value: float
+    """The objective; smaller is better."""
     qualities: dict[str, float]
     efficient: bool = False
+    """No other option is better and cheaper."""
 
     @property
     def hours(self) -> float:
@@ -64,68 +56,42 @@ class Option:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A layout with everything that is known of it before measuring.
-
-    Attributes
-    ----------
-    survey : Survey
-    value : float
-        Infinite where the plan's rules do not allow it.
-    qualities : dict of str to float
-    information : LayoutInformation
-    table : Visibility
-    expected : Expected or None
-        The paper's criteria; None where some target is not seen from everywhere.
-    """
+    """A layout with everything that is known of it before measuring."""
 
     survey: Survey
     value: float
+    """Infinite where the plan's rules do not allow it."""
     qualities: dict[str, float]
     information: LayoutInformation
     table: Visibility
     expected: Expected | None
+    """The paper's criteria; None where some target is not seen from everywhere."""
 
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown):
-    """The answer.
-
-    Attributes
-    ----------
-    file : PlanFile
-    scenario : Scenario
-    site : Site
-        Of the chosen way of working.
-    objective : Objective
-    reference : Evaluated or None
-        The scenario's own layout, worked in the chosen way; None where it determines nothing.
-    chosen : Evaluated
-    options : tuple of Option
-        The curve, cheapest first.
-    changes : Changes
-        Single reflectors of the chosen layout moved, added, left out.
-    demands : Demands
-        Tolerances of points.
-    kept : Kept or None
-        How the chosen layout stands to them; None without any.
-    losses : tuple of Kept
-        How it stands to them without each station, then without each sight of such a point.
-    spread : tuple of float
-        Values that the starts of the chosen way ended at, best first.
-    """
+    """The answer."""
 
     file: PlanFile
     scenario: Scenario
     site: Site
+    """Of the chosen way of working."""
     objective: Objective
     reference: Evaluated | None
+    """The scenario's own layout, worked in the chosen way; None where it determines nothing."""
     chosen: Evaluated
     options: tuple[Option, ...]
+    """The curve, cheapest first."""
     spread: tuple[float, ...]
+    """Values that the starts of the chosen way ended at, best first."""
     changes: Changes
+    """Single reflectors of the chosen layout moved, added, left out."""
     demands: Demands
+    """Tolerances of points."""
     kept: Kept | None = None
+    """How the chosen layout stands to them; None without any."""
     losses: tuple[Kept, ...] = ()
+    """How it stands to them without each station, then without each sight of such a point."""
 
     def _lines(self) -> list[str]:
         qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())

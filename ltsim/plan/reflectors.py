@@ -26,27 +26,19 @@ SWEEPS = 8
 
 @dataclass(frozen=True)
 class PlaceTable:
-    """Terms of the normal matrix of poses, gauge and parameters, for given stations.
-
-    Attributes
-    ----------
-    reducer : Reducer
-    base : (K, K) float
-        Targets that stay, known lengths, priors, datum.
-    terms : (P, K, K) float
-        What a reflector at each place would add.
-    length : (K,) float
-        Squared lengths of the columns before targets are eliminated, with reflectors at all places.
-    inverse : (E, 3, 3), weights : (E, 3, K) float
-        Of every target but the gauge's, those that stay first, then the places (`Reducer.eliminated`).
-    """
+    """Terms of the normal matrix of poses, gauge and parameters, for given stations."""
 
     reducer: Reducer
     base: Floats
+    """(K, K): targets that stay, known lengths, priors, datum."""
     terms: Floats
+    """(P, K, K): what a reflector at each place would add."""
     length: Floats
+    """(K,): squared lengths of the columns before targets are eliminated, with reflectors at all places."""
     inverse: Floats
+    """(E, 3, 3): of every target but the gauge's, those that stay first, then the places (`Reducer.eliminated`)."""
     weights: Floats
+    """(E, 3, K): of the same targets."""
 
     @classmethod
     def of(cls, survey: Survey, stays: Bools, places: Floats, seen: Bools, reducer: Reducer) -> PlaceTable:
@@ -116,23 +108,15 @@ def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str,
 
 @dataclass(frozen=True)
 class Choice:
-    """The places among which movable reflectors are chosen: their own first, then the site's.
-
-    Attributes
-    ----------
-    places : (P, 3) float, [m]
-    names : tuple of str
-    own : int
-        How many of them are reflectors' own.
-    seen : (S, k + P) bool
-        Of the k targets that stay, then the places.
-    table : PlaceTable
-    """
+    """The places among which movable reflectors are chosen: their own first, then the site's."""
 
     places: Floats
+    """(P, 3) [m]."""
     names: tuple[str, ...]
     own: int
+    """How many of them are reflectors' own."""
     seen: Bools
+    """(S, k + P): of the k targets that stay, then the places."""
     table: PlaceTable
 
     @classmethod

@@ -27,31 +27,22 @@ DRAWS = 24
 
 @dataclass(frozen=True)
 class Layout:
-    """Stations of a layout and what they are worth.
-
-    Attributes
-    ----------
-    position : (S, 3) float, [m]
-    yaw : (S,) float, [rad]
-    value : float
-        The objective; infinite where the layout is not allowed.
-    """
+    """Stations of a layout and what they are worth."""
 
     position: Floats
+    """(S, 3) [m]."""
     yaw: Floats
+    """(S,) [rad]."""
     value: float
+    """The objective; infinite where the layout is not allowed."""
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Set-ups with their contributions.
-
-    Attributes
-    ----------
-    position : (N, 3); yaw : (N,); seen : (N, T); blocks : StationBlocks
-    """
+    """Set-ups with their contributions."""
 
     position: Floats
+    """(N, 3) (N,) (N, T)."""
     yaw: Floats
     seen: Bools
     blocks: StationBlocks
@@ -59,25 +50,16 @@ class Pool:
 
 @dataclass
 class Searcher:
-    """Search on one site for one objective.
-
-    Attributes
-    ----------
-    site : Site
-    objective : Objective
-    construction : Construction
-    step : float, [m]
-        Grid of the exchange.
-    yaws, heights : int
-        Turns and heights tried at each place of the grid.
-    """
+    """Search on one site for one objective."""
 
     site: Site
     objective: Objective = field(default_factory=Objective)
     construction: Construction = field(default_factory=misalignment)
     step: float = 0.5
+    """[m]: grid of the exchange."""
     yaws: int = 6
     heights: int = 2
+    """Turns and heights tried at each place of the grid."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)

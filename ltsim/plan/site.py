@@ -20,47 +20,31 @@ NEST_MARGIN = 0.004
 
 @dataclass(frozen=True)
 class Site:
-    """The freedom of a plan.
-
-    Attributes
-    ----------
-    survey : Survey
-        The layout to start from: targets, gauge, noise, order of work.
-    areas : tuple of Area
-        Where tripods may stand: in one of them.
-    limits : SightLimits
-    obstacles : Blocker or None
-    keep_outs : tuple of KeepOut
-        Where none may stand, whatever the areas say.
-    spacing : float, [m]
-        Least distance between stations.
-    play : float, [m]
-        How far an instrument may stand off its place without losing a sight.
-    least : int
-        Every target is seen from at least so many stations.
-    aimed : (T,) bool
-        Targets in fixed nests, which are aimed anew for every layout and must serve all its stations.
-    fixed : tuple of int
-        Stations that stay where they are.
-    places : (P, 3) float, [m]
-        Candidate places of reflectors; none: reflectors stay.
-    place_names : tuple of str
-    reflector_spacing : float, [m]
-    """
+    """The freedom of a plan."""
 
     survey: Survey
+    """The layout to start from: targets, gauge, noise, order of work."""
     areas: tuple[Area, ...]
+    """Where tripods may stand: in one of them."""
     limits: SightLimits
     aimed: Bools
+    """(T,): targets in fixed nests, which are aimed anew for every layout and must serve all its stations."""
     obstacles: Blocker | None = None
     keep_outs: tuple[KeepOut, ...] = ()
+    """Where none may stand, whatever the areas say."""
     spacing: float = 1.0
+    """[m]: least distance between stations."""
     play: float = 0.0
+    """[m]: how far an instrument may stand off its place without losing a sight."""
     least: int = 1
+    """Every target is seen from at least so many stations."""
     fixed: tuple[int, ...] = ()
+    """Stations that stay where they are."""
     places: Floats | None = None
+    """(P, 3) [m]: candidate places of reflectors; none: reflectors stay."""
     place_names: tuple[str, ...] = ()
     reflector_spacing: float = 0.3
+    """[m]."""
 
     @property
     def heights(self) -> tuple[float, float]:

@@ -19,47 +19,33 @@ from ltsim.recording.setup import Setup
 
 @dataclass(frozen=True)
 class Survey:
-    """Upright stations, targets, and the pointings between them.
-
-    Attributes
-    ----------
-    setup : Setup
-        Noise, priors, gauge, nests: what a recording of this survey would state.
-    station_names, target_names : tuple of str
-    position : (S, 3) float, [m]
-        Centre of each instrument.
-    yaw : (S,) float, [rad]
-        Turn of each instrument about the vertical.
-    points : (T, 3) float, [m]
-    seen : (S, T) bool
-        Which targets are measured from which station.
-    faces : tuple of int
-        1 and/or 2.
-    repeats : int
-        Pointings of each target on each face.
-    seconds_per_pointing, seconds_per_move : float, [s]
-    rank : (S, T) int, optional
-        Place of each target in each station's visit; default as listed.
-    face_by_face : bool
-        All targets on one face, then on the other; else both faces of each target at once.
-    importance : mapping of str to float
-        Weight of targets by name in the root mean square of point errors; one where not named.
-    """
+    """Upright stations, targets, and the pointings between them."""
 
     setup: Setup
+    """Noise, priors, gauge, nests: what a recording of this survey would state."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     position: Floats
+    """(S, 3) [m]: centre of each instrument."""
     yaw: Floats
+    """(S,) [rad]: turn of each instrument about the vertical."""
     points: Floats
+    """(T, 3) [m]."""
     seen: Bools
+    """(S, T): which targets are measured from which station."""
     faces: tuple[int, ...] = (1, 2)
+    """1 and/or 2."""
     repeats: int = 1
+    """Pointings of each target on each face."""
     seconds_per_pointing: float = 10.0
     seconds_per_move: float = 1200.0
+    """[s] each."""
     rank: Ints | None = None
+    """(S, T): place of each target in each station's visit; default as listed."""
     face_by_face: bool = True
+    """All targets on one face, then on the other; else both faces of each target at once."""
     importance: Mapping[str, float] = field(default_factory=dict)
+    """Weight of targets by name in the root mean square of point errors; one where not named."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)

@@ -25,21 +25,14 @@ SIGHT = "the sight"
 
 @dataclass(frozen=True)
 class Demands:
-    """What is asked of points.
-
-    Attributes
-    ----------
-    tolerance : mapping of str to float, [m]
-        By point.
-    level : float
-        Share of cases in which a point must be within.
-    robust : str
-        `no`, or which loss must not break a tolerance: `sight`, `station`.
-    """
+    """What is asked of points."""
 
     tolerance: Mapping[str, float]
+    """[m]: by point."""
     level: float = 0.95
+    """Share of cases in which a point must be within."""
     robust: str = "no"
+    """`no`, or which loss must not break a tolerance: `sight`, `station`."""
 
     @classmethod
     def of(cls, file: PlanFile) -> Demands:
@@ -83,27 +76,18 @@ def radius(covariance: Floats, level: float) -> Floats:
 
 @dataclass(frozen=True)
 class Kept:
-    """How a layout stands to the demands.
-
-    Attributes
-    ----------
-    lost : str
-        What is lost; empty for the whole layout.
-    radius : dict of str to float, [m]
-        Of the points that have a tolerance and a place.
-    ratio : float
-        Largest radius over tolerance; infinite where a point is not determined.
-    worst : str
-        The point with that ratio.
-    unseen : tuple of str
-        Points with a tolerance that have no place any more.
-    """
+    """How a layout stands to the demands."""
 
     lost: str
+    """What is lost; empty for the whole layout."""
     radius: Mapping[str, float]
+    """[m]: of the points that have a tolerance and a place."""
     ratio: float
+    """Largest radius over tolerance; infinite where a point is not determined."""
     worst: str
+    """The point with that ratio."""
     unseen: tuple[str, ...] = ()
+    """Points with a tolerance that have no place any more."""
 
     @property
     def good(self) -> bool:

@@ -41,32 +41,21 @@ class Tape:
 
 @dataclass(frozen=True)
 class Setting:
-    """One station of the work.
-
-    Attributes
-    ----------
-    name : str
-    height : float, [m]
-        Of the head's centre above the floor.
-    tapes : tuple of Tape
-        Three where the floor is free.
-    towards : str
-        Where azimuth zero looks, in words.
-    order : tuple of str
-        Targets in the order of their first pointing.
-    again : dict of str to float, [m]
-        Targets to measure again at the end, and how far they may be off then.
-    minutes : float
-        Of pointing.
-    """
+    """One station of the work."""
 
     name: str
     height: float
+    """[m]: of the head's centre above the floor."""
     tapes: tuple[Tape, ...]
+    """Three where the floor is free."""
     towards: str
+    """Where azimuth zero looks, in words."""
     order: tuple[str, ...]
+    """Targets in the order of their first pointing."""
     again: dict[str, float]
+    """[m]: targets to measure again at the end, and how far they may be off then."""
     minutes: float
+    """Of pointing."""
 
 
 def settings_of(plan: Plan) -> tuple[Setting, ...]:

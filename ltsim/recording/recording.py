@@ -31,47 +31,33 @@ _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 @dataclass(frozen=True, repr=False)
 class Recording(Shown):
-    """Readings of a tracker network and what is known about the set-up.
-
-    Attributes
-    ----------
-    setup : Setup
-    stations, targets : tuple of str
-        Names; the index arrays below point into them.
-    station, target : (n,) int
-    face : (n,) int
-        1 or 2.
-    repeat : (n,) int
-    time : (n,) float, [s]
-        Since the start; the row number where the recording has no clock.
-    readings : (n, 3) float, [m, rad, rad]
-        Raw range, azimuth, elevation; NaN where not measured.
-    covariates : mapping of str to (n,) float
-        Every further numeric column, the instrument's air readings among them.
-    labels : mapping of str to tuple of str
-        Every further column of text.
-    has_clock : bool
-        False where `time` is only the row order.
-    notes : tuple of str
-        What a reader decided about an ambiguous file, skipped or left out: one sentence each.
-    sources : tuple of str
-        File and line that each row was read from; empty for a native recording, whose rows are those of its table.
-    """
+    """Readings of a tracker network and what is known about the set-up."""
 
     setup: Setup
     stations: tuple[str, ...]
     targets: tuple[str, ...]
+    """Names; the index arrays below point into them."""
     station: Ints
     target: Ints
+    """(n,) each."""
     face: Ints
+    """(n,): 1 or 2."""
     repeat: Ints
+    """(n,)."""
     time: Floats
+    """(n,) [s]: since the start; the row number where the recording has no clock."""
     readings: Floats
+    """(n, 3) [m, rad, rad]: raw range, azimuth, elevation; NaN where not measured."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,): every further numeric column, the instrument's air readings among them."""
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Every further column of text."""
     has_clock: bool = True
+    """False where `time` is only the row order."""
     notes: tuple[str, ...] = ()
+    """What a reader decided about an ambiguous file, skipped or left out: one sentence each."""
     sources: tuple[str, ...] = ()
+    """File and line that each row was read from; empty for a native recording, whose rows are those of its table."""
 
     def __len__(self) -> int:
         return len(self.station)

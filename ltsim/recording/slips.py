@@ -16,21 +16,14 @@ from ltsim.units import FACTOR
 
 @dataclass(frozen=True)
 class Slip:
-    """What is written down is factor * reading + offset in some columns.
-
-    Attributes
-    ----------
-    name : str
-    found, expected : str
-        What stands in the column, and what should.
-    changes : tuple of (int, float, float)
-        Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad].
-    """
+    """What is written down is factor * reading + offset in some columns."""
 
     name: str
     found: str
     expected: str
+    """What stands in the column, and what should."""
     changes: tuple[tuple[int, float, float], ...]
+    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad]."""
 
     @property
     def columns(self) -> tuple[int, ...]:

@@ -71,19 +71,14 @@ def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Flo
 
 @dataclass(frozen=True)
 class Rivals:
-    """Two explanations, with all that could stand in for either.
-
-    Attributes
-    ----------
-    first, second : Explanation
-    stand_ins : (list, list) of (float, Effect)
-        Every instance of the second and what it leaves of the first in the recording as it is, the least first; then
-        the other way round. More pointings never leave less.
-    """
+    """Two explanations, with all that could stand in for either."""
 
     first: Explanation
     second: Explanation
     stand_ins: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
+    """Every instance of the second and what it leaves of the first in the recording as it is, the least
+    first; then the other way round. More pointings never leave less.
+    """
 
     @classmethod
     def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:

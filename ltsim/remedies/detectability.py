@@ -46,21 +46,7 @@ def search_noncentrality(dof: int, places: int) -> float:
 
 @dataclass(frozen=True)
 class MinimalSize:
-    """How small one parameter of an effect may be and still be found in 80 % of recordings.
-
-    Attributes
-    ----------
-    effect, parameter : str
-    unit : str
-    best, typical, worst : float, [SI]
-        At the best, median and worst of its places and shapes; infinite where it leaves no trace.
-    prior_sigma : float, [SI]
-        A plausible size.
-    visible : float
-        Median share of the signature that the adjustment leaves.
-    worst_place : str
-        Station, target or shape of the worst one.
-    """
+    """How small one parameter of an effect may be and still be found in 80 % of recordings."""
 
     effect: str
     parameter: str
@@ -68,9 +54,13 @@ class MinimalSize:
     best: float
     typical: float
     worst: float
+    """[SI]: at the best, median and worst of its places and shapes; infinite where it leaves no trace."""
     prior_sigma: float
+    """[SI]: a plausible size."""
     visible: float
+    """Median share of the signature that the adjustment leaves."""
     worst_place: str
+    """Station, target or shape of the worst one."""
 
 
 def thinned(places: Sequence[Effect]) -> list[Effect]:
@@ -82,27 +72,17 @@ def thinned(places: Sequence[Effect]) -> list[Effect]:
 
 @dataclass(frozen=True)
 class Seen:
-    """One effect in a layout: its places and what is left of each.
-
-    Attributes
-    ----------
-    name : str
-    parameters : tuple of tuple of Parameter
-        Those of each place: an effect with several laws has several sets.
-    places : tuple of str
-    sizes : tuple of (q,) float, [SI]
-        Minimal detectable sizes at each place; infinite where nothing is left.
-    visible : tuple of float
-    columns : tuple of (m, r) float
-        Orthonormal, spanning what is left; empty for noise, and where they are not asked for.
-    """
+    """One effect in a layout: its places and what is left of each."""
 
     name: str
     parameters: tuple[tuple[Parameter, ...], ...]
+    """Those of each place: an effect with several laws has several sets."""
     places: tuple[str, ...]
     sizes: tuple[Floats, ...]
+    """(q,) [SI]: minimal detectable sizes at each place; infinite where nothing is left."""
     visible: tuple[float, ...]
     columns: tuple[Floats, ...]
+    """(m, r): orthonormal, spanning what is left; empty for noise, and where they are not asked for."""
 
     @property
     def found_anywhere(self) -> bool:

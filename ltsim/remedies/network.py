@@ -28,19 +28,12 @@ SECONDS = 15.0
 
 @dataclass(frozen=True)
 class Network:
-    """A recording that may hold pointings nobody made, and the state that predicts them.
-
-    Attributes
-    ----------
-    recording : Recording
-    state : State
-    construction : Construction
-        Whose parameters are estimated.
-    """
+    """A recording that may hold pointings nobody made, and the state that predicts them."""
 
     recording: Recording
     state: State
     construction: Construction
+    """Whose parameters are estimated."""
 
     @classmethod
     def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:

@@ -42,24 +42,16 @@ def quiet(_what: str, _share: float) -> None:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A remedy and what it would bring.
-
-    Attributes
-    ----------
-    remedy : Remedy
-    sharper : float
-        Factor on the geometric mean of the parameters' standard deviations; below one is better.
-    serves : str
-        The parameter that profits most, and the factor on its standard deviation.
-    evidence : dict of str to float
-        Expected difference of chi-square between the first explanation and each other, whichever of the two holds.
-    """
+    """A remedy and what it would bring."""
 
     remedy: Remedy
     sharper: float
+    """Factor on the geometric mean of the parameters' standard deviations; below one is better."""
     serves: str
+    """The parameter that profits most, and the factor on its standard deviation."""
     serves_factor: float
     evidence: dict[str, float] = field(default_factory=dict)
+    """Expected difference of chi-square between the first explanation and each other, whichever of the two holds."""
 
     @classmethod
     def of(cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None) -> Proposal:
@@ -91,19 +83,13 @@ class Proposal:
 
 @dataclass(frozen=True, repr=False)
 class NextMeasurement(Shown):
-    """Proposals, the best first.
-
-    Attributes
-    ----------
-    between : tuple of str
-        The explanations to decide between; none where the instrument was asked about.
-    evidence_now : dict of str to float
-        Between the first and each other in the recording as it is.
-    """
+    """Proposals, the best first."""
 
     proposals: tuple[Proposal, ...]
     between: tuple[str, ...] = ()
+    """The explanations to decide between; none where the instrument was asked about."""
     evidence_now: dict[str, float] = field(default_factory=dict)
+    """Between the first and each other in the recording as it is."""
 
     @property
     def advice(self) -> str:

@@ -53,22 +53,15 @@ NEST = 300.0
 
 @dataclass(frozen=True)
 class Remedy:
-    """A measurement that could be added.
-
-    Attributes
-    ----------
-    kind : Kind
-    words : str
-        What to do, for a person.
-    seconds : float, [s]
-    network : Network
-        With it, as the adjusted network predicts it.
-    """
+    """A measurement that could be added."""
 
     kind: Kind
     words: str
+    """What to do, for a person."""
     seconds: float
+    """[s]."""
     network: Network
+    """With it, as the adjusted network predicts it."""
 
     @property
     def place(self) -> Floats | None:
@@ -91,15 +84,10 @@ class Remedy:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """From the network's frame to the floor plan's; the identity where no plan is known.
-
-    Attributes
-    ----------
-    rotation : (3, 3), translation : (3,) float
-    known : bool
-    """
+    """From the network's frame to the floor plan's; the identity where no plan is known."""
 
     rotation: Floats
+    """(3, 3) (3,)."""
     translation: Floats
     known: bool
 

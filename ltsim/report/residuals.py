@@ -26,32 +26,23 @@ COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "
 
 @dataclass(frozen=True)
 class Residuals:
-    """Observed minus adjusted, one row an observation.
-
-    Attributes
-    ----------
-    row : (n,) int
-        Data row of the recording, from 1.
-    station, target : (n,) str
-    observable : (n,) int
-        Index into `OBSERVABLES`.
-    residual : (n,) float
-        In um for a distance, in arcsec for an angle.
-    w : (n,) float
-        Normalised residual, standard normal where the model holds.
-    redundancy : (n,) float
-    covariates : mapping of str to (n,) float
-        In the units of `COVARIATE_UNIT`.
-    """
+    """Observed minus adjusted, one row an observation."""
 
     row: Ints
+    """(n,): data row of the recording, from 1."""
     station: Names
     target: Names
+    """(n,) each."""
     observable: Ints
+    """(n,): index into `OBSERVABLES`."""
     residual: Floats
+    """(n,): in um for a distance, in arcsec for an angle."""
     w: Floats
+    """(n,): normalised residual, standard normal where the model holds."""
     redundancy: Floats
+    """(n,)."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,): in the units of `COVARIATE_UNIT`."""
 
     def __len__(self) -> int:
         return len(self.row)

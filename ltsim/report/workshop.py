@@ -32,54 +32,37 @@ class Sights:
 
 @dataclass(frozen=True)
 class Workshop:
-    """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians.
-
-    Attributes
-    ----------
-    title : str
-    stations, targets : tuple of str
-    position : (S, 3) float
-    rotation : (S, 3, 3) float
-        Instrument frame to this frame.
-    points, nest_normal : (T, 3) float
-        The normal is NaN where the reflector is turned by hand.
-    gauge : tuple of (int, int)
-        Pairs of targets whose distance is known.
-    floor : (k, 2) float
-        Outline.
-    floor_height : float
-    walls : (W, 4, 3) float
-    elevation_min : float
-    sights : Sights or None
-    covariance : (T, 3, 3) float or None
-    correction : (T, 3) float or None
-        Change of the targets by a calibration or a finding.
-    obstacles : (k, 3, 3) float
-        Corners of the triangles of what stands in the way.
-    hidden : (k, 2) int
-        Station and target of the sights that these obstacles hide.
-    notes : tuple of str
-        What a reader must know, such as an assumed floor.
-    """
+    """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
 
     title: str
     stations: tuple[str, ...]
     position: Floats
+    """(S, 3)."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to this frame."""
     targets: tuple[str, ...]
     points: Floats
     nest_normal: Floats
+    """(T, 3): the normal is NaN where the reflector is turned by hand."""
     floor: Floats
+    """(k, 2): outline."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
+    """(W, 4, 3)."""
     gauge: tuple[tuple[int, int], ...] = ()
+    """Pairs of targets whose distance is known."""
     elevation_min: float = -55.0 * DEGREE
     sights: Sights | None = None
     covariance: Floats | None = None
+    """(T, 3, 3)."""
     correction: Floats | None = None
+    """(T, 3): change of the targets by a calibration or a finding."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """(k, 3, 3): corners of the triangles of what stands in the way."""
     hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    """(k, 2): station and target of the sights that these obstacles hide."""
     notes: tuple[str, ...] = ()
+    """What a reader must know, such as an assumed floor."""
 
     @property
     def yaw(self) -> Floats:

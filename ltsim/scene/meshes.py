@@ -35,18 +35,12 @@ SIDES = 64
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Triangles in the network frame.
-
-    Attributes
-    ----------
-    triangles : (m, 3, 3) float, [m]
-        Corners.
-    floor : float, [m]
-        Height on which tripods stand.
-    """
+    """Triangles in the network frame."""
 
     triangles: Floats
+    """(m, 3, 3) [m]: corners."""
     floor: float = 0.0
+    """[m]: height on which tripods stand."""
 
     @cached_property
     def _mesh(self) -> Any:

@@ -22,46 +22,37 @@ class Sightings:
     """Who looks at whom, on which face, when, and the geometry of it.
 
     n pointings, S stations, T targets; SI units; the network frame unless a name says otherwise.
-
-    Attributes
-    ----------
-    station, target, instrument : (n,) int
-    face, repeat : (n,) int
-    time : (n,) float, [s]
-    position : (S, 3) float, [m]
-        Origin of each instrument.
-    rotation : (S, 3, 3) float
-        Instrument frame to network frame.
-    points : (T, 3) float, [m]
-    nest_normal : (T, 3) float
-        Unit vector, NaN where unknown.
-    reaimed : (T,) bool
-        The reflector is turned toward the station before each pointing.
-    station_names, target_names : tuple of str
-    covariates : mapping of str to (n,) float
-    lift : (n, 3) float or None, [m]
-        From the target's mark to the reflector, less what the instrument stood higher than `position`.
-    encoder : (n, 3) float or None
-        Raw readings with the instrument's own errors in them, where they are known: the phase of fine periodic
-        errors is taken there.
     """
 
     station: Ints
     target: Ints
     instrument: Ints
+    """(n,) each."""
     face: Ints
     repeat: Ints
+    """(n,) each."""
     time: Floats
+    """(n,) [s]."""
     position: Floats
+    """(S, 3) [m]: origin of each instrument."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to network frame."""
     points: Floats
+    """(T, 3) [m]."""
     nest_normal: Floats
+    """(T, 3): unit vector, NaN where unknown."""
     reaimed: Bools
+    """(T,): the reflector is turned toward the station before each pointing."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,)."""
     lift: Floats | None = None
+    """(n, 3) [m]: from the target's mark to the reflector, less what the instrument stood higher than `position`."""
     encoder: Floats | None = None
+    """(n, 3): raw readings with the instrument's own errors in them, where they are known: the phase of fine periodic
+    errors is taken there.
+    """
 
     def __len__(self) -> int:
         return len(self.station)

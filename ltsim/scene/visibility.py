@@ -63,25 +63,17 @@ class Blocker(Protocol):
 
 @dataclass(frozen=True)
 class SightLimits:
-    """What an instrument and its reflectors allow; radians and metres.
-
-    Attributes
-    ----------
-    elevation_min, elevation_max : float
-        Travel of the elevation axis, in the instrument's frame.
-    range_min, range_max : float
-    acceptance : float
-        Largest incidence on a reflector.
-    opening : float or None
-        Full angle of a shadow cone that is kept free; None: the one that `elevation_min` hides.
-    """
+    """What an instrument and its reflectors allow; radians and metres."""
 
     elevation_min: float = -55.0 * DEGREE
     elevation_max: float = 77.0 * DEGREE
+    """Travel of the elevation axis, in the instrument's frame."""
     range_min: float = 0.5
     range_max: float = 20.0
     acceptance: float = 30.0 * DEGREE
+    """Largest incidence on a reflector."""
     opening: float | None = None
+    """Full angle of a shadow cone that is kept free; None: the one that `elevation_min` hides."""
 
     @property
     def cone_opening(self) -> float:
@@ -91,23 +83,16 @@ class SightLimits:
 
 @dataclass(frozen=True)
 class Visibility:
-    """The table of a layout.
-
-    Attributes
-    ----------
-    reason : (S, T) int8
-        Values of `Reason`.
-    range_ : (S, T) float, [m]
-    elevation : (S, T) float, [rad]
-        In the instrument's frame.
-    incidence : (S, T) float, [rad]
-        On the reflector; 0 where it is re-aimed, NaN where its nest is unknown.
-    """
+    """The table of a layout."""
 
     reason: NDArray[np.int8]
+    """(S, T): values of `Reason`."""
     range_: Floats
+    """(S, T) [m]."""
     elevation: Floats
+    """(S, T) [rad]: in the instrument's frame."""
     incidence: Floats
+    """(S, T) [rad]: on the reflector; 0 where it is re-aimed, NaN where its nest is unknown."""
 
     @property
     def visible(self) -> Bools:

@@ -30,33 +30,23 @@ LOBES = (2, 3, 5)
 
 @dataclass(frozen=True)
 class BenchTest:
-    """What is true on the bench; SI.
-
-    Attributes
-    ----------
-    table : (a,) float, [m]
-        Range error of the reflector (reading - truth, of the sphere's centre) at `angles`.
-    angles : (a,) float, [rad]
-    eccentricity : (2,) float, [m]
-        Sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side.
-    roundness : float, [m]
-        Amplitude of each of the `LOBES` of the sphere.
-    probe_angles : (k,) float, [rad]
-        Turns of the table at which the probe is read.
-    probe_direction : float, [rad]
-        Where the probe stands, from the interferometer.
-    probe_sigma, length_sigma : float, [m]
-        One standard deviation of the probe with the table's run-out, and of the interferometer.
-    """
+    """What is true on the bench; SI."""
 
     table: Floats = field(default_factory=lambda: np.array(PAPER_TABLE))
+    """(a,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `angles`."""
     angles: Floats = field(default_factory=lambda: TABLE_ANGLES.copy())
+    """(a,) [rad]."""
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
+    """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""
     roundness: float = 0.3 * MICROMETRE
+    """[m]: amplitude of each of the `LOBES` of the sphere."""
     probe_angles: Floats = field(default_factory=lambda: FULL_TURN.copy())
+    """(k,) [rad]: turns of the table at which the probe is read."""
     probe_direction: float = 90.0 * DEGREE
+    """[rad]: where the probe stands, from the interferometer."""
     probe_sigma: float = 0.1 * MICROMETRE
     length_sigma: float = 0.1 * MICROMETRE
+    """[m]: one standard deviation of the probe with the table's run-out, and of the interferometer."""
 
     def __post_init__(self) -> None:
         if len(self.table) != len(self.angles):
@@ -79,48 +69,34 @@ class BenchRecord:
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What the record says; SI.
-
-    Attributes
-    ----------
-    eccentricity : (2,) float, [m]
-    eccentricity_covariance : (2, 2) float, [m^2]
-    run_out : float, [m]
-        Largest less smallest displacement that the probe saw.
-    uncorrected : (a,) float, [m]
-        Lengths less that nearest 0 deg: the error with the eccentricity still in it.
-    table : (a,) float, [m]
-        The reflector's own error, less that nearest 0 deg.
-    sigma : (a,) float, [m]
-        Standard deviation of `table`.
-    """
+    """What the record says; SI."""
 
     eccentricity: Floats
+    """(2,) [m]."""
     eccentricity_covariance: Floats
+    """(2, 2) [m^2]."""
     run_out: float
+    """[m]: largest less smallest displacement that the probe saw."""
     uncorrected: Floats
+    """(a,) [m]: lengths less that nearest 0 deg: the error with the eccentricity still in it."""
     table: Floats
+    """(a,) [m]: the reflector's own error, less that nearest 0 deg."""
     sigma: Floats
+    """(a,) [m]: standard deviation of `table`."""
 
 
 @dataclass(frozen=True)
 class Vertex:
-    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left.
-
-    Attributes
-    ----------
-    axial, side : float, [m]
-        Vertex off the centre, out of the open face and to the side.
-    axial_sigma, side_sigma : float, [m]
-    remainder : float, [m]
-        Rms of what no offset explains: optics.
-    """
+    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left."""
 
     axial: float
     side: float
+    """[m]: vertex off the centre, out of the open face and to the side."""
     axial_sigma: float
     side_sigma: float
+    """[m] each."""
     remainder: float
+    """[m]: rms of what no offset explains: optics."""
 
 
 def _along_beam(angles: Floats) -> Floats:

@@ -29,27 +29,17 @@ LEVEL_GAP = 0.5
 
 @dataclass(frozen=True)
 class Fieldwork:
-    """A scenario with its true geometry; draws of errors and noise on it are `simulator.measure`.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    layout : Layout
-        True poses and points, of every target, seen or not.
-    sightings : Sightings
-        The pointings, at the true geometry, of the targets that are seen; covariates are the air readings.
-    construction : Construction
-    effects : tuple of Effect
-    notes : tuple of str
-        Which station does not see which target, and why; of many pairs, how many and why.
-    """
+    """A scenario with its true geometry; draws of errors and noise on it are `simulator.measure`."""
 
     scenario: Scenario
     layout: Layout
+    """True poses and points, of every target, seen or not."""
     sightings: Sightings
+    """The pointings, at the true geometry, of the targets that are seen; covariates are the air readings."""
     construction: Construction
     effects: tuple[Effect, ...]
     notes: tuple[str, ...]
+    """Which station does not see which target, and why; of many pairs, how many and why."""
 
 
 def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:

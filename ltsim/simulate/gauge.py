@@ -27,21 +27,15 @@ REALISED = 1e-7
 
 @dataclass(frozen=True)
 class Frame:
-    """The gauge at the temperature of its calibration.
-
-    Attributes
-    ----------
-    names : (k,) of str
-    points : (k, 3) float, [m]
-        In the frame's own axes, origin in the middle.
-    first, second : (g,) int
-        Pairs whose lengths are known.
-    """
+    """The gauge at the temperature of its calibration."""
 
     names: tuple[str, ...]
+    """(k,)."""
     points: Floats
+    """(k, 3) [m]: in the frame's own axes, origin in the middle."""
     first: Ints
     second: Ints
+    """(g,): pairs whose lengths are known."""
 
     @property
     def length(self) -> Floats:

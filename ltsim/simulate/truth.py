@@ -46,48 +46,31 @@ class TrackerTruth:
 
 @dataclass(frozen=True, repr=False)
 class Truth(Shown):
-    """What a recording was made from; SI units, the workshop's frame.
-
-    Attributes
-    ----------
-    title : str
-    seed : int
-    stations : tuple of str
-    position : (S, 3) float, [m]
-    rotation : (S, 3, 3) float
-        Instrument frame to workshop.
-    targets : tuple of str
-    points : (T, 3) float, [m]
-        Where no effect moves them.
-    construction : str
-    instrument : mapping of str to float, [SI]
-        True values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments.
-    units : mapping of str to str
-        The unit each is shown in.
-    effects : tuple of AppliedEffect
-        Everything beyond the instrument's parameters.
-    noise_factor : float
-        Drawn noise over stated noise, of an instrument without a name.
-    trackers : tuple of TrackerTruth
-        Where instruments have names.
-    nominal : (T, 3) float, [m], or None
-        The targets as a measuring machine gave them.
-    """
+    """What a recording was made from; SI units, the workshop's frame."""
 
     title: str
     seed: int
     stations: tuple[str, ...]
     position: Floats
+    """(S, 3) [m]."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to workshop."""
     targets: tuple[str, ...]
     points: Floats
+    """(T, 3) [m]: where no effect moves them."""
     construction: str
     instrument: Mapping[str, float]
+    """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
     units: Mapping[str, str]
+    """The unit each is shown in."""
     effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
+    """Everything beyond the instrument's parameters."""
     noise_factor: float = 1.0
+    """Drawn noise over stated noise, of an instrument without a name."""
     trackers: tuple[TrackerTruth, ...] = ()
+    """Where instruments have names."""
     nominal: Floats | None = None
+    """(T, 3) [m]: the targets as a measuring machine gave them."""
 
     def _lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""

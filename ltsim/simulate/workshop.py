@@ -20,27 +20,20 @@ from ltsim.units import DEGREE, MILLIMETRE
 
 @dataclass(frozen=True)
 class Layout:
-    """What stands where; SI units, the workshop's frame.
-
-    Attributes
-    ----------
-    stations, targets : tuple of str
-    position : (S, 3) float, [m]
-    rotation : (S, 3, 3) float
-        Instrument frame to workshop.
-    points : (T, 3) float, [m]
-    nest_normal : (T, 3) float
-        Unit vectors, NaN where unknown.
-    reaimed : (T,) bool
-    """
+    """What stands where; SI units, the workshop's frame."""
 
     stations: tuple[str, ...]
     targets: tuple[str, ...]
     position: Floats
+    """(S, 3) [m]."""
     rotation: Floats
+    """(S, 3, 3): instrument frame to workshop."""
     points: Floats
+    """(T, 3) [m]."""
     nest_normal: Floats
+    """(T, 3): unit vectors, NaN where unknown."""
     reaimed: Bools
+    """(T,)."""
 
     def at(self, position: Floats, rotation: Floats, points: Floats) -> Layout:
         """The same layout with everything where it truly stands."""

@@ -29,21 +29,14 @@ DENSE = 600_000
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """A whitened linear system: minimise |design @ step - residual|^2.
-
-    Attributes
-    ----------
-    design : (m, K + 3 E) sparse
-        Kept columns first.
-    residual : (m,) float
-        Observed minus predicted, over sigma.
-    kept : int
-        K.
-    """
+    """A whitened linear system: minimise |design @ step - residual|^2."""
 
     design: sp.csr_array
+    """(m, K + 3 E): kept columns first."""
     residual: Floats
+    """(m,): observed minus predicted, over sigma."""
     kept: int
+    """K."""
 
     @property
     def cost(self) -> float:

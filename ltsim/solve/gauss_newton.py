@@ -47,24 +47,14 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Solution(Generic[X]):
-    """Where the loop ended.
-
-    Attributes
-    ----------
-    x : X
-    cost : float
-    iterations : int
-    status : Status
-    factor : Factor or None
-        Factorised undamped normal equations at x; None where they are singular.
-    system : BlockSystem
-    """
+    """Where the loop ended."""
 
     x: X
     cost: float
     iterations: int
     status: Status
     factor: Factor | None
+    """Factorised undamped normal equations at x; None where they are singular."""
     system: BlockSystem
 
     @property

@@ -97,17 +97,12 @@ class BasisProjection:
 
 @dataclass(frozen=True)
 class FactorProjection:
-    """Projection by the factorised normal equations of a sparse design.
-
-    Attributes
-    ----------
-    added : (m, e) float
-        Further columns.
-    """
+    """Projection by the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
     factor: Factor
     added: Floats
+    """(m, e): further columns."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
 

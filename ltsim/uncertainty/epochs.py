@@ -37,29 +37,20 @@ ALIGNING = 6
 
 @dataclass(frozen=True)
 class Displacement:
-    """What one point did.
-
-    Attributes
-    ----------
-    target : str
-    shift : (3,) float, [m]
-        From the first epoch to the second, in the frame that the stable points hold.
-    covariance : (3, 3) float, [m^2]
-    p_value : float
-        Of the hypothesis that this point alone did not move, the other moved ones apart.
-    moved : bool
-    least : float, [m]
-        The smallest motion, in its best direction, that is found with 80 %; `surely` in its worst.
-    surely : float, [m]
-    """
+    """What one point did."""
 
     target: str
     shift: Floats
+    """(3,) [m]: from the first epoch to the second, in the frame that the stable points hold."""
     covariance: Floats
+    """(3, 3) [m^2]."""
     p_value: float
+    """Of the hypothesis that this point alone did not move, the other moved ones apart."""
     moved: bool
     least: float
+    """[m]: the smallest motion, in its best direction, that is found with 80 %; `surely` in its worst."""
     surely: float
+    """[m]."""
 
     @property
     def size(self) -> float:
@@ -75,29 +66,20 @@ class Displacement:
 
 @dataclass(frozen=True, repr=False)
 class Congruence(Shown):
-    """Two epochs compared.
-
-    Attributes
-    ----------
-    statistic, dof, p_value : float, int, float
-        Global test: no point moved. Chi-square under the stated noise.
-    after : float
-        P-value of the same test without the points that moved.
-    level : float
-        False-alarm rate over all points together.
-    displacements : tuple of Displacement
-        Of every common point, in the order of the first recording.
-    scale : float or None
-        Scale of the second epoch less 1, where it was estimated.
-    """
+    """Two epochs compared."""
 
     statistic: float
     dof: int
     p_value: float
+    """Global test: no point moved. Chi-square under the stated noise."""
     after: float
+    """P-value of the same test without the points that moved."""
     level: float
+    """False-alarm rate over all points together."""
     displacements: tuple[Displacement, ...]
+    """Of every common point, in the order of the first recording."""
     scale: float | None
+    """Scale of the second epoch less 1, where it was estimated."""
 
     def _lines(self) -> list[str]:
         return [self.sentence, f"no motion at all: p = {self.p_value:.2g}; without what moved: p = {self.after:.2g}"]

@@ -25,30 +25,19 @@ MOST_TOLD = 8
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Shown):
-    """What tasks on a recording are worth.
-
-    Attributes
-    ----------
-    tasks : Tasks
-    inputs : Inputs
-    measurands : tuple of Measurand
-    linear : Propagated
-        By the law of propagation.
-    drawn : Drawn
-        By Monte Carlo.
-    agrees : (k,) bool
-        Whether the linear interval is that of the distribution (JCGM 101, clause 8).
-    curved : (k,) float
-        Gap between the exact adjustment and its linear form, in standard uncertainties.
-    """
+    """What tasks on a recording are worth."""
 
     tasks: Tasks
     inputs: Inputs
     measurands: tuple[Measurand, ...]
     linear: Propagated
+    """By the law of propagation."""
     drawn: Drawn
+    """By Monte Carlo."""
     agrees: Bools
+    """(k,): whether the linear interval is that of the distribution (JCGM 101, clause 8)."""
     curved: Floats
+    """(k,): gap between the exact adjustment and its linear form, in standard uncertainties."""
 
     def _lines(self) -> list[str]:
         coverage = self.tasks.monte_carlo.coverage

@@ -27,25 +27,20 @@ DIRECTIONS = 60
 
 @dataclass(frozen=True)
 class Feature:
-    """A fitted element.
-
-    Attributes
-    ----------
-    centre : (..., 3) float, [m]
-        A point of the line, plane or axis (the foot of the points' centroid), or the centre.
-    normal : (..., 3) float
-        Direction of the line or axis, normal of the plane or of the circle's plane; a unit vector. NaN for a sphere.
-    radius : (...) float, [m]
-        NaN for line and plane.
-    deviations : (..., n) float, [m]
-        Signed orthogonal distances from the element; for a line and a circle in space, which have no sides, the
-        distance for the line and the larger of radial and axial deviation, with its sign, for the circle.
-    """
+    """A fitted element."""
 
     centre: Floats
+    """(..., 3) [m]: a point of the line, plane or axis (the foot of the points' centroid), or the centre."""
     normal: Floats
+    """(..., 3): direction of the line or axis, normal of the plane or of the circle's plane; a unit vector. NaN for a
+    sphere.
+    """
     radius: Floats
+    """[m]: naN for line and plane."""
     deviations: Floats
+    """(..., n) [m]: signed orthogonal distances from the element; for a line and a circle in space, which have no
+    sides, the distance for the line and the larger of radial and axial deviation, with its sign, for the circle.
+    """
 
 
 LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}

@@ -32,23 +32,15 @@ LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker gu
 
 @dataclass(frozen=True)
 class Source:
-    """One source of uncertainty of the points.
-
-    Attributes
-    ----------
-    name : str
-    kind : str
-        ``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest.
-    response : (3 T, q) float, [m]
-        Displacement of the points for one standard deviation of each independent variate.
-    distribution : str
-        Of the variates.
-    """
+    """One source of uncertainty of the points."""
 
     name: str
     kind: Literal["A", "B"]
+    """``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest."""
     response: Floats
+    """(3 T, q) [m]: displacement of the points for one standard deviation of each independent variate."""
     distribution: str = "normal"
+    """Of the variates."""
 
     @property
     def covariance(self) -> Floats:
@@ -59,23 +51,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Estimated points and what they depend on.
-
-    Attributes
-    ----------
-    adjustment : Adjustment
-    targets : tuple of str
-        The points that the tasks use.
-    points : (T, 3) float, [m]
-    reach : (m, 3 T) float, [m]
-        Displacement of the points for a unit of each whitened row of the adjustment.
-    sources : tuple of Source
-    """
+    """Estimated points and what they depend on."""
 
     adjustment: Adjustment
     targets: tuple[str, ...]
+    """The points that the tasks use."""
     points: Floats
+    """(T, 3) [m]."""
     reach: Floats
+    """(m, 3 T) [m]: displacement of the points for a unit of each whitened row of the adjustment."""
     sources: tuple[Source, ...]
 
     @classmethod

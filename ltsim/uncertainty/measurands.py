@@ -41,23 +41,15 @@ def _plain(*names: str) -> list[Output]:
 
 @dataclass(frozen=True)
 class Measurand:
-    """A task on the points of a network.
-
-    Attributes
-    ----------
-    task : Task
-    at : (k,) int
-        Its targets among the network's points.
-    near : Feature, optional
-        The element fitted to the estimated points: start of every further fit and side of every direction.
-    zone : Feature, optional
-        The element of their minimum zone, where the task asks for it.
-    """
+    """A task on the points of a network."""
 
     task: Task
     at: Ints
+    """(k,): its targets among the network's points."""
     near: Feature | None = field(default=None, repr=False)
+    """The element fitted to the estimated points: start of every further fit and side of every direction."""
     zone: Feature | None = field(default=None, repr=False)
+    """The element of their minimum zone, where the task asks for it."""
 
     @classmethod
     def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Measurand:

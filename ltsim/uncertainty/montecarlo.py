@@ -25,27 +25,20 @@ PIECE = 1_000
 
 @dataclass(frozen=True)
 class Drawn:
-    """The distribution of the results.
-
-    Attributes
-    ----------
-    values : (trials, k) float
-    mean, sigma : (k,) float
-    symmetric, shortest : (k, 2) float
-        Coverage intervals with equal tails, and the shortest.
-    stable : (k,) bool
-        Whether the figures are stable to the digits asked for.
-    tolerance : (k,) float
-        Half a unit of the last digit of the standard uncertainty (clause 7.9.2).
-    """
+    """The distribution of the results."""
 
     values: Floats
+    """(trials, k)."""
     mean: Floats
     sigma: Floats
+    """(k,) each."""
     symmetric: Floats
     shortest: Floats
+    """(k, 2): coverage intervals with equal tails, and the shortest."""
     stable: Bools
+    """(k,): whether the figures are stable to the digits asked for."""
     tolerance: Floats
+    """(k,): half a unit of the last digit of the standard uncertainty (clause 7.9.2)."""
 
     @property
     def trials(self) -> int:

@@ -16,19 +16,13 @@ from ltsim.uncertainty.spec import Growth
 
 @dataclass(frozen=True)
 class Stretch:
-    """The part's expansion as an input: the factor by which it was too large when measured, and its uncertainties.
-
-    Attributes
-    ----------
-    factor : float
-        1 + expansion (measured - reference).
-    by_expansion, by_temperature : float
-        Standard deviation of the factor from each.
-    """
+    """The part's expansion as an input: the factor by which it was too large when measured, and its uncertainties."""
 
     factor: float = 1.0
+    """1 + expansion (measured - reference)."""
     by_expansion: float = 0.0
     by_temperature: float = 0.0
+    """Standard deviation of the factor from each."""
 
     @classmethod
     def of(cls, growth: Growth | None) -> Stretch:
@@ -51,23 +45,16 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Propagated:
-    """Results of all tasks together by the law of propagation.
-
-    Attributes
-    ----------
-    values : (k,) float
-        Results of all tasks, one after another [SI].
-    covariance : (k, k) float
-    shares : dict of str to (k,) float
-        Variance of each result by source; they add up to the diagonal of the covariance.
-    kinds : dict of str to str
-        ``A`` or ``B`` of each source.
-    """
+    """Results of all tasks together by the law of propagation."""
 
     values: Floats
+    """(k,): results of all tasks, one after another [SI]."""
     covariance: Floats
+    """(k, k)."""
     shares: dict[str, Floats]
+    """(k,): variance of each result by source; they add up to the diagonal of the covariance."""
     kinds: dict[str, str]
+    """``A`` or ``B`` of each source."""
 
     @property
     def sigma(self) -> Floats:

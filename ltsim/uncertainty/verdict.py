@@ -16,25 +16,18 @@ Judgement = Literal["accepted", "rejected", "undecided"]
 
 @dataclass(frozen=True)
 class Conformity:
-    """A result against its tolerance.
-
-    Attributes
-    ----------
-    probability : float
-        That the true value lies within the tolerance, given the result.
-    guard : float
-        Width of the guard band inside each limit [unit of the result].
-    judgement : str
-        ``accepted`` where the result lies within the limits less their guard bands, ``rejected`` where it lies outside
-        them by more than the guard band, ``undecided`` between. A simple decision has no guard band.
-    wrong : float
-        Probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection.
-    """
+    """A result against its tolerance."""
 
     probability: float
+    """That the true value lies within the tolerance, given the result."""
     guard: float
+    """Width of the guard band inside each limit [unit of the result]."""
     judgement: Judgement
+    """``accepted`` where the result lies within the limits less their guard bands, ``rejected`` where it lies outside
+    them by more than the guard band, ``undecided`` between. A simple decision has no guard band.
+    """
     wrong: float
+    """Probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection."""
 
 
 def conformity(
