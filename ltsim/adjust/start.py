@@ -11,8 +11,6 @@ from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
 
-__all__ = ["start_network", "station_clouds"]
-
 
 def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[Floats, Bools]:
     """Each station's targets in its own frame (S, T, 3) [m], and which it measured (S, T).

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from ltsim.api.files import RecordingSource, recording_of
-from ltsim.diagnose import Diagnosis
-from ltsim.diagnose import diagnose as diagnosis_of
+from ltsim.diagnose import Diagnosis, diagnose as diagnosis_of
 
 
 def diagnose(recording: RecordingSource, *, level: float = 0.05, seed: int = 0) -> Diagnosis:

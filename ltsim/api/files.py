@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.errors import ModelError
-from ltsim.recording import Hints, Recording
-from ltsim.recording import read as read_recording
-from ltsim.recording import write as write_recording
+from ltsim.recording import Hints, Recording, read as read_recording, write as write_recording
 
 if TYPE_CHECKING:
     from ltsim.calibrate.calibration import Calibration

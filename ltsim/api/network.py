@@ -12,19 +12,15 @@ from ltsim.calibrate import (
     adjust_network,
     calibrate_distance,
     calibrate_network,
-    read_calibration,
-)
-from ltsim.calibrate import (
     correct as corrected_by,
+    read_calibration,
 )
 from ltsim.calibrate.choice import Choice
 from ltsim.calibrate.history import History
 from ltsim.calibrate.known import Known
 from ltsim.calibrate.result import gross_rows
 from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
-from ltsim.evaluate import Criteria, read_nominal
-from ltsim.evaluate import evaluate as criteria_of
-from ltsim.evaluate import verify as verified
+from ltsim.evaluate import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
 

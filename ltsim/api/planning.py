@@ -9,8 +9,7 @@ from ltsim.api.files import RecordingSource, recording_of
 from ltsim.effects.signature import Signature
 from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.spec import load_plan
-from ltsim.remedies.next_measurement import NextMeasurement, Progress, quiet
-from ltsim.remedies.next_measurement import next_measurement as proposals_of
+from ltsim.remedies.next_measurement import NextMeasurement, Progress, next_measurement as proposals_of, quiet
 
 
 def plan(

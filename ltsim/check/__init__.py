@@ -1,6 +1,4 @@
 """Go or no-go in the field: one set-up at a time, from what was measured twice."""
 
-from ltsim.check.check import Check, Item, check
-from ltsim.check.files import check_file, write_check
-
-__all__ = ["Check", "Item", "check", "check_file", "write_check"]
+from ltsim.check.check import Check as Check, Item as Item, check as check
+from ltsim.check.files import check_file as check_file, write_check as write_check

@@ -56,8 +56,7 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    from ltsim.check import check as check_of
-    from ltsim.check import check_file, write_check
+    from ltsim.check import check as check_of, check_file, write_check
     from ltsim.check.files import TWO_FACE, CheckFile
 
     claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)

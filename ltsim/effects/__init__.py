@@ -12,11 +12,18 @@ from ltsim.effects.backlash import Backlash
 from ltsim.effects.beam_offset import BeamOffset
 from ltsim.effects.beam_tilt import BeamTilt
 from ltsim.effects.bearing_wobble import BearingWobble
-from ltsim.effects.card import Card, card_of
-from ltsim.effects.catalogue import Catalogue, Entry
+from ltsim.effects.card import Card as Card, card_of as card_of
+from ltsim.effects.catalogue import Catalogue, Entry as Entry
 from ltsim.effects.dead_path import DeadPath
 from ltsim.effects.detector_offset import DetectorOffset
-from ltsim.effects.effect import Effect, NoiseEffect, Parameter, ShapeParameter, SlotEffect, Stage
+from ltsim.effects.effect import (
+    Effect as Effect,
+    NoiseEffect as NoiseEffect,
+    Parameter as Parameter,
+    ShapeParameter as ShapeParameter,
+    SlotEffect as SlotEffect,
+    Stage as Stage,
+)
 from ltsim.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.effects.elevation_harmonic import ElevationHarmonic
 from ltsim.effects.elevation_second_order import ElevationSecondOrder
@@ -145,19 +152,3 @@ CATALOGUE = Catalogue(GROUPS)
 """Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""
 
 find_effect = CATALOGUE.find
-
-__all__ = [
-    "BASELINE",
-    "CATALOGUE",
-    "GROUPS",
-    "Card",
-    "Effect",
-    "Entry",
-    "NoiseEffect",
-    "Parameter",
-    "ShapeParameter",
-    "SlotEffect",
-    "Stage",
-    "card_of",
-    "find_effect",
-]

@@ -31,35 +31,16 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.signature import (
     NoiseSignature,
-    Parameter,
-    PriorKind,
-    ShapeParameter,
-    Signature,
+    Parameter as Parameter,
+    PriorKind as PriorKind,
+    ShapeParameter as ShapeParameter,
+    Signature as Signature,
     Tunable,
-    by_displacement,
-    on_readings,
-    parameter_names,
+    by_displacement as by_displacement,
+    on_readings as on_readings,
+    parameter_names as parameter_names,
 )
 from ltsim.scene.sightings import Sightings
-
-__all__ = [
-    "Basis",
-    "Effect",
-    "Mistake",
-    "NoiseEffect",
-    "Parameter",
-    "PriorKind",
-    "Scope",
-    "ShapeParameter",
-    "Signature",
-    "SlotEffect",
-    "Stage",
-    "Term",
-    "by_displacement",
-    "on_readings",
-    "one",
-    "parameter_names",
-]
 
 Scope = Literal["all", "station", "target", "pointing", "reading"]
 

@@ -1,16 +1,10 @@
 """How good a recording is, before and after calibration: the paper's criteria and verification."""
 
-from ltsim.evaluate.criteria import Comparison, Criteria, Differences, evaluate
-from ltsim.evaluate.share_removed import ShareRemoved, share_removed
-from ltsim.evaluate.verification import read_nominal, verify
-
-__all__ = [
-    "Comparison",
-    "Criteria",
-    "Differences",
-    "ShareRemoved",
-    "evaluate",
-    "read_nominal",
-    "share_removed",
-    "verify",
-]
+from ltsim.evaluate.criteria import (
+    Comparison as Comparison,
+    Criteria as Criteria,
+    Differences as Differences,
+    evaluate as evaluate,
+)
+from ltsim.evaluate.share_removed import ShareRemoved as ShareRemoved, share_removed as share_removed
+from ltsim.evaluate.verification import read_nominal as read_nominal, verify as verify

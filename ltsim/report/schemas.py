@@ -28,8 +28,7 @@ from ltsim.recording.result_table import ResultTable
 from ltsim.recording.setup import Setup
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.truth import TruthFile
-from ltsim.uncertainty import comparison
-from ltsim.uncertainty import files as uncertainty
+from ltsim.uncertainty import comparison, files as uncertainty
 from ltsim.uncertainty.spec import Tasks
 
 RESULTS: tuple[type[ResultFile], ...] = (

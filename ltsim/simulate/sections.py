@@ -9,8 +9,16 @@ from pydantic import Field, StrictBool, model_validator
 
 from ltsim.effects.resolution import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.recording.setup import Finite, Noise, NonNegative, Positive, Prior, Section, Vector
-from ltsim.recording.setup import Limits as ElevationLimits
+from ltsim.recording.setup import (
+    Finite,
+    Limits as ElevationLimits,
+    Noise,
+    NonNegative,
+    Positive,
+    Prior,
+    Section,
+    Vector,
+)
 from ltsim.units import MICROMETRE
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]

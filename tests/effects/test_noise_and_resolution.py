@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.resolution import quantised

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from ltsim.arrays import Floats, Ints
 from ltsim.geometry.polar import from_polar, polar_jacobian, to_face, to_polar, unit_vectors, wrap

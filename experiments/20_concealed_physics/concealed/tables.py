@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from .reliability import by_kind
-from .reliability import lines as reliability_lines
+from .reliability import by_kind, lines as reliability_lines
 from .score import Row
 
 RATIOS = ("error_over_told_median", "error_over_told_90", "ordinary_over_told_median")
