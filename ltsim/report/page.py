@@ -83,20 +83,7 @@ def report(
     about: About | None = None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Path:
-    """Write `report.html` into a folder that a command left, and give its path.
-
-    Parameters
-    ----------
-    folder : Path
-        A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
-    recording : Path, optional
-        The recording behind a calibration or a diagnosis, where it does not lie in the folder or in `recording/`.
-    title : str, optional
-        Of the page; default the recording's title or the folder's name.
-    about : About, optional
-        Who measured what for whom; what it leaves open is taken from the table `[report]` of the set-up.
-    tell : callable
-        Told of each folder in the folder that cannot be read; the page says it too.
+    """Write `report.html` into a folder that a command left, and give its path; arguments as of `ltsim.report`.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -56,6 +56,14 @@ class Residuals:
         """(n,) bool: which rows are of one observable."""
         rows: Bools = self.observable == OBSERVABLES.index(observable)
         return rows
+
+    def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+        """(n,): which rows are at the named stations and targets; all where none is named."""
+        inside = np.ones(len(self), dtype=np.bool_)
+        for names, column in ((stations, self.station), (targets, self.target)):
+            if names:
+                inside &= np.isin(column, list(names))
+        return inside
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:

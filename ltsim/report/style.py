@@ -10,7 +10,7 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from functools import partial, wraps
 from typing import Any, Literal, ParamSpec
@@ -217,15 +217,36 @@ def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Float
     return places
 
 
+def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
+    """Texts beside the rows, at the right end."""
+    right = ax.secondary_yaxis("right")
+    right.set_yticks(places, texts, fontsize=8)
+    right.tick_params(length=0)
+    right.spines["right"].set_visible(False)
+
+
+def bare(ax: Axes) -> None:
+    """Take frame, grid and ticks off a table of colours."""
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    ax.spines[:].set_visible(False)
+
+
+def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int) -> None:
+    """One legend for all panels, each label once."""
+    known = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(known.values()), list(known), loc="outside upper right", ncols=ncols)
+
+
 def shorten(name: str, most: int = 34) -> str:
     """A name that fits on an axis."""
     flat = " ".join(name.split())
     return flat if len(flat) <= most else flat[: most - 1] + "…"
 
 
-def number(value: float, digits: int = 3) -> str:
-    """A number as a person writes it: `digits` significant, no exponent where it can be avoided."""
-    if not np.isfinite(value):
+def number(value: float | None, digits: int = 3) -> str:
+    """A number as a person writes it: `digits` significant, no exponent where it can be avoided; a dash for none."""
+    if value is None or not np.isfinite(value):
         return "–"
     if value == 0:
         return "0"
@@ -244,9 +265,14 @@ def with_sigma(value: float, sigma: float) -> str:
     return _minus(f"{value:.{decimals}f}") + f" ± {sigma:.{decimals}f}"
 
 
-def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals; thousands are not divided, so that it can be copied."""
-    return _minus(f"{value:.{decimals}f}") if np.isfinite(value) else "–"
+def fixed(value: float | None, decimals: int) -> str:
+    """A number with so many decimals, a dash for none; thousands are not divided, so that it can be copied."""
+    return "–" if value is None or not np.isfinite(value) else _minus(f"{value:.{decimals}f}")
+
+
+def with_unit(value: float, sigma: float | None, unit: str) -> str:
+    """`value ± sigma unit`."""
+    return f"{with_sigma(value, sigma or 0.0)} {unit_text(unit)}"
 
 
 def _minus(text: str) -> str:

@@ -55,9 +55,10 @@ def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
         return True, "there is no redundancy to test the model with"
     agrees = p >= 0.01
     verb = "agree" if agrees else "do not agree"
-    return agrees, f"the readings {verb} with the model and the stated noise (χ² {chi2:.0f} for {dof}, p {_p(p)})"
+    return agrees, f"the readings {verb} with the model and the stated noise (χ² {chi2:.0f} for {dof}, {p_is(p)})"
 
 
-def _p(p: float) -> str:
+def p_is(p: float) -> str:
+    """`p = 0.02` or `p < 0.0001`."""
     text = p_text(p)
-    return text if text.startswith("<") else f"= {text}"
+    return f"p {text}" if text.startswith("<") else f"p = {text}"

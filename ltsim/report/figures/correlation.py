@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, new_figure, on_phone, shorten, styled
+from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, bare, new_figure, on_phone, shorten, styled
 
 
 @styled
@@ -31,10 +31,7 @@ def correlation(names: Sequence[str], matrix: Floats) -> Figure:
     short = [shorten(name, 26) for name in names]
     ax.set_xticks(range(count), short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.0 if small else 7.5)
     ax.set_yticks(range(count), short, fontsize=6.0 if small else 7.5)
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    for side in ax.spines.values():
-        side.set_visible(False)
+    bare(ax)
     if count <= (8 if small else 24):
         for i, j in zip(*np.nonzero(np.abs(matrix) > 0.3), strict=True):
             if i != j:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from ltsim.report.style import AFTER, BEFORE, INK, category_rows, new_figure, number, styled
+
+BESIDE: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 8}
 
 
 @dataclass(frozen=True)
@@ -37,26 +40,9 @@ def criteria(rows: Sequence[Criterion]) -> Figure:
             "", xy=(after, place), xytext=(before, place), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0}
         )
         away = 6 if before >= after else -6
-        ax.annotate(
-            number(before),
-            (before, place),
-            xytext=(away, 0),
-            textcoords="offset points",
-            va="center",
-            ha="left" if away > 0 else "right",
-            color="#5C6166",
-            fontsize=8,
-        )
-        ax.annotate(
-            number(after),
-            (after, place),
-            xytext=(-away, 0),
-            textcoords="offset points",
-            va="center",
-            ha="right" if away > 0 else "left",
-            color=AFTER,
-            fontsize=8,
-        )
+        for value, colour, beside in ((before, "#5C6166", away), (after, AFTER, -away)):
+            side = "left" if beside > 0 else "right"
+            ax.annotate(number(value), (value, place), xytext=(beside, 0), color=colour, ha=side, **BESIDE)
         if text:
             ax.annotate(
                 text, (1.0, place), xycoords=("axes fraction", "data"), va="center", ha="left", fontsize=8, color=AFTER

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.report.style import AFTER, INK, RED, SKY, new_figure, number, quiet_axis, styled, unit_text
+from ltsim.report.style import AFTER, INK, RED, SKY, legend_of, new_figure, number, quiet_axis, styled, unit_text
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,7 @@ def distributions(rows: Sequence[Distribution], *, source: str = "the paper") ->
         _panel(ax, row, source)
     for ax in axes.flat[len(rows) :]:
         ax.set_axis_off()
-    handles = {label: handle for ax in axes.flat for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(handles.values()), list(handles), loc="outside upper right", ncols=4)
+    legend_of(figure, axes.flat, ncols=4)
     return figure
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.report.style import AFTER, GREY, INK, PALE, category_rows, new_figure, styled, unit_text, with_sigma
+from ltsim.report.style import AFTER, GREY, INK, PALE, at_right, category_rows, new_figure, styled, with_unit
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,7 @@ def parameters(rows: Sequence[ParameterRow]) -> Figure:
             label="hardly determined",
         )
     _truth(ax, rows, places, scales)
-    right = ax.secondary_yaxis("right")
-    right.set_yticks(places, [f"{with_sigma(r.value, r.sigma)} {unit_text(r.unit)}" for r in rows], fontsize=8)
-    right.tick_params(length=0)
-    right.spines["right"].set_visible(False)
+    at_right(ax, places, [with_unit(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=5)
     return figure

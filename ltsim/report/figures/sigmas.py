@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from ltsim.report.style import AFTER, BEFORE, GREY, category_rows, new_figure, number, styled, unit_text
+from ltsim.report.style import AFTER, BEFORE, GREY, at_right, category_rows, new_figure, number, styled, unit_text
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,7 @@ def sigmas(rows: Sequence[SigmaRow]) -> Figure:
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    right = ax.secondary_yaxis("right")
-    right.set_yticks(places, [f"{number(r.sigma, 2)} {unit_text(r.unit)}" for r in rows], fontsize=8)
-    right.tick_params(length=0)
-    right.spines["right"].set_visible(False)
+    at_right(ax, places, [f"{number(r.sigma, 2)} {unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return figure

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from ltsim.arrays import Bools
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.report.figures.residuals_by_covariate import axis_text, running_mean
 from ltsim.report.residuals import Residuals
@@ -40,28 +40,16 @@ def signature(
     for line, observable in zip(grid, shown, strict=True):
         for ax, residuals, title in zip(line, (before, after), ("without the finding", "with it"), strict=True):
             rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
-            here = _inside(residuals, stations, targets)
+            here = residuals.at(stations, targets)
             x, y = residuals.covariates[covariate], residuals.residual
             elsewhere = rows & ~here
-            ax.scatter(
-                x[elsewhere],
-                y[elsewhere],
-                s=6,
-                color="#C3C8CC",
-                linewidths=0,
-                zorder=1,
-                label=_word("elsewhere", elsewhere),
-            )
-            ax.scatter(
-                x[rows & here],
-                y[rows & here],
-                s=12,
-                color=AFTER,
-                linewidths=0,
-                alpha=0.85,
-                zorder=2,
-                label=_word("where the finding acts", rows & here),
-            )
+            pale: dict[str, Any] = {"s": 6, "color": "#C3C8CC", "zorder": 1}
+            strong: dict[str, Any] = {"s": 12, "color": AFTER, "zorder": 2, "alpha": 0.85}
+            for some, look, word in (
+                (elsewhere, pale, "elsewhere"),
+                (rows & here, strong, "where the finding acts"),
+            ):
+                ax.scatter(x[some], y[some], linewidths=0, label=word if some.any() else None, **look)
             running_mean(ax, x[rows & here], y[rows & here], colour=RED)
             ax.axhline(0.0, color=INK, linewidth=0.6)
             quiet_axis(ax, grid="both")
@@ -75,18 +63,3 @@ def signature(
         ax.set_xlabel(axis_text(covariate))
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return figure
-
-
-def _word(text: str, rows: Bools) -> str | None:
-    """A legend entry only where there is something to see."""
-    return text if rows.any() else None
-
-
-def _inside(residuals: Residuals, stations: Sequence[str], targets: Sequence[str]) -> Bools:
-    """(n,) bool: rows at the named stations and targets."""
-    inside = np.ones(len(residuals), dtype=np.bool_)
-    if stations:
-        inside &= np.isin(residuals.station, list(stations))
-    if targets:
-        inside &= np.isin(residuals.target, list(targets))
-    return inside

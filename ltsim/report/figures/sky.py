@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats, Ints
 from ltsim.report import style
-from ltsim.report.style import BLUE, ORANGE, RED, new_figure, quiet_axis, shorten, styled
+from ltsim.report.style import BLUE, ORANGE, RED, legend_of, new_figure, quiet_axis, shorten, styled
 from ltsim.units import DEGREE
 
 MOST_STATIONS = 12
@@ -67,6 +67,5 @@ def sky(
     for ax in axes[:, 0]:
         ax.set_ylabel("elevation [°]")
     figure.supxlabel("azimuth [°]", fontsize=8.5)
-    handles = {label: handle for ax in axes.flat for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(handles.values()), list(handles), loc="outside upper right", ncols=3)
+    legend_of(figure, axes.flat, ncols=3)
     return figure

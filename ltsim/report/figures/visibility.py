@@ -9,7 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ltsim.report.style import CYCLE, GREEN, ON_DEEP, new_figure, shorten, styled
+from ltsim.report.style import CYCLE, GREEN, ON_DEEP, bare, new_figure, shorten, styled
 
 CLEAR = ("", "visible", "clear", "ok")
 
@@ -44,10 +44,7 @@ def visibility(stations: Sequence[str], targets: Sequence[str], reasons: Sequenc
     )
     ax.set_yticks(np.arange(len(stations)) + 0.5, [shorten(s, 20) for s in stations])
     ax.invert_yaxis()
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    for side in ax.spines.values():
-        side.set_visible(False)
+    bare(ax)
     handles = [Patch(color=colours[0], label="visible")]
     handles += [Patch(color=colours[i + 1], label=f"{word[0].upper()}: {word}") for i, word in enumerate(words)]
     figure.legend(handles=handles, loc="outside upper right", ncols=min(len(handles), 4))

@@ -12,13 +12,12 @@ from ltsim.arrays import Floats
 from ltsim.calibrate.files import read_targets
 from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.errors import ConvergenceError, NetworkError
-from ltsim.evaluate.schema import SpreadEntry
 from ltsim.recording import Recording, Setup
 from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Fact, Note, Section, Table, mood, picture
 from ltsim.report.residuals import Residuals
-from ltsim.report.sections.network import residual_blocks, station_table, target_table, workshop_blocks
+from ltsim.report.sections.network import residual_blocks, station_table, target_table, undetermined, workshop_blocks
 from ltsim.report.sections.recording import adjusted
 from ltsim.report.words import agreement, count, p_text
 from ltsim.report.workshop import Sights, Workshop, assemble
@@ -54,7 +53,9 @@ def calibration_section(folder: Path, recording: Recording | None = None, *, det
     blocks += parameter_blocks(content)
     blocks += _criteria(content)
     blocks += _network(folder, content, recording, detail=detail)
-    blocks += _undetermined(content) + _outliers(content)
+    told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
+    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
+    blocks += _outliers(content)
     good = agrees and converged and all(outlier.left_out for outlier in content.outliers)
     title = (recording.setup.title if recording else "") or folder.name
     return Section(
@@ -89,7 +90,7 @@ def _answer(content: CalibrationFile, agreement_words: str) -> str:
         word = "better" if change >= 0 else "worse"
         begin += (
             f"; stations agree about distances {abs(change):.1f} % {word} than before "
-            f"({_size(distance.before)} to {_size(distance.after)} µm)"
+            f"({style.number(distance.before.mean_um)} to {style.number(distance.after.mean_um)} µm)"
         )
     if content.outliers:
         left = sum(outlier.left_out for outlier in content.outliers)
@@ -99,16 +100,11 @@ def _answer(content: CalibrationFile, agreement_words: str) -> str:
     return begin + "."
 
 
-def _size(spread: SpreadEntry) -> str:
-    """A mean deviation [um]."""
-    return "–" if spread.mean_um is None else style.number(spread.mean_um)
-
-
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     """Figures at a glance."""
     fit, found = content.fit, content.noise_estimated
     return [
-        Fact("sigma0", "–" if fit.sigma0 is None else f"{fit.sigma0:.3f}", mood(agrees)),
+        Fact("sigma0", style.fixed(fit.sigma0, 3), mood(agrees)),
         Fact("p of the fit", "–" if found else p_text(fit.p_value), "plain" if found else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("construction", content.construction or "–"),
@@ -301,23 +297,6 @@ def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Seque
         np.abs(np.nan_to_num(residuals.w[known])),
         "largest normalised residual",
     )
-
-
-def _undetermined(content: CalibrationFile) -> list[Block]:
-    """What the recording cannot tell, and the cure."""
-    if not content.undetermined:
-        return []
-    rows = [
-        [
-            " ".join(f"{'+' if c >= 0 else '−'} {abs(c):.2f} {name}" for name, c in entry.combination.items()),
-            entry.cure or "–",
-            "–" if entry.gain is None else f"{100 * entry.gain:.1f} %",
-        ]
-        for entry in content.undetermined
-    ]
-    note = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
-    header = ["combination, in units of the prior σ", "what would determine it", "told"]
-    return [Table("Not determined by this recording", header, rows, text_columns=2, note=note)]
 
 
 def _outliers(content: CalibrationFile) -> list[Block]:

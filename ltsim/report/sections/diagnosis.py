@@ -96,9 +96,7 @@ def _finding(finding: FindingEntry, number: int, before: Residuals | None, after
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {typeset(finding.formula)}." if finding.formula and new else ""
     blocks: list[Block] = [Note(f"Finding {number}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
-    rows = [
-        [p.name, f"{style.with_sigma(p.value, p.sigma or 0.0)} {style.unit_text(p.unit)}"] for p in finding.parameters
-    ]
+    rows = [[p.name, style.with_unit(p.value, p.sigma, p.unit)] for p in finding.parameters]
     rows.append(["where", _place(finding.where)])
     evidence = finding.evidence
     if evidence.chi2_drop is not None:
@@ -140,15 +138,13 @@ def _instruments(content: DiagnosisFile) -> list[Block]:
     blocks: list[Block] = []
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
-        rows = [
-            [p.name, f"{style.with_sigma(p.value, p.sigma or 0.0)} {style.unit_text(p.unit)}"] for p in entry.parameters
-        ]
+        rows = [[p.name, style.with_unit(p.value, p.sigma, p.unit)] for p in entry.parameters]
         title = f"Constants{name}, with the findings modelled"
         blocks.append(Table(title, ["constant", "value"], rows, text_columns=2))
         joined = [
             [
                 " ".join(f"{weight:+.2f} {constant}" for constant, weight in c.combination.items()),
-                f"{style.with_sigma(c.value, c.sigma or 0.0)} {style.unit_text(c.unit)}",
+                style.with_unit(c.value, c.sigma, c.unit),
             ]
             for c in entry.determined
         ]
@@ -165,28 +161,19 @@ def _signature(finding: FindingEntry, number: int, before: Residuals | None, aft
         return []
     wanted = [*finding.where.covariates, "time", "elevation", "row"]
     known = [name for name in wanted if name in before.covariates and name in after.covariates]
-    if not known or not _touched(before, finding.where) or not _touched(after, finding.where):
+    place = finding.where.stations, finding.where.targets
+    if not known or not before.at(*place).any() or not after.at(*place).any():  # gross errors leave no residual
         return []
     figure = figures.signature(
         before,
         after,
         covariate=known[0],
         observables=finding.where.observables,
-        stations=finding.where.stations,
-        targets=finding.where.targets,
+        stations=place[0],
+        targets=place[1],
     )
     text = "Residuals without the finding (left) and with it modelled (right); the band is the running mean ± 2 s.e."
     return [picture(f"Signature of finding {number}", figure, text)]
-
-
-def _touched(residuals: Residuals, where: WhereEntry) -> bool:
-    """Whether any residual lies where the finding acts; gross errors leave none."""
-    rows = np.ones(len(residuals), dtype=np.bool_)
-    if where.stations:
-        rows &= np.isin(residuals.station, where.stations)
-    if where.targets:
-        rows &= np.isin(residuals.target, where.targets)
-    return bool(rows.any())
 
 
 def _place(where: WhereEntry) -> str:
@@ -210,9 +197,7 @@ def _fit(content: DiagnosisFile) -> list[Block]:
         return []
     rows = []
     for word, fit in (("without the findings", content.fit.before), ("with the findings", content.fit.after)):
-        held = "–" if fit.held_out_rms is None else f"{fit.held_out_rms:.3f}"
-        chi2 = "–" if fit.chi2 is None else f"{fit.chi2:.1f}"
-        rows.append([word, chi2, str(fit.dof), _ratio(fit), held])
+        rows.append([word, style.fixed(fit.chi2, 1), str(fit.dof), _ratio(fit), style.fixed(fit.held_out_rms, 3)])
     note = "Held-out error: normalised error of readings that the fit did not see; 1 is what the stated noise explains."
     header = ["", "χ²", "degrees of freedom", "ratio", "held-out error"]
     return [Table("Fit before and after", header, rows, note=note)]

@@ -11,7 +11,7 @@ from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Block, Fact, Section, Table, mood, picture
 from ltsim.report.figures.history import Course, history_figure, told_apart
-from ltsim.report.words import count, listing, p_text
+from ltsim.report.words import count, listing, p_is, p_text
 
 LEVEL = 0.01
 
@@ -60,18 +60,13 @@ def _answer(content: HistoryFile) -> str:
     """The first sentence."""
     since, size = content.since_first, count(len(content.calibrations), "calibration")
     span = f"Over {size} from {since.from_} to {since.to} the instrument"
-    tested = f"(χ² {since.chi2:.0f} for {since.dof}, p {_p(since.p_value)})"
+    tested = f"(χ² {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
     if since.p_value >= LEVEL:
         between = [c for c in content.changes if c.p_value < LEVEL]
         back = f", though it did between {listing([f'{c.from_} and {c.to}' for c in between])}" if between else ""
         return f"{span} shows no change since the first {tested}{back}."
     which = f", above all in {listing(since.changed)}" if since.changed else ", in no single parameter for certain"
     return f"{span} has changed since the first{which} {tested}."
-
-
-def _p(p: float) -> str:
-    text = p_text(p)
-    return text if text.startswith("<") else f"= {text}"
 
 
 def _course(content: HistoryFile, known: list[CourseEntry]) -> list[Block]:

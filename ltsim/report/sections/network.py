@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ltsim.arrays import Floats
+from ltsim.calibrate.schema import CombinationEntry
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Scene, Table, picture
 from ltsim.report.residuals import Residuals
@@ -62,6 +65,20 @@ def scene(workshop: Workshop, *, interactive: bool) -> Scene:
         caption=f"{lines[:1].upper()}{lines[1:]}.{by}",
         page=scene_page(coloured) if interactive else "",
     )
+
+
+def undetermined(title: str, entries: Sequence[CombinationEntry], *, decimals: int, note: str = "") -> list[Block]:
+    """Combinations of parameters that stay open, and the cure of each."""
+    rows = [
+        [
+            " ".join(f"{'+' if c >= 0 else '−'} {abs(c):.2f} {name}" for name, c in entry.combination.items()),
+            entry.cure or "–",
+            "–" if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %",
+        ]
+        for entry in entries
+    ]
+    header = ["combination, in units of the prior σ", "what would determine it", "told"]
+    return [Table(title, header, rows, text_columns=2, note=note)] if rows else []
 
 
 def station_table(names: tuple[str, ...], position: Floats, sigma: Floats | None, *, note: str) -> Table:

@@ -13,7 +13,7 @@ from ltsim.recording.result_file import companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Fact, Listing, Points, Section, Table, mood, picture
 from ltsim.report.planned import from_scenario
-from ltsim.report.sections.network import scene
+from ltsim.report.sections.network import scene, undetermined
 from ltsim.report.words import count, duration
 from ltsim.simulate.scenario import load_scenario
 from ltsim.simulate.workshop import planned, visibility_of
@@ -40,11 +40,14 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     if content.reasons:
         blocks.append(Points("Why this plan", content.reasons))
     blocks += _tolerances(content)
-    blocks += _curve(content) + _parameters(content) + _expected(content) + _undetermined(content)
+    blocks += _curve(content) + _parameters(content) + _expected(content)
+    blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
     if content.reflectors:
-        rows = [[r.name, *(style.fixed(v, 1) for v in r.position_mm), _size(r.sigma_um), str(r.stations_seeing)]
-                for r in content.reflectors]  # fmt: skip
+        rows = [
+            [r.name, *(style.fixed(v, 1) for v in r.position_mm), style.number(r.sigma_um, 2), str(r.stations_seeing)]
+            for r in content.reflectors
+        ]
         header = ["reflector", "x [mm]", "y [mm]", "z [mm]", "σ [µm]", "seen by stations"]
         blocks.append(Table("Reflectors", header, rows))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
@@ -98,16 +101,12 @@ def _stations(content: PlanResult) -> Table:
     """Where the tripods go."""
     rows = [
         [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
-         " ".join(map(_size, s.sigma_position_um)), str(s.reflectors_seen)]
+         " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
         for s in content.stations
     ]  # fmt: skip
     header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero looks to [°]", "σ x y z [µm]", "reflectors seen"]
     frame = content.frame[:1].upper() + content.frame[1:]
     return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
-
-
-def _size(sigma: float | None) -> str:
-    return "–" if sigma is None else style.number(sigma, 2)
 
 
 def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
@@ -158,7 +157,7 @@ def _curve(content: PlanResult) -> list[Block]:
         blocks.append(picture(f"Cost against quality: {name}", figure, text))
     rows = [
         [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
-         "–" if o.value is None else style.number(o.value), "yes" if o.efficient else ""]
+         style.number(o.value), "yes" if o.efficient else ""]
         for o in content.tradeoff
     ]  # fmt: skip
     if rows:
@@ -197,25 +196,12 @@ def _expected(content: PlanResult) -> list[Block]:
     return [Table("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
 
 
-def _undetermined(content: PlanResult) -> list[Block]:
-    """What this layout would not tell."""
-    rows = [
-        [
-            " ".join(f"{'+' if c >= 0 else '−'} {abs(c):.2f} {name}" for name, c in u.combination.items()),
-            u.cure or "–", "–" if u.gain is None else f"{100 * u.gain:.0f} %",
-        ]
-        for u in content.undetermined
-    ]  # fmt: skip
-    header = ["combination, in units of the prior σ", "what would determine it", "told"]
-    return [Table("Not determined by this layout", header, rows, text_columns=2)] if rows else []
-
-
 def _effects(content: PlanResult) -> list[Block]:
     """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
     blocks: list[Block] = []
     if content.detectable:
         rows = [
-            [d.effect, d.parameter, *("–" if v is None else style.number(v, 2) for v in (d.best, d.typical, d.worst)),
+            [d.effect, d.parameter, *(style.number(v, 2) for v in (d.best, d.typical, d.worst)),
              d.worst_at or "", style.number(d.plausible, 2), style.unit_text(d.unit)]
             for d in content.detectable
         ]  # fmt: skip
