@@ -87,13 +87,7 @@ def check(
 
 
 def mpe_of(text: str | None) -> Mpe | None:
-    """The limit that `A,B` states, um and um/m.
-
-    Raises
-    ------
-    RecordError
-        When it is no two numbers above or equal to 0.
-    """
+    """The limit that `A,B` states, um and um/m; raises RecordError when it is no two numbers above or equal to 0."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]

@@ -79,13 +79,7 @@ def names_of(listed: str | None) -> tuple[str, ...] | None:
 
 
 def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
-    """Hints from `KEY=VALUE` texts.
-
-    Raises
-    ------
-    RecordError
-        When a key or a value is not known.
-    """
+    """Hints from `KEY=VALUE` texts; raises RecordError when a key or a value is not known."""
     from ltsim.recording import Hints
 
     choices: dict[str, tuple[str, ...]] = {
@@ -181,13 +175,7 @@ def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def in_axes(recording: Recording, frame: Path) -> Recording:
-    """The recording with its datum in the axes that a file names.
-
-    Raises
-    ------
-    RecordError, SetupError
-        When the file is malformed or does not fit the recording.
-    """
+    """The recording with its datum in the axes that a file names; raises RecordError or SetupError."""
     from ltsim.adjust.axes import in_axes_of_points, in_axes_of_three, read_axes
 
     if frame.suffix.lower() != ".toml":

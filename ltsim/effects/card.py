@@ -45,13 +45,7 @@ class Card:
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """The card in a docstring.
-
-        Raises
-        ------
-        ModelError
-            Naming the part that is missing, given twice or out of order.
-        """
+        """The card in a docstring; raises ModelError, naming the part that is missing, given twice or out of order."""
         head, _, rest = inspect.cleandoc(text).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
@@ -74,13 +68,7 @@ class Card:
 
 @cache
 def card_of(kind: type) -> Card:
-    """The card of an effect.
-
-    Raises
-    ------
-    ModelError
-        When neither the class nor its file has one that is complete.
-    """
+    """The card of an effect; raises ModelError when neither the class nor its file has one that is complete."""
     own = kind.__dict__.get("__doc__") or ""
     text = own if _PART.search(inspect.cleandoc(own)) else sys.modules[kind.__module__].__doc__
     try:

@@ -65,13 +65,7 @@ class Catalogue(Sequence[type[Effect]]):
 
     @cached_property
     def entries(self) -> Mapping[str, Entry]:
-        """All effects by name.
-
-        Raises
-        ------
-        ModelError
-            When a package's effect cannot be used: which package, and why.
-        """
+        """All effects by name; raises ModelError when a package's effect cannot be used: which package, and why."""
         added: dict[str, Entry] = {}
         for point in self._points():
             entry = _loaded(point)

@@ -37,13 +37,7 @@ class Point(Section):
 
 
 def read_points(path: Path) -> tuple[Point, ...]:
-    """The points of a CSV file.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, line, column, what was found, what would be right.
-    """
+    """The points of a CSV file; raises SetupError."""
     try:
         return _points(path)
     except RecordError as problem:

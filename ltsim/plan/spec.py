@@ -220,13 +220,7 @@ def plan_text(name: str) -> str:
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan file, a built-in plan, or a scenario taken as a plan; with its scenario.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, key, what was found, what would be right.
-    """
+    """A plan file, a built-in plan, or a scenario taken as a plan; with its scenario (raises SetupError)."""
     name = str(name_or_path)
     built = files("ltsim.plan") / "builtin" / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)

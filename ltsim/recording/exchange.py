@@ -152,13 +152,7 @@ def read(
 
 
 def recognised(path: Path, formats: tuple[Format, ...] = FORMATS) -> Format:
-    """The format of a file or folder.
-
-    Raises
-    ------
-    RecordError
-        When nothing is there, or no format fits.
-    """
+    """The format of a file or folder; raises RecordError when nothing is there, or no format fits."""
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
     head = ""

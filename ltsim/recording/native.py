@@ -56,13 +56,7 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read_recording(path: Path) -> Recording:
-    """Read a recording folder (or the `observations.csv` in it).
-
-    Raises
-    ------
-    RecordError
-        One sentence: file, row, column, what was found, what would be right.
-    """
+    """Read a recording folder (or the `observations.csv` in it); raises RecordError."""
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"

@@ -122,13 +122,7 @@ def write_result(folder: Path, result: File, beside: Mapping[str, str | bytes]) 
 
 
 def read_result(path: Path, model: type[File]) -> File:
-    """A result file (or that of a folder), checked against its model.
-
-    Raises
-    ------
-    RecordError
-        One sentence: which key, what is wrong with it.
-    """
+    """A result file (or that of a folder), checked against its model; raises RecordError."""
     file = path / model.FILE if path.is_dir() else path
     content = read_json(file, model.FILE)
     found = content.get("format")

@@ -23,24 +23,12 @@ _COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
 
 
 def read_setup(path: Path) -> Setup:
-    """The contents of a `setup.toml`.
-
-    Raises
-    ------
-    RecordError
-        One sentence: which key, what was found, what would be right.
-    """
+    """The contents of a `setup.toml`; raises RecordError."""
     return setup_from(read_toml(path, "set-up"), path)
 
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
-    """The tables of a TOML file; `kind` is what the file should be.
-
-    Raises
-    ------
-    RecordError
-        One sentence, also for a file that was cut.
-    """
+    """The tables of a TOML file; `kind` is what the file should be (raises RecordError)."""
     text = read_text(path)
     if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be cut there; end the line if it is whole"
@@ -82,13 +70,7 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
 
 
 def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
-    """A file that a person wrote, checked against its model.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, key, what was found, what would be right.
-    """
+    """A file that a person wrote, checked against its model; raises SetupError."""
     try:
         return checked(read_toml(path, kind), model, kind, path)
     except RecordError as problem:

@@ -56,13 +56,7 @@ def from_scenario(scenario: Scenario) -> Workshop:
 
 
 def with_cad(workshop: Workshop, file: Path, unit: str = "mm") -> Workshop:
-    """The workshop with the surfaces of a CAD file; its frame is the workshop's.
-
-    Raises
-    ------
-    SetupError
-        When the file cannot be read.
-    """
+    """The workshop with the surfaces of a CAD file; its frame is the workshop's (raises SetupError)."""
     triangles: Floats = read_mesh(file, unit)
     return replace(workshop, obstacles=np.concatenate([workshop.obstacles, triangles]))
 

@@ -84,13 +84,7 @@ class Residuals:
 
     @classmethod
     def read(cls, file: Path) -> Residuals:
-        """Residuals from a `residuals.csv`.
-
-        Raises
-        ------
-        RecordError
-            When a column is missing or a field is no number.
-        """
+        """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
         names, values = RESIDUALS.read(file)
         for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
             wrong = next((i for i, name in enumerate(names[column]) if name not in known), None)

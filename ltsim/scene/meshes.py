@@ -149,13 +149,7 @@ def cylinder(diameter: float, height: float) -> Floats:
 
 
 def read_mesh(path: Path, unit: str) -> Floats:
-    """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`.
-
-    Raises
-    ------
-    SetupError
-        One sentence: the file is missing, of another kind, too large, damaged or without surface.
-    """
+    """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`; raises SetupError."""
     if path.suffix.lower() not in SUFFIXES:
         if path.suffix.lower() in EXACT:
             raise SetupError(f"{path}: holds exact surfaces; export it from the CAD system as STL, OBJ or GLB")

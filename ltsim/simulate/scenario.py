@@ -90,13 +90,7 @@ class Scenario(Section, Shown):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """A built-in scenario by its name, or the scenario of a file.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, key, what was found, what would be right.
-    """
+    """A built-in scenario by its name, or the scenario of a file; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)

@@ -28,13 +28,7 @@ from ltsim.units import MILLIMETRE
 
 
 def simulate(scenario: Scenario, seed: int) -> tuple[Recording, Truth]:
-    """Measure a scenario once.
-
-    Raises
-    ------
-    SetupError
-        When the scenario asks for something impossible.
-    """
+    """Measure a scenario once; raises SetupError when the scenario asks for something impossible."""
     return measure(fieldwork(scenario, seed), seed)
 
 

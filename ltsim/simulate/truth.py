@@ -132,13 +132,7 @@ class Truth(Shown):
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Truth:
-        """The truth of a truth file's contents.
-
-        Raises
-        ------
-        RecordError
-            One sentence: what was found, what would be right.
-        """
+        """The truth of a truth file's contents; raises RecordError."""
         try:
             table = TruthFile.model_validate_json(json.dumps(content), strict=True)
         except ValidationError as problem:
@@ -294,13 +288,7 @@ def write_truth(truth: Truth, path: Path) -> None:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a truth file.
-
-    Raises
-    ------
-    RecordError
-        One sentence for whatever is wrong.
-    """
+    """Read a truth file; raises RecordError."""
     try:
         content = json.loads(read_text(path))
     except ValueError as problem:

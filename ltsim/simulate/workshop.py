@@ -99,13 +99,7 @@ def sight_limits(scenario: Scenario, tracker: Instrument) -> SightLimits:
 
 
 def obstacles_of(scenario: Scenario) -> Obstacles | None:
-    """What stands in the way, or None in an empty workshop.
-
-    Raises
-    ------
-    SetupError
-        When a CAD file cannot be read.
-    """
+    """What stands in the way, or None in an empty workshop; raises SetupError."""
     parts = []
     for entry in scenario.workshop.obstacles:
         if entry.file is not None:

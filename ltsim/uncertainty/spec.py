@@ -180,23 +180,12 @@ class Tasks(Section):
 
 
 def load_tasks(path: Path) -> Tasks:
-    """The tasks of a file.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, key, what was found, what would be right.
-    """
+    """The tasks of a file; raises SetupError."""
     return load_settings(path, Tasks, "task file")
 
 
 def tasks_from(data: Mapping[str, Any], file: object) -> Tasks:
-    """Check the tables of a task file; `file` is named in errors.
-
-    Raises
-    ------
-    SetupError
-    """
+    """Check the tables of a task file; `file` is named in errors (raises SetupError)."""
     try:
         return checked(data, Tasks, "task file", file)
     except RecordError as problem:

@@ -28,7 +28,7 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("nobody expects this")
 
-    monkeypatch.setattr(effects, "Terminal", broken)
+    monkeypatch.setattr(effects, "entry", broken)
     assert run(["effects"]) == 70
     said = capsys.readouterr().err
     assert "Traceback" in said and "nobody expects this" in said
@@ -117,7 +117,7 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(effects, "Terminal", stop)
+    monkeypatch.setattr(effects, "entry", stop)
     assert run(["effects"]) == 130
     assert capsys.readouterr().err == "interrupted; nothing half-written was left\n"
 

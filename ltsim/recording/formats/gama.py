@@ -69,13 +69,7 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read an input file of gama-local.
-
-    Raises
-    ------
-    RecordError
-        For XML that is malformed, hostile or not of this kind.
-    """
+    """Read an input file of gama-local; raises RecordError for XML that is malformed, hostile or not of this kind."""
     root = parse(path)
     if tag(root) not in ("gama-local", "gama-xml"):
         raise RecordError(f"the root is <{shown(tag(root))}>, expected <gama-local>", file=path)

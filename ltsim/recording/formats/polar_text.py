@@ -58,13 +58,7 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read polar text.
-
-    Raises
-    ------
-    RecordError
-        For a malformed line, or asking for what the data do not decide.
-    """
+    """Read polar text; raises RecordError for a malformed line, or asking for what the data do not decide."""
     lines = read_lines(path)
     if lines[-1]:
         raise RecordError("the last line has no line break: it was cut", file=path, row=len(lines))

@@ -45,13 +45,7 @@ def recognises(path: Path, head: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read a table.
-
-    Raises
-    ------
-    RecordError
-        One sentence: file, line, column, or which option decides what the table leaves open.
-    """
+    """Read a table; raises RecordError."""
     table = table_of(sheets_of(path), hints, path)
     setup, notes = _setup(path, hints)
     meaning = meaning_of(table, setup, hints, path)

@@ -15,13 +15,7 @@ SHOWN = 10
 
 
 def next_section(folder: Path) -> Section:
-    """The section of a folder with `next.json`.
-
-    Raises
-    ------
-    RecordError
-        When the file is malformed.
-    """
+    """The section of a folder with `next.json`; raises RecordError."""
     content = read_result(folder, NextFile)
     best = content.proposals[0]
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", _percent(best.sharper))]

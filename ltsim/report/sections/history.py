@@ -17,13 +17,7 @@ LEVEL = 0.01
 
 
 def history_section(folder: Path) -> Section:
-    """The section of a folder with `history.json`.
-
-    Raises
-    ------
-    RecordError
-        When the file is malformed.
-    """
+    """The section of a folder with `history.json`; raises RecordError."""
     content = _shortened(read_result(folder, HistoryFile))
     since = content.since_first
     changed = since.p_value < LEVEL

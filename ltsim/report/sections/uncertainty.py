@@ -17,13 +17,7 @@ MOST_BARS = 40
 
 
 def uncertainty_section(folder: Path) -> Section:
-    """The section of a folder with `uncertainty.json`.
-
-    Raises
-    ------
-    RecordError
-        When the file is malformed.
-    """
+    """The section of a folder with `uncertainty.json`; raises RecordError."""
     content = read_result(folder, UncertaintyFile)
     failed = [r for r in content.results if r.conformity is not None and r.conformity.judgement == "rejected"]
     blocks: list[Block] = [_results(content), *_conformity(content), *_budget(content)]
