@@ -191,15 +191,6 @@ class Results(Shown):
         )
         return [Checked(*row) for row in rows]
 
-    def share_below(self, column: str, value: float) -> list[tuple[int, str, float]]:
-        """Cell, method and the share of trials whose `column` is below a value: where a measured figure lies."""
-        name = self._known(column)
-        rows = self.query(
-            f"SELECT cell, method, avg(({name} < {float(value)!r})::INT) FROM rows WHERE {name} IS NOT NULL "
-            "GROUP BY cell, method ORDER BY cell, method"
-        )
-        return [(int(cell), str(method), float(share)) for cell, method, share in rows]
-
     def paired(self, column: str, first: str, second: str) -> list[Spread]:
         """`first` less `second` method on the same draws, trial by trial."""
         name = self._known(column)

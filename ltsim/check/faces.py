@@ -67,11 +67,6 @@ class Faces:
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
         return cls(pairs, noise, guarantee, np.abs(pairs.half) > limit, limit)
 
-    @property
-    def systematic(self) -> Floats:
-        """(3,) root mean square of the half differences over their noise: 1 for an instrument without errors."""
-        return np.asarray(np.sqrt(np.mean((self.pairs.half / self.noise) ** 2, axis=0)))
-
 
 def faces_or_none(recording: Recording, construction: Construction, level: float, mpe: Mpe | None) -> Faces | None:
     """The differences of a recording of one station; None where no target was measured on both faces."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Protocol, Self
 
 import numpy as np
@@ -17,14 +16,11 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.solve.blocks import BlockSystem, Factor, column_scale
-from ltsim.solve.elimination import dense_rows
 
 DENSE = 4_000_000
 """Designs with fewer entries get a basis: dense products are so much faster than sparse ones."""
 ORTHOGONAL = 1e-10
 """What is left of unit vectors overlaps unit columns of the design by no more than this, or is projected once more."""
-ROUGH = 1e-8
-"""Smallest pivot of a factor below which a small difference of two forms with it is rounding."""
 NOTHING = 1e-12
 """Eigenvalues of a block of the hat matrix below this are zero."""
 
@@ -34,13 +30,6 @@ class Projection(Protocol):
 
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q)."""
-        ...
-
-    def left_grams(self, vectors: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """Gram matrices V P V' of what is left of sparse vectors (q, m), by groups of neighbours.
-
-        Group i are the vectors edges[i] to edges[i + 1]; only the design counts, no further columns.
-        """
         ...
 
     def leverage(self) -> Floats:
@@ -61,7 +50,6 @@ class BasisProjection:
     """Projection by an orthonormal basis (m, u)."""
 
     basis: Floats
-    added: int = 0
 
     @classmethod
     def of(cls, design: sp.csr_array) -> BasisProjection:
@@ -72,12 +60,6 @@ class BasisProjection:
         """What is left of vectors (m, q)."""
         left: Floats = rows - self.basis @ (self.basis.T @ rows)
         return left
-
-    def left_grams(self, vectors: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """Gram matrices of what is left of sparse vectors, by groups."""
-        inside = vectors @ self.basis[:, : self.basis.shape[1] - self.added]
-        for own, low, high in _groups(vectors, edges):
-            yield own - inside[low:high] @ inside[low:high].T
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
@@ -92,7 +74,7 @@ class BasisProjection:
 
     def extended(self, columns: Floats) -> BasisProjection:
         """The projection off further columns."""
-        return BasisProjection(np.hstack([self.basis, columns]), self.added + columns.shape[1])
+        return BasisProjection(np.hstack([self.basis, columns]))
 
 
 @dataclass(frozen=True)
@@ -122,17 +104,6 @@ class FactorProjection:
         if self.added.shape[1]:
             left -= self.added @ (self.added.T @ left)
         return left
-
-    def left_grams(self, vectors: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """Gram matrices of what is left of sparse vectors, by groups."""
-        if self.factor.smallest_pivot < ROUGH:
-            for low, high in pairwise(edges.tolist()):
-                left = self.project(vectors[low:high].toarray().T)
-                yield left.T @ left
-            return
-        inside = self.factor.forms(sp.csr_array(vectors @ self.design), edges)
-        for (own, _, _), form in zip(_groups(vectors, edges), inside, strict=True):
-            yield own - form
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
@@ -181,10 +152,3 @@ def _thin(root: Floats) -> tuple[Floats, Floats]:
     values, vectors = np.linalg.eigh(root.T @ root)
     seen = values > NOTHING
     return values[seen], root @ (vectors[:, seen] / np.sqrt(values[seen]))
-
-
-def _groups(vectors: sp.csr_array, edges: Ints) -> Iterator[tuple[Floats, int, int]]:
-    """Gram matrix, begin and end of each group of sparse vectors."""
-    for low, high in pairwise(edges.tolist()):
-        dense, _ = dense_rows(vectors, low, high)
-        yield dense @ dense.T, low, high

@@ -13,8 +13,8 @@ from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.recording import Hints, Recording, read, write
-from ltsim.recording.formats.point_list import read_points, recording_of_clouds
-from tests.recording.samples import POINTS, POSITIONS, outcome, shared, workshop
+from ltsim.recording.formats.point_list import read_points
+from tests.recording.samples import POINTS, outcome, shared, workshop
 
 CLOCKWISE = Hints(azimuth="clockwise")
 ALL_SAID = Hints(angle="gon", vertical="zenith", azimuth="clockwise", length="mm")
@@ -214,17 +214,6 @@ def test_point_lists(tmp_path: Path) -> None:
     file.write_text("A 1 2\n")
     with pytest.raises(RecordError, match="expected a name, x, y and z"):
         read_points(file)
-
-
-def test_clouds_become_a_recording(tmp_path: Path) -> None:
-    clouds = {}
-    for s, position in enumerate(POSITIONS):
-        file = tmp_path / f"{s}.xyz"
-        file.write_text("".join(f"T{i} {x} {y} {z}\n" for i, (x, y, z) in enumerate((POINTS - position).tolist())))
-        clouds[f"S{s}"] = read_points(file, "m")
-    recording = recording_of_clouds(clouds)
-    np.testing.assert_allclose(recording.readings[:6, 0], np.linalg.norm(POINTS - POSITIONS[0], axis=1))
-    assert recording.stations == ("S0", "S1")
 
 
 def test_the_girder_epochs() -> None:

@@ -118,12 +118,6 @@ def parameters() -> Figure:
     return figures.parameters(rows)
 
 
-def power() -> Figure:
-    strength = np.array([45.0, 90.0, 200.0, 600.0])
-    curve = figures.PowerCurve("found", strength, np.array([60, 95, 100, 100]), np.full(4, 100.0))
-    return figures.power([curve], goals=[(90.0, 0.9)])
-
-
 def residuals_by_covariate() -> Figure:
     first, second = residuals()
     return figures.residuals_by_covariate(second, first)
@@ -193,7 +187,7 @@ DRAWINGS = {
     for f in (
         acceptance, budget, by_setting, check, correlation, coverage, criteria, displacements, distributions,
         driver_curve, evidence,
-        floor_plan, history, parameters, power,
+        floor_plan, history, parameters,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
     )
 }  # fmt: skip

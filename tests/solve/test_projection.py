@@ -61,16 +61,6 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
         np.testing.assert_allclose((vectors * values) @ vectors.T, root[rows] @ root[rows].T, atol=1e-9)
 
 
-@pytest.mark.parametrize("projection", [BASIS, SPARSE, *(p for p, _ in PAIRS[2:])], ids=NAMES)
-def test_gram_matrices_of_sparse_vectors_are_those_of_what_is_left_of_them(projection):
-    rng = stream(4, "sparse")
-    vectors = sp.csr_array(sp.random_array((9, len(ROOT)), density=0.01, rng=rng))
-    edges = np.array([0, 2, 2, 3, 9])
-    left = vectors.toarray().T - ROOT @ (ROOT.T @ vectors.toarray().T)
-    for low, high, gram in zip(edges[:-1], edges[1:], projection.left_grams(vectors, edges), strict=True):
-        np.testing.assert_allclose(gram, left[:, low:high].T @ left[:, low:high], atol=1e-10)
-
-
 def test_a_small_system_or_one_without_factor_gets_a_basis():
     assert isinstance(projection_of(SYSTEM, None), BasisProjection)
     small = BlockSystem(SYSTEM.design, SYSTEM.residual, SYSTEM.kept)

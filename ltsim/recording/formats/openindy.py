@@ -31,7 +31,6 @@ WANTED = {
     "cartesian": ("x", "y", "z"),
 }
 SIGMAS = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
-BACK = np.pi + 1e-9
 
 
 def recognises(path: Path, head: str) -> bool:

@@ -7,7 +7,6 @@ of the covariance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,11 +15,8 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
-from ltsim.geometry.polar import to_polar
-from ltsim.recording.build import Pointing, recording_of
 from ltsim.recording.files import check_name, comma_number, is_number, read_lines
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Setup
 from ltsim.units import FACTOR
 
 Unit = Literal["mm", "m"]
@@ -112,13 +108,3 @@ def refuse(path: Path, _hints: object = None) -> Recording:
     count = len(read_points(path).names)
     message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
     raise RecordError(message, file=path)
-
-
-def recording_of_clouds(clouds: Mapping[str, PointList], title: str = "") -> Recording:
-    """A recording of points that each station saw in its own frame (scans), on the front face."""
-    pointings = [
-        Pointing(station, name, 1, *polar)
-        for station, cloud in clouds.items()
-        for name, polar in zip(cloud.names, to_polar(cloud.points).tolist(), strict=True)
-    ]
-    return recording_of(pointings, Setup(title=title))
