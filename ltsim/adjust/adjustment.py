@@ -181,8 +181,7 @@ class Adjustment(Shown):
     @property
     def tau(self) -> Floats:
         """Residuals over their standard deviations by the estimated sigma0 (n, 3) (Pope 1976)."""
-        tau: Floats = self.w / self.sigma0
-        return tau
+        return self.w / self.sigma0
 
     @property
     def minimal_detectable_bias(self) -> Floats:
@@ -242,14 +241,12 @@ class Adjustment(Shown):
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) of one instrument's parameters [SI]."""
-        covariance: Floats = self.covariance_of(self.problem.layout.instrument[[instrument]])[0]
-        return covariance
+        return self.covariance_of(self.problem.layout.instrument[[instrument]])[0]
 
     @property
     def extra_covariance(self) -> Floats:
         """Covariance (q, q) of the further effects' parameters [SI]."""
-        covariance: Floats = self.covariance_of(self.problem.layout.extra[None])[0]
-        return covariance
+        return self.covariance_of(self.problem.layout.extra[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:

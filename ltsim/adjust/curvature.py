@@ -57,8 +57,7 @@ def _largest_bend(adjustment: Adjustment, turn: Floats) -> Floats:
     most = np.zeros(len(recording.stations))
     known = np.isfinite(finest)
     np.maximum.at(most, recording.station[known], (sightings.range_ / finest)[known])
-    bend: Floats = 0.5 * turn * most
-    return bend
+    return 0.5 * turn * most
 
 
 def _reach(range_: Floats) -> Floats:

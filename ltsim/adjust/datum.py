@@ -91,8 +91,7 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
 
 def _moved(state: State, rotation: Floats, centre: Floats, shift: Floats) -> State:
     def move(points: Floats) -> Floats:
-        moved: Floats = (points - centre) @ rotation.T + centre + shift
-        return moved
+        return (points - centre) @ rotation.T + centre + shift
 
     return State(move(state.position), rotation @ state.rotation, move(state.points), state.instrument, state.extra)
 
@@ -170,5 +169,4 @@ def _about(free: Floats, centre: Floats) -> Floats:
     """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
     about = free.copy()
     about[:3] += np.cross(free[3:].T, centre).T
-    basis: Floats = np.linalg.qr(about)[0]
-    return basis
+    return np.linalg.qr(about)[0]

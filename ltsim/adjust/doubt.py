@@ -70,8 +70,7 @@ def doubts(adjustment: Adjustment) -> tuple[str, ...]:
 def _left_out(adjustment: Adjustment) -> Bools:
     """(m,) Of the pointings that were measured, those of which nothing is in use."""
     measured, used = np.asarray(adjustment.recording.measured.any(axis=1)), adjustment.problem.use.any(axis=1)
-    left: Bools = ~np.asarray(used)[measured]
-    return left
+    return ~np.asarray(used)[measured]
 
 
 def _unit_that_fits(adjustment: Adjustment) -> str:

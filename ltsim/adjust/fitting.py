@@ -183,13 +183,11 @@ def _descend(evaluate: Evaluate, move: Move, x: Floats, y: Floats) -> tuple[Floa
 
 
 def _cost(gap: Floats) -> Floats:
-    cost: Floats = np.nan_to_num(np.sum(gap**2, axis=1), nan=np.inf)
-    return cost
+    return np.nan_to_num(np.sum(gap**2, axis=1), nan=np.inf)
 
 
 def _choose(better: Bools, new: Floats, old: Floats) -> Floats:
-    chosen: Floats = np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-    return chosen
+    return np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
 def _places(points: Floats) -> Floats:
@@ -207,8 +205,7 @@ def _turns(level: bool) -> Floats:
         return yaws
     sides = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
     tilts = from_rotation_vector(0.5 * np.pi * sides)
-    turns: Floats = np.concatenate([tilt @ yaws for tilt in tilts])
-    return turns
+    return np.concatenate([tilt @ yaws for tilt in tilts])
 
 
 def _along(readings: Floats, position: Floats, rotation: Floats) -> Floats:

@@ -94,14 +94,12 @@ class Growth:
 
     @property
     def _have(self) -> Bools:
-        have: Bools = self._covered | np.isfinite(self._located[:, 0])
-        return have
+        return self._covered | np.isfinite(self._located[:, 0])
 
     def _shared(self) -> Ints:
         """How many of the known targets (S,) each station measured whole."""
         have = self._have[self._pairs.target] & (not self._unscaled)
-        shared: Ints = np.bincount(self._pairs.station[have], minlength=len(self._joined))
-        return shared
+        return np.bincount(self._pairs.station[have], minlength=len(self._joined))
 
     def _stand(self, station: int) -> Floats | None:
         """Where an unjoined station stands, if its mark has a place already."""
@@ -381,5 +379,4 @@ def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
     normal = across.sum(axis=0)
     if np.linalg.eigvalsh(normal)[0] < PARALLEL * len(beam):
         return None
-    point: Floats = np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))
-    return point
+    return np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))

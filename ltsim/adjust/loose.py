@@ -48,8 +48,7 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     at, axis = np.nonzero(control.axes)
     np.add.at(normal, (control.target[at], axis, axis), control.weights()[:, 0] ** 2)
     spread = np.linalg.eigvalsh(normal)
-    loose: Bools = doubtful & (spread[:, 0] <= POINT * spread[:, 2])
-    return loose
+    return doubtful & (spread[:, 0] <= POINT * spread[:, 2])
 
 
 def poseless(problem: NetworkProblem, state: State) -> str:

@@ -86,5 +86,4 @@ def _nan_median(values: Floats) -> Floats:
     ordered = np.sort(values, axis=1)
     count = np.isfinite(values[:, :, 0]).sum(axis=1)
     at = np.arange(len(values))
-    middle: Floats = 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])
-    return middle
+    return 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])

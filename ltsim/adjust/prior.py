@@ -32,8 +32,7 @@ class ParameterPrior:
     @property
     def sigma(self) -> Floats:
         """Standard deviations (I, p) [SI]."""
-        deviation: Floats = np.sqrt(np.einsum("ipp->ip", self.covariance))
-        return deviation
+        return np.sqrt(np.einsum("ipp->ip", self.covariance))
 
     @cached_property
     def correlated(self) -> bool:
@@ -46,8 +45,7 @@ class ParameterPrior:
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
         lower = np.linalg.cholesky(correlation)
-        roots: Floats = np.linalg.inv(lower) / sigma[:, None, :]
-        return roots
+        return np.linalg.inv(lower) / sigma[:, None, :]
 
     def residual(self, values: Floats) -> Floats:
         """Whitened rows (m,) of values (I, p): one a parameter with a prior."""

@@ -62,8 +62,7 @@ class ResidualSpace:
     @cached_property
     def redundancy(self) -> Floats:
         """(m,): share of an error of a row that stays in its residual."""
-        share: Floats = 1.0 - self.projection.leverage()
-        return share
+        return 1.0 - self.projection.leverage()
 
     @cached_property
     def _readings(self) -> tuple[Ints, Floats]:

@@ -45,14 +45,12 @@ class GaugeRows:
 
     def predict(self, points: Floats) -> Floats:
         """Lengths (g,) [m] between the targets at `points` (T, 3)."""
-        lengths: Floats = np.linalg.norm(points[self.first] - points[self.second], axis=1)
-        return lengths
+        return np.linalg.norm(points[self.first] - points[self.second], axis=1)
 
     def directions(self, points: Floats) -> Floats:
         """Unit vectors (g, 3) from the second to the first target: derivative of the length."""
         gap = points[self.first] - points[self.second]
-        unit: Floats = gap / np.linalg.norm(gap, axis=1, keepdims=True)
-        return unit
+        return gap / np.linalg.norm(gap, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)
@@ -101,8 +99,7 @@ class ControlRows:
 
     def residual(self, points: Floats) -> Floats:
         """Whitened residuals (count,) where the places are at `points` (T or S, 3)."""
-        rows: Floats = ((self.points - points[self.target]) / self.sigma[:, None])[self.axes]
-        return rows
+        return ((self.points - points[self.target]) / self.sigma[:, None])[self.axes]
 
     def weights(self) -> Floats:
         """One over sigma (count, 1) of each known coordinate."""
@@ -111,8 +108,7 @@ class ControlRows:
 
     def equations(self, centre: Floats, reach: float) -> Floats:
         """Rows (count, 6): what a rigid motion about `centre`, rotation in units of 1 / `reach`, does to them."""
-        rows: Floats = rigid_motion((self.points - centre) / reach)[self.axes.ravel()]
-        return rows
+        return rigid_motion((self.points - centre) / reach)[self.axes.ravel()]
 
 
 @dataclass(frozen=True)
@@ -144,13 +140,11 @@ class LevelRows:
     def predict(self, rotation: Floats) -> Floats:
         """Components (l, 2) of the stations' vertical axes across the plumb line."""
         axis = rotation[self.station] @ VERTICAL
-        tilt: Floats = np.einsum("lij,lj->li", self.across, axis)
-        return tilt
+        return np.einsum("lij,lj->li", self.across, axis)
 
     def derivative(self, rotation: Floats) -> Floats:
         """Derivative (l, 2, 3) of these by the rotation vector in the network frame."""
-        turned: Floats = -self.across @ cross_matrix(rotation[self.station] @ VERTICAL)
-        return turned
+        return -self.across @ cross_matrix(rotation[self.station] @ VERTICAL)
 
 
 PARALLEL = 1e-2

@@ -66,5 +66,4 @@ def _excess(model: MeasurementModel, state: State) -> Floats:
     gap[:, 2] *= range_
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
     limit = np.maximum(LARGEST_ERROR * np.maximum(1.0, range_ / WORKSHOP), FACTOR * median_deviation(miss))
-    excess: Floats = miss / limit
-    return excess
+    return miss / limit

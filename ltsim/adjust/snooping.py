@@ -97,8 +97,7 @@ def _doubtful(problem: NetworkProblem, state: State, factor: Factor, limit: floa
     """Readings (n, 3) far off the relaxed network that others check."""
     redundancy = redundancy_of(problem, factor)
     w = normalised(problem, problem.residuals(problem.model.predict(state)), redundancy)
-    doubtful: Bools = np.nan_to_num(np.abs(w)) > limit * _scale(w, redundancy)
-    return doubtful
+    return np.nan_to_num(np.abs(w)) > limit * _scale(w, redundancy)
 
 
 def _half(problem: NetworkProblem, state: State, rejected: Bools) -> Bools:

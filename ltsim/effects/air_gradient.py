@@ -48,8 +48,7 @@ class AirGradient(Effect):
     def _sensor_height(self, sightings: Sightings) -> Floats:
         """(n,) [m]: height at which the used temperature is right."""
         if self.sensor == "head":
-            height: Floats = sightings.position[sightings.station, 2]
-            return height
+            return sightings.position[sightings.station, 2]
         return np.full(len(sightings), float(sightings.points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
@@ -73,5 +72,4 @@ class AirGradient(Effect):
             warmer = values[0] * (points[:, 2] - np.repeat(bottom, len(points) // max(len(bottom), 1)))
             return warmer, np.broadcast_to([0.0, 0.0, values[0]], points.shape)
 
-        change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]
-        return change
+        return bent(sightings, field) * self.mask(sightings)[:, None]

@@ -86,5 +86,4 @@ class AirLayer(Effect):
             warmer, gradient = self.temperature(points, floor)
             return values[0] * warmer, values[0] * gradient
 
-        change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]
-        return change
+        return bent(sightings, field) * self.mask(sightings)[:, None]

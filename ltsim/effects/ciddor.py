@@ -25,8 +25,7 @@ def vapour_pressure(temperature: Floats) -> Floats:
     a = omega**2 + 1.16705214528e3 * omega - 7.24213167032e5
     b = -1.70738469401e1 * omega**2 + 1.20208247025e4 * omega - 3.23255503223e6
     c = 1.49151086135e1 * omega**2 - 4.82326573616e3 * omega + 4.05113405421e5
-    pressure: Floats = 1e6 * (2 * c / (-b + np.sqrt(b**2 - 4 * a * c))) ** 4
-    return pressure
+    return 1e6 * (2 * c / (-b + np.sqrt(b**2 - 4 * a * c))) ** 4
 
 
 def _compressibility(temperature: Floats, pressure: float, share: Floats) -> Floats:
@@ -34,8 +33,7 @@ def _compressibility(temperature: Floats, pressure: float, share: Floats) -> Flo
     linear = 1.58123e-6 - 2.9331e-8 * temperature + 1.1043e-10 * temperature**2
     linear = linear + (5.707e-6 - 2.051e-8 * temperature) * share + (1.9898e-4 - 2.376e-6 * temperature) * share**2
     ratio = pressure / kelvin
-    z: Floats = 1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * share**2)
-    return z
+    return 1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * share**2)
 
 
 def refractivity(
@@ -74,8 +72,7 @@ def refractivity(
     standard = density(np.array(15.0), 101_325.0, np.array(0.0)) * mass
     saturated = density(np.array(20.0), 1333.0, np.array(1.0)) * WATER_MASS
     air = density(temperature, pressure, share)
-    index: Floats = air * ((1.0 - share) * mass / standard * dry + share * WATER_MASS / saturated * vapour)
-    return index
+    return air * ((1.0 - share) * mass / standard * dry + share * WATER_MASS / saturated * vapour)
 
 
 @lru_cache

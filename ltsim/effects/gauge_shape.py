@@ -59,5 +59,4 @@ class GaugeShape(Effect):
         gap = points[first] - points[second]
         unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
         ends = (second == self.index).astype(float) - (first == self.index)
-        design: Floats = unit * ends[:, None]
-        return design
+        return unit * ends[:, None]

@@ -91,8 +91,7 @@ class HeatPlume(Effect):
             anchor = sightings.points[sightings.target_names.index(self.targets[0])]
         else:
             anchor = np.zeros(3)
-        centre: Floats = anchor + np.asarray(self.offset)
-        return centre
+        return anchor + np.asarray(self.offset)
 
     def temperature(self, points: Floats, centre: Floats) -> tuple[Floats, Floats]:
         """Temperature (m,) and gradient (m, 3) at points (m, 3) for a centre warmer by one kelvin."""
@@ -115,5 +114,4 @@ class HeatPlume(Effect):
             warm, gradient = self.temperature(points, centre)
             return values[0] * warm, values[0] * gradient
 
-        change: Floats = bent(sightings, field) * self.mask(sightings)[:, None]
-        return change
+        return bent(sightings, field) * self.mask(sightings)[:, None]

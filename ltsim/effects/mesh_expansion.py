@@ -48,8 +48,7 @@ class MeshExpansion(Effect):
         """(n, 3): motion of each pointing's target per unit of the rate."""
         since = self.mask(sightings) * (sightings.time - start_time(sightings))
         arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
-        moved: Floats = since[:, None] * arm * MODES[self.mode]
-        return moved
+        return since[:, None] * arm * MODES[self.mode]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the rate, first order."""

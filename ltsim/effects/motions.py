@@ -30,8 +30,7 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
 def station_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the raw readings per unit of the same motion, first order."""
     arm = sightings.points[sightings.target] - sightings.position[sightings.station]
-    design: Floats = np.concatenate([-sightings.by_target, sightings.by_target @ cross_matrix(arm)], axis=2)
-    return design
+    return np.concatenate([-sightings.by_target, sightings.by_target @ cross_matrix(arm)], axis=2)
 
 
 def reading_change(sightings: Sightings, local: Floats) -> Floats:

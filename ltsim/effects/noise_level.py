@@ -47,5 +47,4 @@ class NoiseLevel(NoiseEffect):
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3) of the readings."""
         factor = 1.0 + self.mask(sightings)[:, None] * values
-        variance: Floats = sigma**2 * np.maximum(factor, LEAST)
-        return variance
+        return sigma**2 * np.maximum(factor, LEAST)

@@ -91,8 +91,7 @@ def _aim(sightings: Sightings, field: AirField) -> Floats:
     change = first_order(sightings, field)
     aside = change[:, 1] * np.cos(sightings.elevation)
     aim = beam + aside[:, None] * left + (change[:, 2] * sightings.face_sign)[:, None] * up
-    unit: Floats = aim / np.linalg.norm(aim, axis=1, keepdims=True)
-    return unit
+    return aim / np.linalg.norm(aim, axis=1, keepdims=True)
 
 
 def _traced(

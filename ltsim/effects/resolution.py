@@ -16,5 +16,4 @@ PAPER_DISTANCE_UM = 0.1
 def quantised(readings: Floats, step: Floats) -> Floats:
     """Readings (n, 3) rounded to whole steps (3,) or (n, 3) [m, rad, rad]; a step of 0 leaves them."""
     step = np.broadcast_to(step, readings.shape)
-    rounded: Floats = np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
-    return rounded
+    return np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)

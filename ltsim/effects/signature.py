@@ -123,8 +123,7 @@ class Signature(Protocol):
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
-        change: Floats = self.design(sightings) @ values
-        return change
+        return self.design(sightings) @ values
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
         """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.
@@ -151,8 +150,7 @@ class Signature(Protocol):
 def _among(values: Ints, known: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
     """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
     ids = [i for name in names for i in known.get(name, ())]
-    among: Bools = values == ids[0] if len(ids) == 1 else np.isin(values, ids)
-    return among
+    return values == ids[0] if len(ids) == 1 else np.isin(values, ids)
 
 
 def parameter_names(signatures: Iterable[Signature]) -> list[str]:
@@ -184,8 +182,7 @@ class Tunable(Signature, Protocol):
 
     def reshaped(self, **constants: Any) -> Self:
         """The same law with other constants: fields of a dataclass."""
-        changed: Self = replace(self, **constants)  # type: ignore[type-var]
-        return changed
+        return replace(self, **constants)  # type: ignore[type-var]
 
 
 class NoiseSignature(Tunable, Protocol):
@@ -237,8 +234,7 @@ def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
     """Change (n, 3, p) of the raw readings when targets move by (n, 3, p) [m] in the network frame."""
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):
-        whole: Floats = sightings.by_target @ displacement
-        return whole
+        return sightings.by_target @ displacement
     change = np.zeros(displacement.shape)
     change[acts] = sightings.by_target[acts] @ displacement[acts]
     return change

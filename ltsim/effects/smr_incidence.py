@@ -51,8 +51,7 @@ def table_error(table: tuple[float, ...], incidence: Floats, direction: Floats) 
     even = PchipInterpolator(TABLE_ANGLES, 0.5 * (values + values[::-1]))
     odd = PchipInterpolator(TABLE_ANGLES, 0.5 * (values - values[::-1]))
     angle = np.clip(incidence, 0.0, EDGE)
-    error: Floats = even(angle) + odd(angle) * np.cos(direction)
-    return error
+    return even(angle) + odd(angle) * np.cos(direction)
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,7 @@ class SmrOffset(Effect):
     def _lift(self, sightings: Sightings) -> Floats:
         """(n, 3): motion of each pointing's sphere per unit."""
         normal = np.nan_to_num(sightings.nest_normal[sightings.target])
-        lift: Floats = normal * self.mask(sightings)[:, None]
-        return lift
+        return normal * self.mask(sightings)[:, None]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of radius, first order."""

@@ -60,8 +60,7 @@ class StationBump(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 6) of the raw readings per unit of the motion, first order."""
-        design: Floats = station_design(sightings) * self._after(sightings)[:, None, None]
-        return design
+        return station_design(sightings) * self._after(sightings)[:, None, None]
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings, exact."""

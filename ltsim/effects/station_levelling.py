@@ -51,8 +51,7 @@ class StationLevelling(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 2) of the raw readings per unit of lean, first order."""
-        design: Floats = station_design(sightings)[:, :, 3:] @ self._axes(sightings)
-        return design
+        return station_design(sightings)[:, :, 3:] @ self._axes(sightings)
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings, exact."""

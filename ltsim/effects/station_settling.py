@@ -56,8 +56,7 @@ class StationSettling(Effect):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 3) of the raw readings per unit of the final motion, first order."""
         settled = self._settled(sightings)
-        design: Floats = station_design(sightings)[:, :, MOVES] * settled[:, None, None]
-        return design
+        return station_design(sightings)[:, :, MOVES] * settled[:, None, None]
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings, exact."""

@@ -42,5 +42,4 @@ class Turbulence(NoiseEffect):
         range_, acts = sightings.range_, self.mask(sightings)
         across = values[0] * range_  # C d^3 over d^2: an angle
         added = np.stack([values[1] * range_, across / np.cos(sightings.elevation) ** 2, across], axis=1)
-        variance: Floats = sigma**2 + acts[:, None] * added
-        return variance
+        return sigma**2 + acts[:, None] * added

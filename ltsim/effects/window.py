@@ -98,8 +98,7 @@ class Window(Effect):
         inside = np.sqrt(INDEX**2 - 1.0 + cosine**2)
         longer = (inside - cosine) * beam
         aside = (1.0 - cosine / inside) * (cosine * beam - normal)
-        apparent: Floats = (longer + aside) * self.mask(sightings)[:, None]
-        return apparent
+        return (longer + aside) * self.mask(sightings)[:, None]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of thickness, first order in it."""

@@ -45,8 +45,7 @@ def station_means(recording: Recording, points: Floats, use: Bools | None = None
     total, count = np.zeros((*size, 3)), np.zeros(size)
     np.add.at(total, at, points[whole])
     np.add.at(count, at, 1.0)
-    mean: Floats = np.where(count[:, :, None] > 0, total / np.maximum(count, 1.0)[:, :, None], np.nan)
-    return mean
+    return np.where(count[:, :, None] > 0, total / np.maximum(count, 1.0)[:, :, None], np.nan)
 
 
 def on_points(cloud: Floats, goal: Floats) -> Floats:
@@ -59,8 +58,7 @@ def on_points(cloud: Floats, goal: Floats) -> Floats:
     """
     shared = np.isfinite(cloud[:, 0]) & np.isfinite(goal[:, 0])
     rotation, translation = align(cloud[shared], goal[shared])
-    moved: Floats = cloud @ rotation.T + translation
-    return moved
+    return cloud @ rotation.T + translation
 
 
 def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:

@@ -122,8 +122,7 @@ class Criteria(Shown):
 def pair_distances(cloud: Floats) -> Floats:
     """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
     first, second = np.triu_indices(cloud.shape[-2], k=1)
-    lengths: Floats = np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
-    return lengths
+    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
 
 
 @dataclass(frozen=True)

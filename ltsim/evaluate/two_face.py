@@ -36,14 +36,12 @@ class TwoFace:
     @property
     def rms(self) -> Floats:
         """(3,) root mean square of the half differences: range [m], azimuth across the beam, elevation [rad]."""
-        value: Floats = np.sqrt(np.mean(self.half**2, axis=0))
-        return value
+        return np.sqrt(np.mean(self.half**2, axis=0))
 
     @property
     def median(self) -> Floats:
         """(3,) median of the absolute half differences, which a few gross errors do not move."""
-        value: Floats = np.median(np.abs(self.half), axis=0)
-        return value
+        return np.median(np.abs(self.half), axis=0)
 
     def only(self, pairs: Bools) -> TwoFace:
         """Some of the pairs, (m,) bool."""

@@ -19,8 +19,7 @@ def from_rotation_vector(vectors: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     from scipy.spatial.transform import Rotation  # slow to load
 
-    matrices: Floats = Rotation.from_rotvec(vectors).as_matrix()
-    return matrices
+    return Rotation.from_rotvec(vectors).as_matrix()
 
 
 def about_z(angle: float) -> Floats:
@@ -33,5 +32,4 @@ def quaternion(matrix: Floats) -> Floats:
     """Unit quaternion (4,) in the order x, y, z, w of a rotation matrix (3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    values: Floats = Rotation.from_matrix(matrix).as_quat()
-    return values
+    return Rotation.from_matrix(matrix).as_quat()

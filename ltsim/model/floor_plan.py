@@ -61,5 +61,4 @@ def _by_yaws(stated: list[float | None], rotation: Floats) -> Floats | None:
     if not asked:
         return None
     left, _, right = np.linalg.svd(np.sum(asked, axis=0))
-    turn: Floats = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return turn
+    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right

@@ -87,16 +87,14 @@ def _nest_normals(recording: Recording) -> Floats:
     missing = (np.nan, np.nan, np.nan)
     stated = [recording.target_setup(name).nest_normal or missing for name in recording.targets]
     normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
-    unit: Floats = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return unit
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def verticals(recording: Recording) -> Floats:
     """Direction of plumb (S, 3) at each station, a unit vector of the network frame."""
     up = (0.0, 0.0, 1.0)
     stated = np.array([recording.station_setup(name).vertical or up for name in recording.stations], dtype=np.float64)
-    unit: Floats = stated / np.linalg.norm(stated, axis=1, keepdims=True)
-    return unit
+    return stated / np.linalg.norm(stated, axis=1, keepdims=True)
 
 
 def lift_of(recording: Recording) -> Floats | None:
@@ -127,8 +125,7 @@ class MeasurementModel:
     def _instrument_values(self, state: State) -> Floats:
         if len(state.instrument) == 1:
             return state.instrument[0]
-        values: Floats = state.instrument[self.recording.instrument]
-        return values
+        return state.instrument[self.recording.instrument]
 
     @cached_property
     def _nowhere(self) -> Sightings:

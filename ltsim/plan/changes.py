@@ -126,8 +126,7 @@ class _Trial:
         """Standard deviations of the instrument's parameters in prior sigmas."""
         size = self.table.reducer.construction.size
         information = self.table.information(total[None])[0, :size, :size]
-        whole: Floats = np.sqrt(np.diag(np.linalg.inv(information)))
-        return whole
+        return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free(self, others: Ints) -> Ints:
         """Places that are not in use and far enough from the reflectors in use."""

@@ -28,20 +28,17 @@ def d_criterion(covariance: Floats) -> Floats:
     The volume of the confidence ellipsoid is proportional to its p-th power.
     """
     _, logarithm = np.linalg.slogdet(covariance)
-    value: Floats = np.exp(0.5 * logarithm / covariance.shape[-1])
-    return value
+    return np.exp(0.5 * logarithm / covariance.shape[-1])
 
 
 def a_criterion(covariance: Floats) -> Floats:
     """Root mean square (...) of the parameters' standard deviations: the expected size of an error."""
-    value: Floats = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / covariance.shape[-1])
-    return value
+    return np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / covariance.shape[-1])
 
 
 def e_criterion(covariance: Floats) -> Floats:
     """Standard deviation (...) of the worst-determined combination of unit length."""
-    value: Floats = np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
-    return value
+    return np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
 
 
 def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
@@ -55,15 +52,13 @@ def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
         somewhere in the working volume, as a displacement [m].
     """
     spread = np.einsum("mi,...ij,mj->...m", regressors, covariance, regressors, optimize=True)
-    value: Floats = np.sqrt(spread.max(axis=-1))
-    return value
+    return np.sqrt(spread.max(axis=-1))
 
 
 def i_criterion(covariance: Floats, regressors: Floats) -> Floats:
     """Root mean square standard deviation (...) of the predictions in `regressors` (m, p)."""
     moment = regressors.T @ regressors / len(regressors)
-    value: Floats = np.sqrt(np.einsum("...ij,ji->...", covariance, moment))
-    return value
+    return np.sqrt(np.einsum("...ij,ji->...", covariance, moment))
 
 
 CRITERIA: dict[CriterionName, Callable[[Floats], Floats]] = {

@@ -241,8 +241,7 @@ class Reducer:
         roots, _ = cholesky_where_determined(unit)
         last = slice(schur.shape[1] - len(self.scale), schur.shape[1])
         corner = roots[:, last, last] / scale[:, last, None]
-        information: Floats = corner @ np.swapaxes(corner, 1, 2)
-        return information
+        return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
@@ -335,5 +334,4 @@ class Reducer:
         own += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
         own[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum("beif,beif->be", motion[:, :count], moved)
         weight = np.broadcast_to(self._weight[at], own.shape)
-        rms: Floats = POSE_SCALE * np.sqrt(np.sum(weight * own, axis=1) / weight.sum(axis=1))
-        return rms
+        return POSE_SCALE * np.sqrt(np.sum(weight * own, axis=1) / weight.sum(axis=1))

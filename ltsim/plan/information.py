@@ -66,8 +66,7 @@ class LayoutInformation:
     @cached_property
     def instrument_sigma(self) -> Floats:
         """(p,) standard deviation of each instrument parameter [SI]."""
-        sigma: Floats = np.sqrt(np.diag(self.instrument_covariance))
-        return sigma
+        return np.sqrt(np.diag(self.instrument_covariance))
 
     def corrections(self) -> Floats:
         """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
@@ -77,8 +76,7 @@ class LayoutInformation:
         axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
         raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
         _, _, by_value = self.construction.linearised(raw, np.zeros(self.construction.size))
-        rows: Floats = by_value.reshape(-1, self.construction.size) * self.prior_sigma
-        return rows
+        return by_value.reshape(-1, self.construction.size) * self.prior_sigma
 
     @cached_property
     def gains(self) -> Floats:
@@ -113,8 +111,7 @@ class LayoutInformation:
     @cached_property
     def target_sigma(self) -> Floats:
         """(T,) [m]: root of the trace of each target's covariance, its point error."""
-        sigma: Floats = np.sqrt(np.einsum("tii->t", self.target_covariance))
-        return sigma
+        return np.sqrt(np.einsum("tii->t", self.target_covariance))
 
     @property
     def target_rms(self) -> float:

@@ -55,8 +55,7 @@ class Objective:
         found = self.qualities(reduced, parameters)
         total = sum(self.weights[name] for name in found)
         logs = [self.weights[name] / total * np.log(value) for name, value in found.items()]
-        mean: Floats = np.exp(np.sum(logs, axis=0))
-        return mean
+        return np.exp(np.sum(logs, axis=0))
 
     def _instrument(self, information: Floats) -> Floats:
         value = np.full(len(information), np.inf)

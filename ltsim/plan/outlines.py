@@ -52,8 +52,7 @@ def distance(outline: Floats, places: Floats) -> Floats:
     start, way = outline, np.roll(outline, -1, axis=0) - outline
     along = np.einsum("nki,ki->nk", places[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-30)
     foot = start + np.clip(along, 0, 1)[:, :, None] * way
-    nearest: Floats = np.linalg.norm(places[:, None] - foot, axis=2).min(axis=1)
-    return nearest
+    return np.linalg.norm(places[:, None] - foot, axis=2).min(axis=1)
 
 
 def inside(outline: Floats, places: Floats) -> Bools:

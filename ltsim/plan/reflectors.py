@@ -70,8 +70,7 @@ class PlaceTable:
 
     def total(self, chosen: Ints) -> Floats:
         """Normal matrix (K, K) with reflectors at the chosen places."""
-        whole: Floats = self.base + self.terms[chosen].sum(axis=0)
-        return whole
+        return self.base + self.terms[chosen].sum(axis=0)
 
     def information(self, totals: Floats) -> Floats:
         """Information (B, P, P) of the parameters; NaN where a direction is open."""

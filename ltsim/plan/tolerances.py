@@ -70,8 +70,7 @@ def radius(covariance: Floats, level: float) -> Floats:
     mean = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
     freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    found: Floats = np.sqrt(mean / freedom * chi2.ppf(level, freedom))
-    return found
+    return np.sqrt(mean / freedom * chi2.ppf(level, freedom))
 
 
 @dataclass(frozen=True)

@@ -147,8 +147,7 @@ def _on_surface(surface: Surface) -> Floats:
     """Places (rows x columns, 3) [mm] in rows from the origin upwards."""
     r, c = np.meshgrid(np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns), indexing="ij")
     across, up = np.array(surface.across_mm), np.array(surface.up_mm)
-    grid: Floats = np.array(surface.origin_mm) + r.reshape(-1, 1) * up + c.reshape(-1, 1) * across
-    return grid
+    return np.array(surface.origin_mm) + r.reshape(-1, 1) * up + c.reshape(-1, 1) * across
 
 
 def staying(plan: PlanFile, scenario: Scenario) -> Bools:

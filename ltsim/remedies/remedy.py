@@ -105,8 +105,7 @@ class FloorPlan:
 
     def place(self, position: Floats) -> Floats:
         """Positions (..., 3) on the plan."""
-        moved: Floats = position @ self.rotation.T + self.translation
-        return moved
+        return position @ self.rotation.T + self.translation
 
     def yaw(self, rotation: Floats) -> float:
         """Turn [rad] on the plan of an instrument's rotation (3, 3)."""

@@ -65,5 +65,4 @@ def glb(calibration: Calibration) -> bytes:
         moved = np.eye(4)
         moved[:3, 3] = place
         scene.add_geometry(mesh, node_name=name, geom_name=kind, transform=moved)
-    content: bytes = scene.export(file_type="glb")
-    return content
+    return scene.export(file_type="glb")

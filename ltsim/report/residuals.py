@@ -54,8 +54,7 @@ class Residuals:
 
     def of(self, observable: str) -> Bools:
         """(n,) bool: which rows are of one observable."""
-        rows: Bools = self.observable == OBSERVABLES.index(observable)
-        return rows
+        return self.observable == OBSERVABLES.index(observable)
 
     def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """(n,): which rows are at the named stations and targets; all where none is named."""

@@ -67,8 +67,7 @@ class Workshop:
     @property
     def yaw(self) -> Floats:
         """(S,) [rad]: where azimuth zero of each station looks."""
-        yaw: Floats = np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
-        return yaw
+        return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
 
     @property
     def openings(self) -> tuple[float, ...]:
@@ -227,8 +226,7 @@ def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
     """(T, 3) unit vectors, NaN where unknown."""
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
-    unit: Floats = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return unit
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def _elevation_min(setup: Setup) -> float:

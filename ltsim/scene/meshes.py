@@ -86,8 +86,7 @@ class Obstacles:
         inside = native_hits(self.triangles, points, sky, np.full(len(points), np.inf)) % 2 == 1
         feet = points.copy()
         feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
-        enclosed: Bools = inside | self.blocked(points, feet)
-        return enclosed
+        return inside | self.blocked(points, feet)
 
 
 def _bundle(beam: Floats) -> list[Floats]:
@@ -128,8 +127,7 @@ def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats
 
 def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
     """Triangles (m, 3, 3) turned by `yaw` [rad] about z and moved to `position` (3,) [m]."""
-    moved: Floats = triangles @ about_z(yaw).T + position
-    return moved
+    return triangles @ about_z(yaw).T + position
 
 
 def box(size: Floats) -> Floats:

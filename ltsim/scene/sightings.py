@@ -80,8 +80,7 @@ class Sightings:
     @cached_property
     def local(self) -> Floats:
         """(n, 3) [m]: the target in the instrument's frame."""
-        local: Floats = np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
-        return local
+        return np.einsum("nji,nj->ni", self.rotation[self.station], self.arm)
 
     @cached_property
     def polar(self) -> Floats:
@@ -126,8 +125,7 @@ class Sightings:
     @cached_property
     def by_target(self) -> Floats:
         """(n, 3, 3): derivative of the raw reading by the target's network coordinates."""
-        by_target: Floats = self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
-        return by_target
+        return self.jacobian @ np.swapaxes(self.rotation[self.station], 1, 2)
 
     @cached_property
     def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
@@ -153,8 +151,7 @@ class Sightings:
         """(n,) [s]: time since the first pointing of the same station."""
         first = np.full(len(self.station_names), np.inf)
         np.minimum.at(first, self.station, self.time)
-        since: Floats = self.time - first[self.station]
-        return since
+        return self.time - first[self.station]
 
     @cached_property
     def order(self) -> Ints:

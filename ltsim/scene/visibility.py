@@ -122,8 +122,7 @@ def shadow_radius(position: Floats, height: float, opening: float) -> Floats:
     Zero where the instrument stands lower. The circles' centres are the positions themselves.
     """
     above = np.maximum(position[:, 2] - height, 0.0)
-    radius: Floats = above * np.tan(0.5 * opening)
-    return radius
+    return above * np.tan(0.5 * opening)
 
 
 def visibility(
@@ -194,8 +193,7 @@ def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) 
         return np.zeros(beam.shape[:2])
     length = np.linalg.norm(nest_normal, axis=1, keepdims=True)
     cosine = -np.einsum("stk,tk->st", beam, nest_normal / length)
-    angle: Floats = np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return angle
+    return np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Blocker) -> None:

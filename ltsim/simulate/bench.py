@@ -106,8 +106,7 @@ def _along_beam(angles: Floats) -> Floats:
 
 def vertex_table(axial: float, side: float, angles: Floats = TABLE_ANGLES) -> Floats:
     """Range error (a,) [m] at `angles` of a vertex off the sphere's centre by `axial` and `side` [m]."""
-    table: Floats = _along_beam(angles) @ np.array([axial, side])
-    return table
+    return _along_beam(angles) @ np.array([axial, side])
 
 
 def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchRecord:

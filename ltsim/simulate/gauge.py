@@ -40,8 +40,7 @@ class Frame:
     @property
     def length(self) -> Floats:
         """(g,) [m]: true lengths."""
-        gap: Floats = np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
-        return gap
+        return np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
 
 
 def frame_of(gauge: Gauge) -> Frame:
@@ -112,8 +111,7 @@ def expansion(gauge: Gauge, workshop_c: float) -> float:
 def orientation(gauge: Gauge) -> Floats:
     """Rotation (3, 3) from the frame's own axes to the workshop."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
-    matrix: Floats = Rotation.from_euler("xyz", angles).as_matrix()
-    return matrix
+    return Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def in_workshop(gauge: Gauge, frame: Frame, workshop_c: float) -> Floats:
@@ -125,8 +123,7 @@ def in_workshop(gauge: Gauge, frame: Frame, workshop_c: float) -> Floats:
 def length_sigma(cmm: Cmm, length: Floats) -> Floats:
     """Standard deviation (g,) [m] of lengths (g,) [m] from the measuring machine: its largest error over `coverage`."""
     largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
-    sigma: Floats = largest * MICROMETRE / cmm.coverage
-    return sigma
+    return largest * MICROMETRE / cmm.coverage
 
 
 def calibrated(gauge: Gauge, frame: Frame, cmm: Cmm, seed: int, *key: str | int) -> tuple[Floats, Floats]:

@@ -92,8 +92,7 @@ def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
     trackers = scenario.trackers.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
-    sigma: Floats = factor[:, None] * white_noise_sigma(sightings, [tracker.noise for tracker in trackers])
-    return sigma
+    return factor[:, None] * white_noise_sigma(sightings, [tracker.noise for tracker in trackers])
 
 
 def resolution_of(scenario: Scenario) -> Floats:

@@ -75,8 +75,7 @@ def _first_vertex(design: Floats, goal: Floats, near: Floats) -> Ints:
     order = np.argsort(residual)[: NEAR * count]
     scaled = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
     pivots = scipy.linalg.qr(scaled.T, mode="r", pivoting=True)[1]
-    met: Ints = order[pivots[:count]]
-    return met
+    return order[pivots[:count]]
 
 
 def _where_it_turns(residual: Floats, along: Floats, slope: float) -> int:

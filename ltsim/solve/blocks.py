@@ -112,20 +112,17 @@ class Factor:
     def kept_sets(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of kept unknowns; cheap where each set meets in one row of the design."""
         scale = self._scale[columns]
-        covariance: Floats = self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
-        return covariance
+        return self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
         scale = self._scale[self._system.kept :].reshape(-1, 3)
-        covariance: Floats = self._local[0] * scale[:, :, None] * scale[:, None, :]
-        return covariance
+        return self._local[0] * scale[:, :, None] * scale[:, None, :]
 
     @in_one_thread
     def covariance_columns(self, rows: Floats) -> Floats:
         """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
-        columns: Floats = self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
-        return columns
+        return self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
 
     @property
     def smallest_pivot(self) -> float:

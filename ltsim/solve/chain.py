@@ -195,5 +195,4 @@ def inverse_of(root: Floats) -> Floats:
     if not len(root):
         return root
     lower, _ = scipy.linalg.lapack.dpotri(root, lower=1)
-    inverse: Floats = np.tril(lower) + np.tril(lower, -1).T
-    return inverse
+    return np.tril(lower) + np.tril(lower, -1).T

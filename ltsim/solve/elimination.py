@@ -85,8 +85,7 @@ class DenseElimination:
 
     def kept_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
-        inverse: Floats = self._kept_inverse[columns[:, :, None], columns[:, None, :]]
-        return inverse
+        return self._kept_inverse[columns[:, :, None], columns[:, None, :]]
 
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""

@@ -58,13 +58,11 @@ class BasisProjection:
 
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q)."""
-        left: Floats = rows - self.basis @ (self.basis.T @ rows)
-        return left
+        return rows - self.basis @ (self.basis.T @ rows)
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
-        leverage: Floats = np.einsum("mu,mu->m", self.basis, self.basis)
-        return leverage
+        return np.einsum("mu,mu->m", self.basis, self.basis)
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
         """Spectra of the hat matrix on groups of rows."""
@@ -107,8 +105,7 @@ class FactorProjection:
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
-        leverage: Floats = self.factor.leverage() + np.einsum("me,me->m", self.added, self.added)
-        return leverage
+        return self.factor.leverage() + np.einsum("me,me->m", self.added, self.added)
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
         """Spectra of the hat matrix on groups of rows."""

@@ -20,5 +20,4 @@ def absolute_weights(residuals: Floats, floor: float) -> Floats:
 
     `floor` bounds the weights where a residual vanishes.
     """
-    weights: Floats = 1.0 / np.maximum(np.abs(residuals), floor)
-    return weights
+    return 1.0 / np.maximum(np.abs(residuals), floor)

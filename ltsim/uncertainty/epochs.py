@@ -60,8 +60,7 @@ class Displacement:
     def semi_axes(self, coverage: float = 0.95) -> Floats:
         """Semi-axes (3,) [m] of the ellipsoid that holds the true shift with a probability, largest first."""
         factor = float(stats.chi2.ppf(coverage, 3))
-        axes: Floats = np.sqrt(factor * np.clip(np.linalg.eigvalsh(self.covariance), 0.0, None))[::-1]
-        return axes
+        return np.sqrt(factor * np.clip(np.linalg.eigvalsh(self.covariance), 0.0, None))[::-1]
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,8 +131,7 @@ class _Gap:
         values, vectors = np.linalg.eigh(unit)
         # Directions that neither epoch measured at all say nothing.
         keep = values > 1e-12 * values[-1]
-        root: Floats = (vectors[:, keep] / np.sqrt(values[keep])).T / scale
-        return root
+        return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def cost(self, columns: Floats | None = None) -> float:
         """Weighted sum of squares of what free motions and further columns (3 T, q) do not explain."""

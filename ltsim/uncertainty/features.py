@@ -240,8 +240,7 @@ def _determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
 
 def unit(vectors: Floats) -> Floats:
     """Vectors (..., 3) of length one."""
-    scaled: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return scaled
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def across(normal: Floats) -> tuple[Floats, Floats]:

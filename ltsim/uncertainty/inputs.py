@@ -45,8 +45,7 @@ class Source:
     @property
     def covariance(self) -> Floats:
         """(3 T, 3 T) [m^2]."""
-        covariance: Floats = self.response @ self.response.T
-        return covariance
+        return self.response @ self.response.T
 
 
 @dataclass(frozen=True)
@@ -103,8 +102,7 @@ def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
     spread = adjustment.factor.covariance_columns(unit)
     if adjustment.datum is not None:
         spread = spread - adjustment.datum.carried @ adjustment.datum.motion[columns].T
-    reach: Floats = np.asarray(system.design @ spread)
-    return reach
+    return np.asarray(system.design @ spread)
 
 
 def observed_rows(adjustment: Adjustment) -> list[tuple[str, Ints]]:

@@ -129,8 +129,7 @@ class Measurand:
         """Derivative (k,) of the results by the stretch."""
         both = np.array([stretch + STEP, stretch - STEP])
         values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
-        change: Floats = (values[0] - values[1]) / (2 * STEP)
-        return change
+        return (values[0] - values[1]) / (2 * STEP)
 
     def _feature(self, chosen: Floats) -> Floats:
         task, near = self.task, self.near
@@ -206,8 +205,7 @@ def _angle(chosen: Floats) -> Floats:
     across = np.linalg.norm(np.cross(first, second), axis=-1)
     if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
         raise ModelError("an arm of the angle has no length")
-    angle: Floats = np.arctan2(across, np.einsum("...i,...i->...", first, second))
-    return angle
+    return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 
 def _gaps(gap: Floats) -> Floats:

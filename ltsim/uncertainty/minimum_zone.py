@@ -142,8 +142,7 @@ def zone_widths(kind: str, points: Floats, near: Feature) -> Floats:
             idle += 1
         if idle >= IDLE:
             break
-    widths: Floats = np.max([values @ w for w in contacts], axis=0) * extent
-    return widths
+    return np.max([values @ w for w in contacts], axis=0) * extent
 
 
 def _straightness(points: Floats, near: Feature) -> Floats:

@@ -49,8 +49,7 @@ class Drawn:
         """(k,): whether the linear interval's ends are those of the distribution within the tolerance (clause 8)."""
         expanded = linear.expanded(coverage)
         ends = np.stack([linear.values - expanded, linear.values + expanded], axis=1)
-        close: Bools = np.all(np.abs(ends - self.symmetric) <= self.tolerance[:, None], axis=1)
-        return close
+        return np.all(np.abs(ends - self.symmetric) <= self.tolerance[:, None], axis=1)
 
 
 def draw(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, settings: MonteCarlo) -> Drawn:

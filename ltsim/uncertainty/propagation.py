@@ -59,8 +59,7 @@ class Propagated:
     @property
     def sigma(self) -> Floats:
         """Standard uncertainty (k,)."""
-        sigma: Floats = np.sqrt(np.diag(self.covariance))
-        return sigma
+        return np.sqrt(np.diag(self.covariance))
 
     def expanded(self, coverage: float) -> Floats:
         """Expanded uncertainty (k,) for a coverage probability, each result by itself (normal)."""
