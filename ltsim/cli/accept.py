@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ltsim.cli.options import Json, Out, Quiet
+from ltsim.cli.options import Out
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 AcceptFile = Annotated[Path, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
 
 
-def accept(file: AcceptFile, out: Out = None, force: Force = False, quiet: Quiet = False, as_json: Json = False) -> int:
+def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal: Terminal) -> int:
     """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
 
     Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
@@ -28,7 +28,6 @@ def accept(file: AcceptFile, out: Out = None, force: Force = False, quiet: Quiet
     from ltsim.acceptance.files import TESTS, AcceptanceFile, write_acceptance
     from ltsim.acceptance.spec import load_acceptance
 
-    terminal = Terminal(quiet, as_json)
     claim(out, AcceptanceFile, (TESTS.file,), force=force)
     acceptance = load_acceptance(file)
     with terminal.busy("looking at the tests"):
@@ -37,8 +36,7 @@ def accept(file: AcceptFile, out: Out = None, force: Force = False, quiet: Quiet
         content = write_acceptance(content, out)
     terminal.answer(content.content())
     show(terminal, content)
-    if out is not None:
-        terminal.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
+    terminal.written(out)
     return int(content.kind != "predicted" and content.passes < 1)
 
 
