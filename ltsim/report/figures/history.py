@@ -25,7 +25,7 @@ def told_apart(labels: Sequence[str]) -> tuple[str, ...]:
 
 @styled
 def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
-    """One panel a parameter over the calibrations called `names`: estimates with 95 % intervals, and the band in which its true values lie."""
+    """A panel a parameter over calibrations: estimates with 95 % intervals, the band in which true values lie."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))
     figure = new_figure(0.7 + 1.35 * rows)
