@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from ltsim.model.measurement import MeasurementModel
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.slips import UNIT_SLIPS, Slip
+from ltsim.remedies.deciding import DECISIVE
 from tests.networks import network
 
 SLIPS = {slip.name: slip for slip in UNIT_SLIPS}
@@ -160,6 +162,15 @@ def test_what_is_no_question_gets_no_measurement() -> None:
     assert separating_measurement(found, "range-step", ["unknown"], ()) == ""
     assert separating_measurement(found, "range-step", ["station-noise"], ()) == ""
     assert separating_measurement(found, "station-noise", ["range-step"], ()) == ""
+
+
+def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> None:
+    settled = StationSettling(("S3",), time_constant=480.0)
+    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6], noise=1.0), misalignment())
+    advice = separating_measurement(found, "station-settling", ["station-bump"], ())
+    assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
+    before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
+    assert before < DECISIVE < after
 
 
 # --- detect -----------------------------------------------------------------------------------------------------------
