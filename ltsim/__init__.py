@@ -10,74 +10,43 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ltsim import effects, errors
-    from ltsim.api.campaigns import campaign
-    from ltsim.api.catalogue import catalogue
-    from ltsim.api.diagnosing import diagnose
-    from ltsim.api.files import convert, read, write
-    from ltsim.api.network import adjust, calibrate, correct, evaluate, history, verify
-    from ltsim.api.pages import report, view
-    from ltsim.api.planning import next_measurement, plan
-    from ltsim.api.recovering import recover
-    from ltsim.api.tasks import accept, check, compare, uncertainty
-    from ltsim.api.workshop import scenario, simulate
+    from ltsim import effects as effects, errors as errors
+    from ltsim.api.campaigns import campaign as campaign
+    from ltsim.api.catalogue import catalogue as catalogue
+    from ltsim.api.diagnosing import diagnose as diagnose
+    from ltsim.api.files import convert as convert, read as read, write as write
+    from ltsim.api.network import (
+        adjust as adjust,
+        calibrate as calibrate,
+        correct as correct,
+        evaluate as evaluate,
+        history as history,
+        verify as verify,
+    )
+    from ltsim.api.pages import report as report, view as view
+    from ltsim.api.planning import next_measurement as next_measurement, plan as plan
+    from ltsim.api.recovering import recover as recover
+    from ltsim.api.tasks import accept as accept, check as check, compare as compare, uncertainty as uncertainty
+    from ltsim.api.workshop import scenario as scenario, simulate as simulate
 
     __version__: str
 
-_HOME = {
-    "read": "files",
-    "write": "files",
-    "convert": "files",
-    "scenario": "workshop",
-    "simulate": "workshop",
-    "adjust": "network",
-    "calibrate": "network",
-    "correct": "network",
-    "evaluate": "network",
-    "verify": "network",
-    "history": "network",
-    "diagnose": "diagnosing",
-    "campaign": "campaigns",
-    "recover": "recovering",
-    "plan": "planning",
-    "next_measurement": "planning",
-    "view": "pages",
-    "report": "pages",
-    "catalogue": "catalogue",
-    "accept": "tasks",
-    "check": "tasks",
-    "compare": "tasks",
-    "uncertainty": "tasks",
+_ROOMS = {
+    "files": ("read", "write", "convert"),
+    "workshop": ("scenario", "simulate"),
+    "network": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
+    "diagnosing": ("diagnose",),
+    "campaigns": ("campaign",),
+    "recovering": ("recover",),
+    "planning": ("plan", "next_measurement"),
+    "pages": ("view", "report"),
+    "catalogue": ("catalogue",),
+    "tasks": ("accept", "check", "compare", "uncertainty"),
 }
-"""The module of `ltsim.api` in which each function is written."""
+"""The functions that each module of `ltsim.api` holds."""
+_HOME = {name: room for room, names in _ROOMS.items() for name in names}
 
-__all__ = [
-    "accept",
-    "adjust",
-    "calibrate",
-    "campaign",
-    "catalogue",
-    "check",
-    "compare",
-    "convert",
-    "correct",
-    "diagnose",
-    "effects",
-    "errors",
-    "evaluate",
-    "history",
-    "next_measurement",
-    "plan",
-    "read",
-    "recover",
-    "report",
-    "scenario",
-    "simulate",
-    "uncertainty",
-    "verify",
-    "view",
-    "write",
-]
+__all__ = sorted([*_HOME, "effects", "errors"])
 
 
 def _load(name: str) -> Any:

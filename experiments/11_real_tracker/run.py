@@ -25,7 +25,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import Construction, misalignment
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
-from ltsim.report.figures.history import Course, history_figure
+from ltsim.report.figures.history import history_figure
 from ltsim.report.style import svg
 
 from .desy import (
@@ -123,13 +123,11 @@ def course(out: Path) -> None:
     for label, construction in (("16", misalignment()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
         history = History.of(own)
-        content = history_file(history).content()
+        told = history_file(history)
+        content = told.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
-        courses = [Course(p.name, p.unit, history.labels, history.values[:, k] / p.factor,
-                          history.sigma[:, k] / p.factor, history.population.mean[k] / p.factor,
-                          history.population.spread[k] / p.factor)
-                   for k, p in enumerate(construction.parameters) if history.constancy(k).dof]  # fmt: skip
-        (out / f"history_{label}.svg").write_text(svg(history_figure(courses)))
+        known = [course for course in told.parameters if course.constant.dof]
+        (out / f"history_{label}.svg").write_text(svg(history_figure(history.labels, known)))
         show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
              "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed"])}

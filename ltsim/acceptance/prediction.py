@@ -25,15 +25,7 @@ PLAUSIBLE = 3.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Tests of an instrument of one construction, with their limits.
-
-    Attributes
-    ----------
-    tests : tuple of Test
-    construction : Construction
-    specification : Specification
-    noise : Noise
-    """
+    """Tests of an instrument of one construction, with their limits."""
 
     tests: tuple[Test, ...]
     construction: Construction
@@ -139,8 +131,7 @@ class Plan:
 
     def within(self, errors: Floats) -> Bools:
         """Whether errors (..., k, 2) [m] keep the limits."""
-        kept: Bools = np.hypot(errors[..., 0], errors[..., 1]) <= self.limits
-        return kept
+        return np.hypot(errors[..., 0], errors[..., 1]) <= self.limits
 
     def smallest_failing(self) -> tuple[Floats, list[Test]]:
         """Size (p,) [SI] at which each constant alone fails a test, and the test that it fails first; inf if none."""
@@ -183,25 +174,17 @@ class Plan:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What tests will find.
-
-    Attributes
-    ----------
-    errors, sigma : (k, 2) float, [m]
-        Expected errors and their standard deviations, noise included.
-    passes : (k,) float
-        Chance that each test is passed.
-    all_pass : float
-        Chance that all are.
-    group_passes : dict of str to float
-        Chance that all of a group are.
-    """
+    """What tests will find."""
 
     errors: Floats
     sigma: Floats
+    """(k, 2) [m]: expected errors and their standard deviations, noise included."""
     passes: Floats
+    """(k,): chance that each test is passed."""
     all_pass: float
+    """Chance that all are."""
     group_passes: dict[str, float]
+    """Chance that all of a group are."""
 
 
 @dataclass(frozen=True)
@@ -225,8 +208,7 @@ def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats
     ]
     moved = np.stack([c.ravel() for c in columns], axis=1)
     rigid, _ = np.linalg.qr(rigid_motion(points, points.mean(axis=0)))
-    harm: Floats = moved - rigid @ (rigid.T @ moved)
-    return harm
+    return moved - rigid @ (rigid.T @ moved)
 
 
 def _across(points: Floats) -> tuple[Floats, Floats]:

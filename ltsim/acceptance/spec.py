@@ -68,13 +68,7 @@ class Acceptance(Section):
 
     @property
     def limits(self) -> Specification:
-        """The maker's limits.
-
-        Raises
-        ------
-        SetupError
-            When no built-in data sheet has the name.
-        """
+        """The maker's limits; raises SetupError when no built-in data sheet has the name."""
         if self.specification is not None:
             return self.specification
         name = self.instrument or ""
@@ -90,23 +84,12 @@ class Acceptance(Section):
 
 
 def load_acceptance(path: Path) -> Acceptance:
-    """The contents of an acceptance file.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, key, what was found, what would be right.
-    """
+    """The contents of an acceptance file; raises SetupError."""
     return load_settings(path, Acceptance, "acceptance file")
 
 
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
-    """Check the tables of an acceptance file; `file` is named in errors.
-
-    Raises
-    ------
-    SetupError
-    """
+    """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
     try:
         return checked(data, Acceptance, "acceptance file", file)
     except RecordError as problem:

@@ -62,8 +62,7 @@ class Specification(Section):
             cosine = np.einsum("ki,ki->k", direction, points) / range_
             squares += (cosine * self.along(range_)) ** 2 + (1 - cosine**2) * self.across(range_) ** 2
             offset += sign * cosine
-        limit: Floats = np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
-        return limit
+        return np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
 
     def of_two_faces(self, points: Floats) -> Floats:
         """Limit (k,) [m] of the distance across the beam between both faces of points (k, 3) [m]."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.errors import ModelError
-from ltsim.recording import Hints, Recording, read as read_recording, write as write_recording
+from ltsim.recording import NO_HINTS, Hints, Recording, read as read, write as write_recording
 
 if TYPE_CHECKING:
     from ltsim.calibrate.calibration import Calibration
@@ -16,34 +16,6 @@ if TYPE_CHECKING:
 
 RecordingSource = Recording | str | Path
 """A recording, or a file or folder that holds one."""
-
-
-def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
-    """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
-
-    Parameters
-    ----------
-    path : str or Path
-        A folder or a file.
-    format : str, optional
-        Name of the format, where the content does not tell.
-    hints : Hints, optional
-        What an ambiguous file means: `ltsim.recording.Hints`.
-
-    Raises
-    ------
-    RecordError
-        One sentence: what is wrong and where, or which hint is wanted.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.write(recording, "my-recording")
-    >>> lt.read("my-recording")
-    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
-    """
-    return read_recording(path, format=format, hints=hints or Hints())
 
 
 def write(
@@ -113,7 +85,7 @@ def convert(
     *,
     to: str = "native",
     format: str | None = None,  # noqa: A002
-    hints: Hints | None = None,
+    hints: Hints = NO_HINTS,
 ) -> Recording:
     """Read a recording in one format and write it in another.
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 AcceptFile = Annotated[Path, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
 
 
-def accept(file: AcceptFile, out: Out = None, *, force: Force = False, terminal: Terminal) -> int:
+def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal: Terminal) -> int:
     """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
 
     Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ltsim.calibrate.events import Event
     from ltsim.calibrate.history import Change, History
     from ltsim.recording import Recording
-    from ltsim.report.figures.history import Course
 
 Sources = Annotated[
     list[Path],
@@ -81,7 +80,8 @@ def history(
         from ltsim.report.figures.history import history_figure
         from ltsim.report.style import svg
 
-        content = write_result(out, content, {"history.svg": svg(history_figure(_courses(found)))})
+        known = [course for course in content.parameters if course.constant.dof]
+        content = write_result(out, content, {"history.svg": svg(history_figure(found.labels, known))})
     terminal.answer(content.content())
     show(terminal, found)
     if out is not None:
@@ -120,26 +120,6 @@ def _calibrated(recording: Recording, label: str, treated: dict[str, Any]) -> Ca
         return lt.calibrate(recording, advise=False, **treated)
     except LtsimError as problem:
         raise RecordError(f"{label} cannot be calibrated: {problem}") from None
-
-
-def _courses(found: History) -> list[Course]:
-    """What the figure draws: the parameters that the calibrations tell something about."""
-    from ltsim.report.figures.history import Course
-
-    known = found.population
-    return [
-        Course(
-            parameter.name,
-            parameter.unit,
-            found.labels,
-            found.values[:, k] / parameter.factor,
-            found.sigma[:, k] / parameter.factor,
-            float(known.mean[k] / parameter.factor),
-            float(known.spread[k] / parameter.factor),
-        )
-        for k, parameter in enumerate(found.construction.parameters)
-        if found.constancy(k).dof
-    ]
 
 
 def show(terminal: Terminal, found: History) -> None:

@@ -1,7 +1,5 @@
 """The catalogue: one file, one physical effect. To add one, write its file and add it to `GROUPS` here."""
 
-from __future__ import annotations
-
 from ltsim.effects.air_gradient import AirGradient
 from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.azimuth_drift import AzimuthDrift

@@ -16,8 +16,6 @@ doi:10.1364/AO.35.001566 (beta); that a network absorbs it is derived here.
 Status: first order validated against the integrated ray; absorption by the network reproduced.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

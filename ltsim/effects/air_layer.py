@@ -14,8 +14,6 @@ doi:10.1364/AO.35.001566 (index).
 Status: first order validated against the integrated ray.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -12,8 +12,6 @@ Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); D
 Status: validated against the azimuth slot at a given time, and the equality of both linear laws up to yaw.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

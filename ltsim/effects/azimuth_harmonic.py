@@ -12,8 +12,6 @@ Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022 
 Status: validated against the exact chain in first order, face parity and sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from typing import Self

@@ -12,8 +12,6 @@ Source: general knowledge of drives; the law is that of a play of constant width
 Status: validated by reversing the order of the work, which turns the sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -13,8 +13,6 @@ Instrumentenkunde der Vermessungstechnik (collimation of a theodolite).
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-from __future__ import annotations
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 

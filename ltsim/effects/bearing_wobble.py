@@ -16,8 +16,6 @@ Source: ISO 230-7:2015 (axial, radial and tilt error motion); the algebra is der
 Status: validated against the exact rotation of the base and against finite differences of the chain.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

@@ -4,8 +4,6 @@ A card is the docstring of the effect's file, or of its class where one file hol
 a colon and the cause; then come the law, with its sign, and a paragraph for each of `PARTS`.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

@@ -8,8 +8,6 @@ A package adds effects by entry points of the group `ltsim.effects`, each naming
 They are looked for when the catalogue is first read beyond what ships, not when ltsim is imported.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

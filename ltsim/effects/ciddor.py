@@ -5,8 +5,6 @@ Engineering Metrology Toolbox uses (Stone and Zimmerman, NIST; Appendix A). Vali
 100 to 1400 hPa; uncertainty 2e-8.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -11,8 +11,6 @@ Source: Bobroff 1993, Recent advances in displacement measuring interferometry, 
 Status: validated on a temperature column; the size is general knowledge.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -10,8 +10,6 @@ Source: general knowledge; half, because a retroreflector returns the beam mirro
 Status: validated against the beam offset.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

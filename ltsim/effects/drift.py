@@ -1,7 +1,5 @@
 """Laws of the clock that drifts share: linear in a visit, linear over the campaign, or dying away as a warm-up."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 

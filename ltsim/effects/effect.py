@@ -18,8 +18,6 @@ from above, elevation el from the horizontal plane; d is the range, f is +1 on f
 are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azimuth and d Delta_elevation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum

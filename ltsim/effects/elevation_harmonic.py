@@ -11,8 +11,6 @@ Source: Lu, Graetz, Amin-Shahidi and Smeds 2010, On-axis self-calibration of ang
 Status: validated against the exact chain in first order, face parity and sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -14,8 +14,6 @@ sizes are general knowledge.
 Status: validated against the exact chain for N up to 36 000.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

@@ -12,8 +12,6 @@ Vermessungstechnik.
 Status: validated: twice the same mistake gives the reading back.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Self
 

@@ -10,8 +10,6 @@ Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the l
 Status: validated on the known lengths.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ that measured it).
 Status: validated against moved points on the known lengths.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

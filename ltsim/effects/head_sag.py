@@ -11,8 +11,6 @@ Source: Wallace 2002, A rigorous algorithm for telescope pointing, Proc. SPIE 48
 Status: validated against the eccentricity's cosine column for upright stations.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ltsim.arrays import Floats

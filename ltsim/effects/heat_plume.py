@@ -15,8 +15,6 @@ doi:10.1364/AO.35.001566 (index).
 Status: first order validated against the integrated ray; the Gaussian form is a choice.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -13,8 +13,6 @@ two-face error followed over time measures stability).
 Status: validated against the vertical index at a given time, face parity and sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

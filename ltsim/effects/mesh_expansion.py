@@ -11,8 +11,6 @@ Source: Bryan 1990, International status of thermal error research, CIRP Annals 
 Status: first order validated against the exact motion, and against the range scale drift in the network.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

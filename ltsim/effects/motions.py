@@ -1,7 +1,5 @@
 """What readings do when targets or stations move: exact, and first order. Shared by the effects that move things."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

@@ -12,8 +12,6 @@ second hand); Baarda 1968, A testing procedure for use in geodetic networks (its
 Status: first order validated against the exact motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

@@ -4,8 +4,6 @@ sigma of a range = constant + ppm * range; of the angles a constant across the b
 divided by cos(elevation). Source: recording-format ltsim-recording/1; the same rule as `Recording.sigma`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

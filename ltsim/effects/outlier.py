@@ -11,8 +11,6 @@ Source: Baarda 1968, A testing procedure for use in geodetic networks (data snoo
 Status: validated on a single row.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

@@ -1,7 +1,5 @@
 """Where and when an effect may act, read from a recording's pointings: change points, pairs of station and target."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

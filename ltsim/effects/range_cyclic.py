@@ -13,8 +13,6 @@ Source: Rüeger 1996, Electronic Distance Measurement (unit length; zero and cyc
 Status: validated on wave and sign; the density of the search by the share of power kept between its steps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -11,8 +11,6 @@ reaches its temperature.
 Status: validated against the range zero at a given time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -11,8 +11,6 @@ Source: the manual of a Brunson laser-tracker kit (both zeros are checked apart)
 Status: validated on the rows of either mode, and by a recording with both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -12,8 +12,6 @@ Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivitie
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-from __future__ import annotations
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import PPM
 

@@ -10,8 +10,6 @@ Source: general knowledge: an interferometer is homed anew after each lost beam,
 Status: validated on rows before and after the step.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -7,8 +7,6 @@ Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (truth - r
 (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 

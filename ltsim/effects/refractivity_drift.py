@@ -10,8 +10,6 @@ Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivitie
 Status: validated against the range scale at one hour.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ltsim.arrays import Floats

@@ -3,8 +3,6 @@
 Source: Sensors 2021, 21, 7479, section 2.1.1: 0.018 arcsec and 0.1 um; rounding comes last in the electronics.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

@@ -7,8 +7,6 @@ gives `name`, `parameters` and `design`. What a search over laws needs beyond is
 Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -15,8 +15,6 @@ spherically mounted reflector); the law follows from a ray trace of three mirror
 Status: validated: fixed is a displacement, re-aimed axial a range offset.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -12,8 +12,6 @@ Source: the knowledge base of FARO on dihedral errors of a reflector; 1.63 from 
 Status: form validated by its parity; the size is empirical.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -15,8 +15,6 @@ Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig
 Status: the table is met at its own angles; first order validated against the geometry of the sightings.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

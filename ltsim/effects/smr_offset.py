@@ -11,8 +11,6 @@ Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
 Status: first order validated against the exact motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

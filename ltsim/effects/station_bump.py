@@ -11,8 +11,6 @@ Source: the user manual of SpatialAnalyzer (drift check); the search over change
 Status: first order validated against the exact motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

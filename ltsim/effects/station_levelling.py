@@ -11,8 +11,6 @@ Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:202
 Status: first order validated against the exact motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -10,8 +10,6 @@ Source: Teunissen 2000, Testing Theory: an introduction (weights come before tes
 Status: validated: zero gives the stated variance, other stations keep theirs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from ltsim.effects.noise_level import NoiseLevel

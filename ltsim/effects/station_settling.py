@@ -12,8 +12,6 @@ Source: the user manual of SpatialAnalyzer (drift check); the exponential is a c
 Status: first order validated against the exact motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

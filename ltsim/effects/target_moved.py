@@ -12,8 +12,6 @@ detectable size).
 Status: first order validated against the exact motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

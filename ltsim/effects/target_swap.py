@@ -11,8 +11,6 @@ Source: general knowledge of networks.
 Status: validated against a recording with two names exchanged.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Self

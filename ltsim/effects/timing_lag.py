@@ -12,8 +12,6 @@ Source: general knowledge; the law is that of a delayed channel.
 Status: validated on a sequence of known rates; the size is general knowledge.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

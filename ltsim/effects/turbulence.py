@@ -11,8 +11,6 @@ Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (sizes, second
 Status: form validated; sizes second hand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,8 +11,6 @@ Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.11
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-from __future__ import annotations
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 

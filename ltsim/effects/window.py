@@ -11,8 +11,6 @@ Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plat
 Status: validated against the numbers above.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -12,8 +12,6 @@ Source: definitions of the units; BIPM, The International System of Units (SI Br
 Status: validated on the readings: what the mend gives back is what was read.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -53,10 +53,10 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "fewest_stations": None if few is None else _option_json(few),
         "tradeoff": [_option_json(option) for option in plan.options],
         "reflector_changes": [_change(change) for change in plan.changes.told],
-        "starts": [_number(value) for value in plan.spread],
+        "starts": plan.spread,
         "tolerances_kept": None if plan.kept is None else plan.kept.good,
         "losses": [
-            {"lost": k.lost, "kept": k.good, "ratio": _number(k.ratio), "worst": k.worst, "unseen": k.unseen}
+            {"lost": k.lost, "kept": k.good, "ratio": k.ratio, "worst": k.worst, "unseen": k.unseen}
             for k in plan.losses
         ],
         "settings": plan.file.model_dump(mode="json"),
@@ -89,7 +89,7 @@ def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
         "pointings": layout.survey.pointings,
         "faces": len(layout.survey.faces),
         "repeats": layout.survey.repeats,
-        "quality": {name: _number(value) for name, value in layout.qualities.items()},
+        "quality": layout.qualities,
         "stations": _stations(layout),
         "reflectors": _reflectors(layout),
         "parameters": information.parameters(),
@@ -102,20 +102,18 @@ def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
     }
 
 
-def _expected(expected: Expected) -> dict[str, Any]:
-    def entry(before: float, after: float, percent: float) -> dict[str, float]:
-        return {
-            "before_um": before / MICROMETRE,
-            "after_um": after / MICROMETRE,
-            "improvement_percent": percent,
-        }
-
-    e = expected
+def _expected(e: Expected) -> dict[str, Any]:
+    found = {
+        "distance": (e.distance_before, e.distance_after, e.distance_improvement),
+        "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
+    }
     return {
-        "distance": entry(float(e.distance_before[0]), float(e.distance_after[0]), float(e.distance_improvement[0])),
-        "coordinate": entry(
-            float(e.coordinate_before[0]), float(e.coordinate_after[0]), float(e.coordinate_improvement[0])
-        ),
+        name: {
+            "before_um": float(before[0]) / MICROMETRE,
+            "after_um": float(after[0]) / MICROMETRE,
+            "improvement_percent": float(percent[0]),
+        }
+        for name, (before, after, percent) in found.items()
     }
 
 
@@ -123,13 +121,12 @@ def _stations(layout: Evaluated) -> list[dict[str, Any]]:
     rows = []
     sigma = layout.information.pose_covariance
     for s, name in enumerate(layout.survey.station_names):
-        x, y, z = (round(float(v) / MILLIMETRE, 1) for v in layout.survey.position[s])
         spread = [float(sigma[s, i, i]) ** 0.5 for i in range(3)]
         rows.append(
             {
                 "name": name,
-                "position_mm": [x, y, z],
-                "yaw_deg": round(float(layout.survey.yaw[s]) / DEGREE % 360, 2),
+                "position_mm": _millimetres(layout.survey.position[s]),
+                "yaw_deg": _degrees(layout.survey.yaw[s]),
                 "sigma_position_um": [round(v / MICROMETRE, 2) for v in spread],
                 "reflectors_seen": int(layout.survey.seen[s].sum()),
             }
@@ -140,13 +137,11 @@ def _stations(layout: Evaluated) -> list[dict[str, Any]]:
 def _reflectors(layout: Evaluated, plan: Plan | None = None) -> list[dict[str, Any]]:
     rows = []
     for t, name in enumerate(layout.survey.target_names):
-        place = [round(float(v) / MILLIMETRE, 1) for v in layout.survey.points[t]]
-        sigma = round(float(layout.information.target_sigma[t]) / MICROMETRE, 2)
         rows.append(
             {
                 "name": name,
-                "position_mm": place,
-                "sigma_um": sigma,
+                "position_mm": _millimetres(layout.survey.points[t]),
+                "sigma_um": round(float(layout.information.target_sigma[t]) / MICROMETRE, 2),
                 "stations_seeing": int(layout.survey.seen[:, t].sum()),
             }
         )
@@ -164,22 +159,14 @@ def _option_json(option: Option) -> dict[str, Any]:
         "repeats": survey.repeats,
         "pointings": survey.pointings,
         "hours": round(option.hours, 3),
-        "value": _number(option.value),
-        "quality": {name: _number(value) for name, value in option.qualities.items()},
+        "value": option.value,
+        "quality": option.qualities,
         "efficient": option.efficient,
         "layout": [
-            {
-                "name": name,
-                "position_mm": [round(float(v) / MILLIMETRE, 1) for v in place],
-                "yaw_deg": round(float(yaw) / DEGREE % 360, 2),
-            }
+            {"name": name, "position_mm": _millimetres(place), "yaw_deg": _degrees(yaw)}
             for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
         ],
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def detectability_json(found: Detectability) -> dict[str, Any]:
@@ -192,9 +179,9 @@ def detectability_json(found: Detectability) -> dict[str, Any]:
                 "effect": row.effect,
                 "parameter": row.parameter,
                 "unit": row.unit,
-                "best": _number(row.best / unit),
-                "typical": _number(row.typical / unit),
-                "worst": _number(row.worst / unit),
+                "best": row.best / unit,
+                "typical": row.typical / unit,
+                "worst": row.worst / unit,
                 "worst_at": row.worst_place,
                 "plausible": row.prior_sigma / unit,
                 "visible": row.visible,
@@ -215,8 +202,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True):
         kept = scenario.stations.get(name)
         levelled = kept is not None and kept.levelled
-        turn = round(float(yaw) / DEGREE % 360, 2)
-        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=turn, levelled=levelled)
+        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=_degrees(yaw), levelled=levelled)
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
         name: scenario.targets.get(name) or Target(position_mm=_millimetres(place))
@@ -239,6 +225,10 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
 def _millimetres(place: Floats) -> tuple[float, float, float]:
     x, y, z = (round(float(v) / MILLIMETRE, 1) for v in place)
     return x, y, z
+
+
+def _degrees(angle: float) -> float:
+    return round(float(angle) / DEGREE % 360, 2)
 
 
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> PlanResult:
@@ -268,10 +258,8 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
                 "evidence": p.evidence,
                 "tells_apart": list(p.tells_apart),
                 "decides": p.decides,
-                "position_mm": None
-                if p.remedy.place is None
-                else [round(float(v) / MILLIMETRE, 1) for v in p.remedy.place],
-                "yaw_deg": None if p.remedy.yaw is None else round(p.remedy.yaw / DEGREE % 360, 2),
+                "position_mm": None if p.remedy.place is None else _millimetres(p.remedy.place),
+                "yaw_deg": None if p.remedy.yaw is None else _degrees(p.remedy.yaw),
             }
             for p in made.proposals
         ],

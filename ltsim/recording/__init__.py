@@ -4,25 +4,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ltsim.recording.conventions import NO_HINTS, Hints
-    from ltsim.recording.exchange import FORMATS, Format, read, recognised, write
-    from ltsim.recording.recording import Recording
-    from ltsim.recording.setup import Setup
+    from ltsim.recording.conventions import NO_HINTS as NO_HINTS, Hints as Hints
+    from ltsim.recording.exchange import (
+        FORMATS as FORMATS,
+        Format as Format,
+        read as read,
+        recognised as recognised,
+        write as write,
+    )
+    from ltsim.recording.recording import Recording as Recording
+    from ltsim.recording.setup import Setup as Setup
 
 # Loaded when first used: who needs a recording in memory need not wait for every format.
-_HOME = {
-    "Hints": "conventions",
-    "NO_HINTS": "conventions",
-    "FORMATS": "exchange",
-    "Format": "exchange",
-    "read": "exchange",
-    "recognised": "exchange",
-    "write": "exchange",
-    "Recording": "recording",
-    "Setup": "setup",
+_ROOMS = {
+    "conventions": ("Hints", "NO_HINTS"),
+    "exchange": ("FORMATS", "Format", "read", "recognised", "write"),
+    "recording": ("Recording",),
+    "setup": ("Setup",),
 }
-
-__all__ = ["FORMATS", "NO_HINTS", "Format", "Hints", "Recording", "Setup", "read", "recognised", "write"]
+_HOME = {name: room for room, names in _ROOMS.items() for name in names}
 
 
 def _load(name: str) -> Any:

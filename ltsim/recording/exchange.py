@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 from pydantic import ValidationError
 
@@ -28,6 +29,8 @@ from ltsim.recording.setup import Setup
 from ltsim.recording.tables import reader as tables
 
 HEAD = 16_384
+POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
+TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,14 @@ class Format:
     write: Callable[[Recording, Path], None] | None = None
 
 
+Write = Callable[[Recording, Path], None]
+
+
+def _of(room: ModuleType, name: str, about: str, *suffixes: str, write: Write | None = None) -> Format:
+    """The format that a module recognises and reads."""
+    return Format(name, about, suffixes, room.recognises, room.read, write)
+
+
 FORMATS: tuple[Format, ...] = (
     Format(
         "native",
@@ -54,84 +65,28 @@ FORMATS: tuple[Format, ...] = (
         lambda path, _: native.read_recording(path),
         native.write_recording,
     ),
-    Format(
-        "spatialanalyzer",
-        "SpatialAnalyzer instrument report (CompositeReport)",
-        (".csv", ".txt"),
-        spatialanalyzer.recognises,
-        spatialanalyzer.read,
-    ),
-    Format(
-        "cern-lgc",
-        "input file of CERN's LGC",
-        (".lgc", ".lgc2"),
-        cern_lgc.recognises,
-        cern_lgc.read,
-    ),
-    Format(
-        "gama-local",
-        "input file of GNU Gama",
-        (".gkf", ".xml"),
-        gama.recognises,
-        gama.read,
-        gama_writer.write,
-    ),
-    Format(
-        "openindy",
-        "OpenIndy project",
-        (".xml",),
-        openindy.recognises,
-        openindy.read,
-    ),
-    Format(
-        "gsi",
-        "Leica GSI-8 and GSI-16",
-        (".gsi",),
-        gsi.recognises,
-        gsi.read,
-    ),
-    Format(
-        "polar-text",
-        "plain text: station, target, azimuth, zenith or elevation, distance",
-        (".txt", ".dat", ".asc"),
-        polar_text.recognises,
-        polar_text.read,
-        polar_text.write,
-    ),
-    Format(
-        "point-list",
-        "names and coordinates: no recording, said so",
-        (".txt", ".xyz", ".csv"),
-        point_list.recognises,
-        point_list.refuse,
-    ),
-    Format(
-        "table",
-        "delimited text with a header, a folder with a file a station, or a workbook",
-        (".csv", ".tsv", ".txt", ".xlsx"),
-        tables.recognises,
-        tables.read,
-    ),
+    _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),
+    _of(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
+    _of(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
+    _of(openindy, "openindy", "OpenIndy project", ".xml"),
+    _of(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
+    _of(polar_text, "polar-text", POLAR_TEXT, ".txt", ".dat", ".asc", write=polar_text.write),
+    _of(point_list, "point-list", "names and coordinates: no recording, said so", ".txt", ".xyz", ".csv"),
+    _of(tables, "table", TABLE, ".csv", ".tsv", ".txt", ".xlsx"),
 )
 
 
-def read(
-    path: Path | str,
-    *,
-    format: str | None = None,  # noqa: A002
-    hints: Hints = NO_HINTS,
-    formats: tuple[Format, ...] = FORMATS,
-) -> Recording:
-    """Read a recording; the format is chosen by content, then by suffix, unless named.
+def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS) -> Recording:  # noqa: A002
+    """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
 
     Parameters
     ----------
-    path : path
+    path : str or Path
         A folder or a file.
     format : str, optional
-        Name of a format in `formats`.
+        Name of the format; default by content, then by suffix.
     hints : Hints
-        What the caller knows about an ambiguous file.
+        What an ambiguous file means: `ltsim.recording.Hints`.
 
     Returns
     -------
@@ -142,16 +97,24 @@ def read(
     ------
     RecordError
         One sentence: what is wrong and where, or which hint is wanted.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.write(recording, "my-recording")
+    >>> lt.read("my-recording")
+    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
     path = Path(path)
-    chosen = recognised(path, formats) if format is None else _named(format, formats)
+    chosen = recognised(path) if format is None else _named(format, FORMATS)
     try:
         return chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
 
 
-def recognised(path: Path, formats: tuple[Format, ...] = FORMATS) -> Format:
+def recognised(path: Path) -> Format:
     """The format of a file or folder; raises RecordError when nothing is there, or no format fits."""
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
@@ -162,19 +125,14 @@ def recognised(path: Path, formats: tuple[Format, ...] = FORMATS) -> Format:
                 head = decoded(stream.read(HEAD)).replace("\r\n", "\n")
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
-    fitting = [f for f in formats if f.recognises(path, head)]
+    fitting = [f for f in FORMATS if f.recognises(path, head)]
     if not fitting:
-        known = "; ".join(f"{f.name} ({f.about})" for f in formats)
+        known = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
         raise RecordError(f"is in no format known here: {known}", file=path)
     return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
 
 
-def write(
-    recording: Recording,
-    path: Path | str,
-    format: str = "native",  # noqa: A002
-    formats: tuple[Format, ...] = FORMATS,
-) -> None:
+def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
     """Write a recording in one of the formats that can be written.
 
     Raises
@@ -182,7 +140,7 @@ def write(
     RecordError
         When the format cannot hold it or the place cannot be written; nothing half-written stays behind.
     """
-    able = tuple(f for f in formats if f.write is not None)
+    able = tuple(f for f in FORMATS if f.write is not None)
     writer = _named(format, able).write
     if writer is not None:
         writer(recording, Path(path))

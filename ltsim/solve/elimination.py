@@ -25,27 +25,21 @@ class Elimination(Protocol):
     @property
     def smallest_pivot(self) -> float:
         """The smallest pivot of the blocks and of the Schur complement."""
-        ...
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K + 3 E, c)."""
-        ...
 
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
-        ...
 
     def kept_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
-        ...
 
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
-        ...
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """R N^-1 R' for groups of neighbouring rows (q, K + 3 E): group i from edges[i] to edges[i + 1]."""
-        ...
 
 
 class DenseElimination:

@@ -24,15 +24,12 @@ class Problem(Protocol[X]):
 
     def linearise(self, x: X) -> BlockSystem:
         """The whitened linear system at x."""
-        ...
 
     def residual(self, x: X) -> Floats:
         """The whitened residual of that system alone."""
-        ...
 
     def retract(self, x: X, step: Floats) -> X:
         """The point reached from x by a step."""
-        ...
 
 
 class Status(Enum):

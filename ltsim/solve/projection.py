@@ -30,19 +30,15 @@ class Projection(Protocol):
 
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q)."""
-        ...
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
-        ...
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
         """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows; all others are zero."""
-        ...
 
     def extended(self, columns: Floats) -> Self:
         """The projection off orthonormal columns (m, e) of the residual space as well."""
-        ...
 
 
 @dataclass(frozen=True)

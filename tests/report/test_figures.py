@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.specification import SHEETS
+from ltsim.calibrate.schema import ChiSquareEntry, CourseEntry
 from ltsim.check.check import check as check_of
 from ltsim.randomness import stream
 from ltsim.report import figures, style
 from ltsim.report.figures.acceptance import shares_of_limits
-from ltsim.report.figures.history import Course, history_figure, told_apart
+from ltsim.report.figures.history import history_figure, told_apart
 from ltsim.report.residuals import Residuals
 from ltsim.report.workshop import from_adjustment
 from tests.report import samples
@@ -52,8 +53,10 @@ def sigmas() -> Figure:
 def history() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
-    courses = [Course(f"parameter-{i}", "urad", labels, values * (i + 1), np.full(3, 0.3), 1.5, 0.5) for i in range(3)]
-    return history_figure(courses)
+    test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
+    told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
+    courses = [CourseEntry(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    return history_figure(labels, courses)
 
 
 def acceptance() -> Figure:

@@ -103,7 +103,7 @@ def _covariance(values: list[float]) -> Floats:
     return np.full((3, 3), np.nan)
 
 
-def refuse(path: Path, _hints: object = None) -> Recording:
+def read(path: Path, _hints: object = None) -> Recording:
     """A list of points is no recording: say so and what it is good for."""
     count = len(read_points(path).names)
     message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"

@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from ltsim.arrays import Floats
+from ltsim.calibrate.schema import CourseEntry
 from ltsim.report.style import AFTER, GREY, PALE, new_figure, quiet_axis, shorten, styled, unit_text
-
-
-@dataclass(frozen=True)
-class Course:
-    """Estimates (K,) of one parameter with their sigmas, in the unit a person reads; population mean and spread."""
-
-    name: str
-    unit: str
-    labels: tuple[str, ...]
-    values: Floats
-    sigmas: Floats
-    mean: float
-    spread: float
 
 
 def told_apart(labels: Sequence[str]) -> tuple[str, ...]:
@@ -38,19 +24,19 @@ def told_apart(labels: Sequence[str]) -> tuple[str, ...]:
 
 
 @styled
-def history_figure(courses: Sequence[Course]) -> Figure:
-    """One panel a parameter: estimates with 95 % intervals, and the band in which its true values lie."""
+def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
+    """A panel a parameter over calibrations: estimates with 95 % intervals, the band in which true values lie."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))
     figure = new_figure(0.7 + 1.35 * rows)
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    labels = [shorten(label, 24) for label in told_apart(courses[0].labels)] if courses else []
+    labels = [shorten(name, 24) for name in told_apart(names)]
+    place = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
-        place = np.arange(len(course.labels))
         band = (course.mean - course.spread, course.mean + course.spread)
         ax.axhspan(*band, color=PALE, zorder=0, label="mean ± spread between calibrations")
         ax.axhline(0.0, color=GREY, linewidth=0.7, zorder=1)
-        half = 1.96 * course.sigmas
+        half = 1.96 * np.array(course.sigmas)
         ax.errorbar(place, course.values, half, fmt="o", ms=3.5, color=AFTER, lw=1.2, label="estimate, 95 % interval")
         ax.set_title(f"{course.name} [{unit_text(course.unit)}]")
         ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from ltsim.calibrate.schema import ChangeEntry, CourseEntry, HistoryFile
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Block, Fact, Section, Table, mood, picture
-from ltsim.report.figures.history import Course, history_figure, told_apart
+from ltsim.report.figures.history import history_figure, told_apart
 from ltsim.report.words import count, listing, p_is, p_text
 
 LEVEL = 0.01
@@ -68,9 +66,8 @@ def _course(content: HistoryFile, known: list[CourseEntry]) -> list[Block]:
     if not known:
         return []
     labels = tuple(c.label for c in content.calibrations)
-    courses = [Course(p.name, p.unit, labels, np.array(p.values), np.array(p.sigmas), p.mean, p.spread) for p in known]
     text = "Estimates with 95 % intervals; the band is the mean ± the spread of the true values between calibrations."
-    return [picture("Course of the parameters", history_figure(courses), text)]
+    return [picture("Course of the parameters", history_figure(labels, known), text)]
 
 
 def _parameters(known: list[CourseEntry]) -> Table:
