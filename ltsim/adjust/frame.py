@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjust.marks import Marks
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import about_z, from_rotation_vector
@@ -36,6 +36,8 @@ class Frame:
     """(S, 3) [m]: rough places of the stations on a floor plan, NaN where none is stated."""
     yaw: Floats
     """(S,) [rad]: where the zero of each circle points on that plan, NaN where it is not stated."""
+    near: Floats
+    """(T, 3) [m]: known or approximate places of the targets, NaN where none is stated."""
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:
@@ -50,6 +52,7 @@ class Frame:
             marks,
             np.array([s.position_mm or (np.nan,) * 3 for s in setups], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
+            np.array([_near(recording, name) for name in recording.targets]).reshape(-1, 3) * MILLIMETRE,
         )
 
     @property
@@ -98,6 +101,23 @@ class Frame:
         turn = about_z(float(self.yaw[known[0]] - np.arctan2(ahead[1], ahead[0])))
         return turn, self.plan[known[0]] - turn @ position[known[0]]
 
+    def hand(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
+        """Factors (3,) that turn a network of ranges into its mirror image or leave it, and whether that is known.
+
+        Ranges have no hand: rough places of stations and targets tell it when they are off one plane.
+        """
+        here, there = np.concatenate([position, points]), np.concatenate([self.plan[stations], self.near[targets]])
+        stated = np.isfinite(there).all(axis=1)
+        here, there = here[stated], there[stated]
+        both = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, -1.0]])
+        if len(here) < 4 or _thickness(there) < ROUGH_PLACE:
+            return both[0], False
+        misses = []
+        for factors in both:
+            rotation, shift = align(here * factors, there)
+            misses.append(np.linalg.norm((here * factors) @ rotation.T + shift - there))
+        return both[int(np.argmin(misses))], True
+
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
         """Whether a network stands on the floor plan already, as well as the plan knows places."""
         motion = self.plan_motion(position, rotation)
@@ -128,6 +148,17 @@ def _stated(recording: Recording, name: str) -> tuple[float, float, float]:
     else:
         return nothing
     return place[0] * MILLIMETRE, place[1] * MILLIMETRE, place[2] * MILLIMETRE
+
+
+def _near(recording: Recording, name: str) -> tuple[float, float, float]:
+    target = recording.target_setup(name)
+    known = target.known_mm if target.known_axes == "xyz" else None
+    return known or target.approximate_mm or (np.nan, np.nan, np.nan)
+
+
+def _thickness(points: Floats) -> float:
+    """How far points (k, 3) reach from their plane [m], root mean square."""
+    return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] / np.sqrt(len(points)))
 
 
 def _on_a_line(points: Floats) -> bool:

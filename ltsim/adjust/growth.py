@@ -325,7 +325,7 @@ class Growth:
         targets = np.flatnonzero(np.isfinite(ranges[stations]).all(axis=0))
         found = multilaterate(ranges[np.ix_(stations, targets)])
         if found is not None:
-            self._located[targets] = found[1]
+            self._located[targets] = found[1] * self._frame.hand(stations, found[0], targets, found[1])[0]
 
     # --- the end ---------------------------------------------------------------------------------------------------
 

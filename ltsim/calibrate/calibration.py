@@ -252,7 +252,7 @@ class Calibration(Shown):
             lines.append(f"{len(self.outliers)} readings do not belong")
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
-        if self.correction is not None:
+        if self.correction is not None and self.correction.uncorrected > 0:
             lines += [self.correction.line, *self.correction.sentences]
         return [*lines, *self.notes]
 

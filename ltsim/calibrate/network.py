@@ -21,6 +21,7 @@ from ltsim.calibrate.result import (
     fit_of,
     frame_of,
     noise_of,
+    notes_on_hand,
     notes_on_modes,
     outliers_of,
     stations_of,
@@ -152,6 +153,6 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         noise=noise_of(adjustment),
         lost_targets=adjustment.lost_targets,
         recording=SourceEntry.of(source),
-        notes=notes_on_modes(adjustment),
+        notes=(*notes_on_modes(adjustment), *notes_on_hand(adjustment)),
         adjustment=adjustment,
     )

@@ -210,6 +210,20 @@ def criteria_of(
         return None
 
 
+def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
+    """What is to be said of a network of ranges alone: whether it may be the mirror image of the hall."""
+    recording, state = adjustment.recording, adjustment.state
+    if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
+        return ()
+    every = np.arange(len(recording.stations)), np.arange(len(recording.targets))
+    if Frame.of(recording).hand(every[0], state.position, every[1], state.points)[1]:
+        return ()
+    return (
+        "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "
+        "off one plane (approximate_mm, position_mm) would",
+    )
+
+
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
     """What is to be said of the range zeros where both distance meters were used."""
     if MODE_COLUMN not in adjustment.recording.circumstances:

@@ -13,7 +13,7 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
 from ltsim.simulate.gauge import expansion, frame_of
 from ltsim.simulate.physics import effect_from, instrument_law, resolution_of, stated_noise
@@ -44,6 +44,8 @@ def truth_of(
     SetupError
         When the scenario asks for something impossible.
     """
+    if any(tracker.observables != OBSERVABLES for tracker in scenario.trackers.values()):
+        raise SetupError("instrument.observables leaves readings out; trials compare points that a station sees whole")
     work = fieldwork(scenario, seed, *key, plan=plan)
     recording = _template(work, seed, *key) if like is None else _like(work, like, seed, *key)
     grown, pairs = _gauge(work, recording)

@@ -18,7 +18,7 @@ from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile, Surface
 from ltsim.plan.survey import Survey
 from ltsim.plan.tolerances import importance
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import Placing
 from ltsim.simulate.simulator import simulate
@@ -35,11 +35,13 @@ def survey_of(scenario: Scenario) -> Survey:
     Raises
     ------
     SetupError
-        When a station leans: a plan knows upright ones only, and one tracker.
+        When a station leans (a plan knows upright ones only), or there is more than one tracker that reads everything.
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
         raise SetupError(f"the scenario names its trackers ({named}); a plan is for one, stated as [instrument]")
+    if scenario.instrument.observables != OBSERVABLES:
+        raise SetupError("instrument.observables leaves readings out; a plan is for ranges with both angles")
     layout, work = planned(scenario), scenario.work
     lean = 1.0 - layout.rotation[:, 2, 2]
     if lean.max() > LEANING:

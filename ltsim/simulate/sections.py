@@ -163,6 +163,12 @@ class Instrument(Section):
     """What the maker guarantees; errors are drawn from it."""
     limits: Limits = Limits()
     """What can be pointed at."""
+    observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
+        "distance",
+        "azimuth",
+        "elevation",
+    )
+    """What is recorded of each pointing: `["distance"]` alone is multilateration."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
     """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the others."""
     error_factor: NonNegative = 1.0

@@ -52,7 +52,7 @@ def measure(work: Fieldwork, seed: int, *key: str | int) -> tuple[Recording, Tru
 def simulate_readings(
     work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
 ) -> Floats:
-    """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded to the resolution.
+    """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded; NaN for what is not recorded.
 
     Parameters
     ----------
@@ -69,7 +69,8 @@ def simulate_readings(
     readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
     for mistake in _mistakes(work, values):
         readings = mistake.written(work.sightings, readings)
-    return readings
+    recorded = [[name in tracker.observables for name in OBSERVABLES] for tracker in work.scenario.trackers.values()]
+    return np.where(np.array(recorded)[work.sightings.instrument], readings, np.nan)
 
 
 def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...]) -> Floats:

@@ -85,7 +85,7 @@ class Measurand:
         kind = self.task.kind
         if kind in _FEATURES:
             return _FEATURES[kind]
-        if kind == "point":
+        if kind in ("point", "rod"):
             return _mm("x", "y", "z")
         if kind == "distance":
             return _mm("distance")
@@ -105,6 +105,10 @@ class Measurand:
         kind = self.task.kind
         if kind == "point":
             return chosen[..., 0, :]
+        if kind == "rod":
+            way = chosen[..., 1, :] - chosen[..., 0, :]
+            along = way / np.linalg.norm(way, axis=-1, keepdims=True)
+            return chosen[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
         if kind == "distance":
             return np.linalg.norm(chosen[..., 1, :] - chosen[..., 0, :], axis=-1)[..., None]
         if kind == "angle":

@@ -14,11 +14,22 @@ from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
 
 FORMAT = "ltsim-tasks/1"
 Kind = Literal[
-    "point", "distance", "angle", "line", "plane", "circle", "sphere", "cylinder", "transformation", "pose", "deviation"
+    "point",
+    "rod",
+    "distance",
+    "angle",
+    "line",
+    "plane",
+    "circle",
+    "sphere",
+    "cylinder",
+    "transformation",
+    "pose",
+    "deviation",
 ]
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 Level = Annotated[float, Field(gt=0.5, lt=1.0)]
-POINTS = {"point": 1, "distance": 2, "angle": 3}
+POINTS = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
 """Targets of the kinds that take a fixed number."""
 
 
@@ -42,7 +53,8 @@ class Tolerance(Section):
 class Task(Section):
     """One task: what is made of which targets.
 
-    `point` gives coordinates, `distance` takes two targets, `angle` three (the vertex in the middle). Features are
+    `point` gives coordinates, `rod` those of a hidden point `beyond_mm` past the second of two reflectors on a rod,
+    `distance` takes two targets, `angle` three (the vertex in the middle). Features are
     fitted by least squares; with ``zone = "minimum"`` their form is that of the minimum zone. `transformation` moves
     `nominal_mm` onto the targets by a best fit, `pose` gives the same as the place and the turn of a part; `deviation`
     compares each target with its nominal point after that fit, or as they are with ``fit = false``.
@@ -62,6 +74,8 @@ class Task(Section):
     """Fit the targets to their nominal points first."""
     scale: bool = False
     """The fit has a scale."""
+    beyond_mm: Finite = 0.0
+    """From the second reflector of a rod to its tip."""
     radius_offset_mm: Finite = 0.0
     """Added to fitted radii: the ball's own."""
     tolerances: dict[str, Tolerance] = Field(default_factory=dict)
@@ -74,6 +88,8 @@ class Task(Section):
             raise ValueError(f"it should name {wanted} targets for a {self.kind}")
         if len(set(self.targets)) < len(self.targets):
             raise ValueError("it should name each target once")
+        if (self.kind == "rod") != (self.beyond_mm != 0):
+            raise ValueError("it should give beyond_mm, not 0, for a rod and for nothing else")
         if self.kind in ("transformation", "pose", "deviation"):
             missing = [name for name in self.targets if name not in self.nominal_mm]
             if missing:

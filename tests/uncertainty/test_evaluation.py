@@ -115,6 +115,16 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
         assert np.std(told_of, ddof=1) == pytest.approx(expected[weather_too], rel=0.28)
 
 
+def test_the_tip_of_a_rod_is_worth_what_its_lever_says() -> None:
+    """A tip b past the second of two balls d apart: (1 + b/d) of the second's error less b/d of the first's across."""
+    task = Task(name="tip", kind="rod", targets=("A", "B"), beyond_mm=300.0)
+    points = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]])
+    tip = Measurand.of(task, ("A", "B"), points)
+    assert np.allclose(tip.values(points), [0.9, 0.0, 0.0])
+    assert np.allclose(tip.by_points(points)[1], [0, -0.5, 0, 0, 1.5, 0], atol=1e-6)
+    assert np.allclose(tip.by_points(points)[0], [0, 0, 0, 1, 0, 0], atol=1e-6)
+
+
 def test_published_distributions() -> None:
     """JCGM 101:2008, 9.2.3 and 9.2.4: sums of four rectangular variates of unit, and of unequal, deviation."""
     task = Task(name="sum", kind="point", targets=("P",))
