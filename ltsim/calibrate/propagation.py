@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.prior import prior_sigmas
@@ -104,4 +104,4 @@ class Propagation:
         """Chance of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""
         mean, variance = self.chi2_moments()
         scale = variance / (2 * mean)
-        return float(stats.chi2.sf(chi2 / scale, mean / scale))
+        return float(special.chdtrc(mean / scale, max(chi2 / scale, 0.0)))
