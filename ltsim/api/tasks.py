@@ -10,9 +10,9 @@ from ltsim.acceptance.accept import accept as accepted
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
 from ltsim.adjust import Adjustment, adjust
-from ltsim.api.files import RecordingSource, recording_of
 from ltsim.check.check import Check, check as check_of
 from ltsim.model.construction import ideal, stated_construction
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.uncertainty.epochs import Congruence, compare as compared
 from ltsim.uncertainty.evaluation import Evaluation, evaluate_tasks

@@ -28,6 +28,8 @@ from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import reader as tables
 
+RecordingSource = Recording | str | Path
+"""A recording, or a file or folder that holds one."""
 HEAD = 16_384
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
 TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
@@ -112,6 +114,11 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS
         return chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
+
+
+def recording_of(source: RecordingSource) -> Recording:
+    """The recording itself, read where a path was given."""
+    return source if isinstance(source, Recording) else read(source)
 
 
 def recognised(path: Path) -> Format:
