@@ -161,21 +161,7 @@ def compare(
     same_instrument: bool = False,
     level: float = 0.05,
 ) -> Congruence:
-    """Compare the points that two recordings share.
-
-    Parameters
-    ----------
-    first, second : Adjustment
-        Converged; each with its own frame.
-    stable : sequence of str, optional
-        Points known not to have moved; they are not tested. Default: found by the test.
-    scaled : bool
-        Let the second epoch have a scale of its own: another temperature, another instrument.
-    same_instrument : bool
-        One tracker with the same errors measured both: what its maker's guarantee leaves open then shifts both epochs
-        alike and does not count as a difference.
-    level : float
-        Probability that any point is told to have moved when none did.
+    """Compare the points that two converged adjustments share, each in its own frame; options as of `ltsim.compare`.
 
     Raises
     ------
