@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.errors import ModelError
-from ltsim.recording import NO_HINTS, Hints, Recording, read as read, write as write_recording
+from ltsim.recording import Hints, Recording, read as read, write as write_recording
 from ltsim.recording.exchange import RecordingSource
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def convert(
     *,
     to: str = "native",
     format: str | None = None,  # noqa: A002
-    hints: Hints = NO_HINTS,
+    hints: Hints | None = None,
 ) -> Recording:
     """Read a recording in one format and write it in another.
 

@@ -78,7 +78,7 @@ FORMATS: tuple[Format, ...] = (
 )
 
 
-def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS) -> Recording:  # noqa: A002
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
     """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
 
     Parameters
@@ -87,7 +87,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS
         A folder or a file.
     format : str, optional
         Name of the format; default by content, then by suffix.
-    hints : Hints
+    hints : Hints, optional
         What an ambiguous file means: `ltsim.recording.Hints`.
 
     Returns
@@ -111,7 +111,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS
     path = Path(path)
     chosen = recognised(path) if format is None else _named(format, FORMATS)
     try:
-        return chosen.read(path, hints)
+        return chosen.read(path, hints or NO_HINTS)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
 
