@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.adjust.components import Component
 from ltsim.adjust.datum import InnerDatum
@@ -144,7 +144,7 @@ class Adjustment(Shown):
     @property
     def p_value(self) -> float:
         """Chance of a larger chi2 if model and stated noise hold."""
-        return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof > 0 else float("nan")
+        return float(special.chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
 
     @property
     def factor(self) -> Factor:

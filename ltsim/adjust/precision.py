@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.arrays import Floats
 
@@ -24,7 +24,7 @@ def ellipsoids(covariance: Floats, confidence: float | None = None) -> Ellipsoid
     """Ellipsoids of covariances (k, 3, 3) [m^2]; of one standard deviation, or holding the point with a confidence."""
     missing = np.flatnonzero(np.isnan(covariance).any(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
-    scale = 1.0 if confidence is None else float(np.sqrt(stats.chi2.ppf(confidence, 3)))
+    scale = 1.0 if confidence is None else float(np.sqrt(2.0 * special.gammaincinv(1.5, confidence)))
     axes = scale * np.sqrt(np.maximum(values[:, ::-1], 0.0))
     axes[missing] = np.nan
     return Ellipsoids(axes, np.swapaxes(vectors[:, :, ::-1], 1, 2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats
@@ -38,7 +38,7 @@ def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -
 
 def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
     """Limit of |w| for `count` readings tested together (Sidak)."""
-    return float(stats.norm.isf(0.5 * single_level(count, level)))
+    return float(-special.ndtri(0.5 * single_level(count, level)))
 
 
 def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
@@ -51,7 +51,7 @@ def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
     """
     if dof < 2:
         return float("inf")
-    t = float(stats.t.isf(0.5 * single_level(count, level), dof - 1))
+    t = float(-special.stdtrit(dof - 1, 0.5 * single_level(count, level)))
     return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t)) if np.isfinite(t) else float(np.sqrt(dof))
 
 
@@ -77,8 +77,10 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = P
     ----------
     Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    limit = stats.chi2.isf(single_level(hypotheses, level), dof)
-    return float(optimize.brentq(lambda size: stats.ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
+    from scipy.stats import ncx2  # half a second to load, and most adjustments ask for no power
+
+    limit = special.chdtri(dof, single_level(hypotheses, level))
+    return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
 
 
 def minimal_detectable_bias(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.doubt import doubts
@@ -69,7 +69,7 @@ def _by_tests(adjustment: Adjustment, level: float, family: float) -> Verdict:
         return Verdict(
             Case.UNCHECKED, "There is no redundancy: nothing can be tested, the stated noise holds.", False, 0
         )
-    low, high = np.sqrt(stats.chi2.ppf([level / 2, 1 - level / 2], dof) / dof)
+    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
     by_w, by_tau = adjustment.outliers(family), adjustment.outliers(family, estimated=True)
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ltsim.api.files import RecordingSource, recording_of
 from ltsim.diagnose import Diagnosis, diagnose as diagnosis_of
+from ltsim.recording.exchange import RecordingSource, recording_of
 
 
 def diagnose(recording: RecordingSource, *, level: float = 0.05, seed: int = 0) -> Diagnosis:

@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.errors import ModelError
-from ltsim.recording import NO_HINTS, Hints, Recording, read as read, write as write_recording
+from ltsim.recording import Hints, Recording, read as read, write as write_recording
+from ltsim.recording.exchange import RecordingSource
 
 if TYPE_CHECKING:
     from ltsim.calibrate.calibration import Calibration
     from ltsim.diagnose.diagnosis import Diagnosis
     from ltsim.plan.planner import Plan
     from ltsim.simulate.truth import Truth
-
-RecordingSource = Recording | str | Path
-"""A recording, or a file or folder that holds one."""
 
 
 def write(
@@ -85,7 +83,7 @@ def convert(
     *,
     to: str = "native",
     format: str | None = None,  # noqa: A002
-    hints: Hints = NO_HINTS,
+    hints: Hints | None = None,
 ) -> Recording:
     """Read a recording in one format and write it in another.
 
@@ -113,8 +111,3 @@ def convert(
     recording = source if isinstance(source, Recording) else read(source, format=format, hints=hints)
     write_recording(recording, destination, to)
     return recording
-
-
-def recording_of(source: RecordingSource) -> Recording:
-    """The recording itself, read where a path was given."""
-    return source if isinstance(source, Recording) else read(source)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ltsim.api.files import RecordingSource, read, recording_of
 from ltsim.calibrate import (
     Calibration,
     adjust_network,
@@ -23,6 +22,7 @@ from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
 from ltsim.evaluate import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
+from ltsim.recording.exchange import RecordingSource, read, recording_of
 
 METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
 CalibrationSource = Calibration | str | Path

@@ -10,9 +10,9 @@ from ltsim.acceptance.accept import accept as accepted
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
 from ltsim.adjust import Adjustment, adjust
-from ltsim.api.files import RecordingSource, recording_of
 from ltsim.check.check import Check, check as check_of
 from ltsim.model.construction import ideal, stated_construction
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.uncertainty.epochs import Congruence, compare as compared
 from ltsim.uncertainty.evaluation import Evaluation, evaluate_tasks
@@ -69,11 +69,12 @@ def compare(
     ----------
     first, second : Recording, str or Path
     stable : sequence of str, optional
-        Points known not to have moved; default found by the test.
+        Points known not to have moved; they are not tested. Default: found by the test.
     scaled : bool
-        Let the second recording have a scale of its own.
+        Let the second recording have a scale of its own: another temperature, another instrument.
     same_instrument : bool
-        One tracker with the same errors measured both.
+        One tracker with the same errors measured both: what its maker's guarantee leaves open then shifts both epochs
+        alike and does not count as a difference.
     calibrate : bool
         Estimate the instrument's constants in each recording.
     level : float

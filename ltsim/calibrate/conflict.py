@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
@@ -55,7 +55,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
 def _beyond(w: Floats) -> list[int]:
     """Places of values that chance does not make, the largest first; zeros were not tested."""
     tested = int(np.count_nonzero(w))
-    limit = float(stats.norm.isf(LEVEL / (4 * tested))) if tested else np.inf
+    limit = float(-special.ndtri(LEVEL / (4 * tested))) if tested else np.inf
     return [int(k) for k in np.argsort(-np.abs(w)) if abs(w[k]) > limit]
 
 

@@ -41,27 +41,17 @@ class Rows:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Unknowns in units of their prior sigmas, and how they depend on the noise.
-
-    Attributes
-    ----------
-    unknowns : (q,) float
-    covariance : (q, q) float
-        Of the error, that of the combinations left at zero included.
-    noise : (q, 3 n + g) float
-        Covariance of the error with the whitened readings and gauge lengths.
-    left_out : tuple of Direction
-    objective : float
-        [m^2] for least squares, [m] for absolute deviations.
-    iterations : int
-    converged : bool
-    """
+    """Unknowns in units of their prior sigmas, and how they depend on the noise."""
 
     unknowns: Floats
+    """(q,)."""
     covariance: Floats
+    """(q, q): of the error, that of the combinations left at zero included."""
     noise: Floats
+    """(q, 3 n + g): covariance of the error with the whitened readings and gauge lengths."""
     left_out: tuple[Direction, ...]
     objective: float
+    """[m^2] for least squares, [m] for absolute deviations."""
     iterations: int
     converged: bool
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibrate.history import LEVEL, History
@@ -84,7 +84,7 @@ def _judged(difference: Floats, sigma: Floats, step: int, others: Ints) -> tuple
     """Two-sided chance of a step by the spread of the others, and that spread beyond their standard deviations."""
     spread = _spread(difference[others], sigma[others])
     t = difference[step] / np.hypot(sigma[step], spread)
-    return float(2.0 * stats.t.sf(abs(t), len(others))), spread
+    return float(2.0 * special.stdtr(len(others), -abs(t))), spread
 
 
 def _spread(difference: Floats, sigma: Floats) -> float:

@@ -28,24 +28,16 @@ FEWEST = 5
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What one target's readings leave when the others predict them.
-
-    Attributes
-    ----------
-    residual : (m,) float
-        S r.
-    by_parameter : (m, q) float
-        Covariance S B' of the prediction with the parameters, B = C A'.
-    covariance : (q, q) float
-        Of the parameters, from the other targets.
-    shift : (q,) float
-        B S r: the estimate from all readings less that from the others.
-    """
+    """What one target's readings leave when the others predict them."""
 
     residual: Floats
+    """(m,): S r."""
     by_parameter: Floats
+    """(m, q): covariance S B' of the prediction with the parameters, B = C A'."""
     covariance: Floats
+    """(q, q): of the parameters, from the other targets."""
     shift: Floats
+    """(q,): b S r: the estimate from all readings less that from the others."""
 
     def squares(self, values: Floats, fixed: Ints) -> float:
         """Sum of squares with the parameters `fixed` at zero; `values` (q,) are the estimates from all readings."""

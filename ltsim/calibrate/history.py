@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
@@ -39,7 +39,7 @@ class ChiSquare:
     @property
     def p_value(self) -> float:
         """Chance of a larger chi2 for an instrument that has not changed; 1 without degrees of freedom."""
-        return float(stats.chi2.sf(self.chi2, self.dof)) if self.dof else 1.0
+        return float(special.chdtrc(self.dof, max(self.chi2, 0.0))) if self.dof else 1.0
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class Change:
     def p_values(self) -> Floats:
         """(p,) two-sided, of each parameter by itself."""
         z = np.divide(self.difference, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
-        values: Floats = 2.0 * stats.norm.sf(np.abs(z))
+        values: Floats = 2.0 * special.ndtr(-np.abs(z))
         return values
 
     def changed(self, level: float = LEVEL) -> list[int]:

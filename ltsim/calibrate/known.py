@@ -23,23 +23,16 @@ from ltsim.units import FACTOR
 
 @dataclass(frozen=True)
 class Known:
-    """Values with their covariance, by the names of instruments and parameters.
-
-    Attributes
-    ----------
-    construction : str
-    parameters : tuple of str
-    instruments : tuple of str
-        One alone stands for whatever instrument a recording names.
-    mean : (I, p) float [SI]
-    covariance : (I, p, p) float [SI]
-    """
+    """Values with their covariance, by the names of instruments and parameters."""
 
     construction: str
     parameters: tuple[str, ...]
     instruments: tuple[str, ...]
+    """One alone stands for whatever instrument a recording names."""
     mean: Floats
+    """(I, p) [SI]."""
     covariance: Floats
+    """(I, p, p) [SI]."""
 
     @classmethod
     def of(cls, source: Calibration | History | Known | str | Path) -> Known:
@@ -116,8 +109,7 @@ class Known:
 
 def _between(spread: Floats, sigma: Floats) -> Floats:
     """Variance (p,) of the next value: spread (p,) between calibrations, and that of their mean by sigmas (K, p)."""
-    variance: Floats = spread**2 + 1.0 / np.sum(1.0 / (spread**2 + sigma**2), axis=0)
-    return variance
+    return spread**2 + 1.0 / np.sum(1.0 / (spread**2 + sigma**2), axis=0)
 
 
 def _is_history(file: Path) -> bool:

@@ -28,44 +28,29 @@ LARGEST = 2e8
 
 @dataclass(frozen=True)
 class Distances:
-    """All distances within each set (a station and a face) at some parameters, and their derivatives.
-
-    Attributes
-    ----------
-    length : (D,) float, [m]
-    group : (D,) int
-        Which pair of targets.
-    setting : (D,) int
-        Which set.
-    by_parameter : (D, q) float
-        Per prior sigma of each parameter.
-    by_reading : (D, 3 n) sparse
-        Per standard deviation of each reading.
-    """
+    """All distances within each set (a station and a face) at some parameters, and their derivatives."""
 
     length: Floats
+    """(D,) [m]."""
     group: Ints
+    """(D,): which pair of targets."""
     setting: Ints
+    """(D,): which set."""
     by_parameter: Floats
+    """(D, q): per prior sigma of each parameter."""
     by_reading: sp.csr_array
+    """(D, 3 n): per standard deviation of each reading."""
 
 
 @dataclass(frozen=True)
 class DistanceProblem:
-    """A recording seen through its distances.
-
-    Attributes
-    ----------
-    recording : Recording
-        Rows without a range or an angle are not used.
-    construction : Construction
-    prior_sigma : (I, p) float
-        The unknowns are in units of these.
-    """
+    """A recording seen through its distances."""
 
     recording: Recording
+    """Rows without a range or an angle are not used."""
     construction: Construction
     prior_sigma: Floats
+    """(I, p): the unknowns are in units of these."""
 
     @cached_property
     def gauge(self) -> GaugeRows:
@@ -76,8 +61,7 @@ class DistanceProblem:
     def sets(self) -> Ints:
         """(n,) int: station and face of each row as one number from 0."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
-        sets: Ints = number.astype(np.int64)
-        return sets
+        return number.astype(np.int64)
 
     @cached_property
     def _averaging(self) -> tuple[sp.csr_array, Floats]:
@@ -137,8 +121,7 @@ class DistanceProblem:
         averaging, _ = self._averaging
         a, b, _, _ = self._pairs
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
-        found: Floats = np.linalg.norm(means[a] - means[b], axis=1)
-        return found
+        return np.linalg.norm(means[a] - means[b], axis=1)
 
     def _points(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
         """Points (n, 3), derivatives by readings (n, 3, 3) per sigma and by unknowns (n, 3, I p)."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.prior import prior_sigmas
@@ -25,24 +25,16 @@ from ltsim.recording.recording import Recording
 
 @dataclass(frozen=True)
 class Propagation:
-    """An estimate of the parameters and the adjustment of the readings that they correct.
-
-    Attributes
-    ----------
-    recording : Recording
-        As it was measured.
-    construction : Construction
-    values : (I, p) float
-    estimate : Estimate
-    adjustment : Adjustment
-        Of the corrected readings, without parameters.
-    """
+    """An estimate of the parameters and the adjustment of the readings that they correct."""
 
     recording: Recording
+    """As it was measured."""
     construction: Construction
     values: Floats
+    """(I, p)."""
     estimate: Estimate
     adjustment: Adjustment
+    """Of the corrected readings, without parameters."""
 
     @cached_property
     def _used(self) -> Ints:
@@ -52,8 +44,7 @@ class Propagation:
     def _design(self) -> Floats:
         """(m, size) whitened design of readings and gauge."""
         rows = len(self._used) + len(self.adjustment.problem.gauge)
-        design: Floats = self.adjustment.solution.system.design[:rows].toarray()
-        return design
+        return self.adjustment.solution.system.design[:rows].toarray()
 
     @cached_property
     def _response(self) -> Floats:
@@ -85,8 +76,7 @@ class Propagation:
         """What the parameters' error adds to the covariance (size, size) of the adjustment."""
         through = self._response @ self._by_parameter
         crossed = (self._response @ self._with_noise) @ through.T
-        added: Floats = through @ self.estimate.covariance @ through.T - crossed - crossed.T
-        return added
+        return through @ self.estimate.covariance @ through.T - crossed - crossed.T
 
     def _residual_part(self, columns: Floats) -> Floats:
         return columns - self._design @ (self._response @ columns)
@@ -104,4 +94,4 @@ class Propagation:
         """Chance of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""
         mean, variance = self.chi2_moments()
         scale = variance / (2 * mean)
-        return float(stats.chi2.sf(chi2 / scale, mean / scale))
+        return float(special.chdtrc(mean / scale, max(chi2 / scale, 0.0)))

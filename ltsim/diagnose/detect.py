@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.evidence import log_average
@@ -67,6 +67,6 @@ def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     statistic = float(log_average(np.append(own, searcher.first.statistic)))
     null = np.logaddexp(log_average(simulated), searcher.first.null)
     chi2, dof = float(space.residual @ space.residual), space.adjustment.dof
-    plain = float(stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
+    plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
     found = Detection(statistic, 1.0, plain, null)
     return Detection(statistic, found.chance(statistic), plain, null)

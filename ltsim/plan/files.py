@@ -9,7 +9,6 @@ from typing import Any
 
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
-from ltsim.plan.changes import Change
 from ltsim.plan.detectability import Detectability, detectability
 from ltsim.plan.improvement import Expected
 from ltsim.plan.planner import Evaluated, Option, Plan
@@ -52,13 +51,13 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "reference": None if plan.reference is None else _evaluated_json(plan.reference),
         "fewest_stations": None if few is None else _option_json(few),
         "tradeoff": [_option_json(option) for option in plan.options],
-        "reflector_changes": [_change(change) for change in plan.changes.told],
+        "reflector_changes": [
+            {**vars(c), "do": c.what, "position_mm": None if c.position is None else _millimetres(c.position)}
+            for c in plan.changes.told
+        ],
         "starts": plan.spread,
         "tolerances_kept": None if plan.kept is None else plan.kept.good,
-        "losses": [
-            {"lost": k.lost, "kept": k.good, "ratio": k.ratio, "worst": k.worst, "unseen": k.unseen}
-            for k in plan.losses
-        ],
+        "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),
         "seed": plan.file.search.seed,
     }
@@ -67,28 +66,12 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
     return PlanResult.model_validate(content)
 
 
-def _change(change: Change) -> dict[str, Any]:
-    return {
-        "do": change.what,
-        "reflector": change.reflector,
-        "place": change.place,
-        "position_mm": None if change.position is None else _millimetres(change.position),
-        "gain_um": change.gain_um,
-        "quality": change.quality,
-        "serves": change.serves,
-        "serves_factor": change.serves_factor,
-    }
-
-
 def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
     information = layout.information
     sentences = information.cures()
     return {
         "allowed": math.isfinite(layout.value),
-        "hours": round(layout.survey.seconds / 3600, 3),
-        "pointings": layout.survey.pointings,
-        "faces": len(layout.survey.faces),
-        "repeats": layout.survey.repeats,
+        **_work(layout.survey),
         "quality": layout.qualities,
         "stations": _stations(layout),
         "reflectors": _reflectors(layout),
@@ -151,14 +134,20 @@ def _reflectors(layout: Evaluated, plan: Plan | None = None) -> list[dict[str, A
     return rows
 
 
-def _option_json(option: Option) -> dict[str, Any]:
-    survey = option.survey
+def _work(survey: Survey) -> dict[str, Any]:
     return {
-        "stations": len(survey.position),
         "faces": len(survey.faces),
         "repeats": survey.repeats,
         "pointings": survey.pointings,
-        "hours": round(option.hours, 3),
+        "hours": round(survey.seconds / 3600, 3),
+    }
+
+
+def _option_json(option: Option) -> dict[str, Any]:
+    survey = option.survey
+    return {
+        **_work(survey),
+        "stations": len(survey.position),
         "value": option.value,
         "quality": option.qualities,
         "efficient": option.efficient,
@@ -249,14 +238,11 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
         "advice": made.advice,
         "proposals": [
             {
+                **vars(p),
                 "do": p.remedy.words,
                 "kind": p.remedy.kind,
                 "minutes": round(p.remedy.seconds / 60, 2),
-                "sharper": p.sharper,
-                "serves": p.serves,
-                "serves_factor": p.serves_factor,
-                "evidence": p.evidence,
-                "tells_apart": list(p.tells_apart),
+                "tells_apart": p.tells_apart,
                 "decides": p.decides,
                 "position_mm": None if p.remedy.place is None else _millimetres(p.remedy.place),
                 "yaw_deg": None if p.remedy.yaw is None else _degrees(p.remedy.yaw),

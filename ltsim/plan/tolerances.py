@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import NetworkError
@@ -70,7 +70,7 @@ def radius(covariance: Floats, level: float) -> Floats:
     mean = np.einsum("tii->t", covariance)
     square = np.einsum("tij,tji->t", covariance, covariance)
     freedom = np.where(square > 0, mean**2 / np.where(square > 0, square, 1.0), 1.0)
-    return np.sqrt(mean / freedom * chi2.ppf(level, freedom))
+    return np.sqrt(mean / freedom * 2.0 * gammaincinv(0.5 * freedom, level))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import reader as tables
 
+RecordingSource = Recording | str | Path
+"""A recording, or a file or folder that holds one."""
 HEAD = 16_384
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
 TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
@@ -76,7 +78,7 @@ FORMATS: tuple[Format, ...] = (
 )
 
 
-def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS) -> Recording:  # noqa: A002
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
     """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
 
     Parameters
@@ -85,7 +87,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS
         A folder or a file.
     format : str, optional
         Name of the format; default by content, then by suffix.
-    hints : Hints
+    hints : Hints, optional
         What an ambiguous file means: `ltsim.recording.Hints`.
 
     Returns
@@ -109,9 +111,14 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints = NO_HINTS
     path = Path(path)
     chosen = recognised(path) if format is None else _named(format, FORMATS)
     try:
-        return chosen.read(path, hints)
+        return chosen.read(path, hints or NO_HINTS)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
+
+
+def recording_of(source: RecordingSource) -> Recording:
+    """The recording itself, read where a path was given."""
+    return source if isinstance(source, Recording) else read(source)
 
 
 def recognised(path: Path) -> Format:

@@ -11,9 +11,9 @@ import numpy as np
 from ltsim.adjust import adjust
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.effects.signature import Signature
-from ltsim.model.construction import Construction, stated_construction
+from ltsim.model.construction import stated_construction
 from ltsim.notebook import Columns, Shown
-from ltsim.recording.recording import Recording
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.remedies.deciding import DECISIVE, Explanation, Rivals, explanation, space_of
 from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import (
@@ -127,31 +127,44 @@ def _numbers(evidence: dict[str, float], names: Sequence[str]) -> str:
 
 
 def next_measurement(
-    recording: Recording,
+    recording: RecordingSource,
     *,
-    between: tuple[str, ...] = (),
+    between: Sequence[str] = (),
     beside: Sequence[Signature] = (),
-    construction: Construction | None = None,
     minutes_per_move: float = 20.0,
     progress: Progress = quiet,
 ) -> NextMeasurement:
-    """Rank further measurements.
+    """Rank further measurements after a recording.
 
     Parameters
     ----------
-    between : tuple of str
+    recording : Recording, str or Path
+    between : sequence of str
         Names of two or more effects: rank by how many are told from the first, of these what asks least of a person
         and is done first, then by the evidence between them; none: rank what can be pointed at from here or from a
         further station by what it tells about the instrument's parameters.
     beside : sequence of Signature
         What has been found already beside the question.
+    minutes_per_move : float
+        What it costs to move the tripod.
+    progress : callable
+        Told what is done and the share of it.
 
     Raises
     ------
     ModelError
         When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> proposals = lt.next_measurement(recording)
+    >>> proposals.proposals[0].sharper < 1
+    True
     """
-    adjustment = adjust(recording, construction or stated_construction(recording))
+    seen = recording_of(recording)
+    adjustment = adjust(seen, stated_construction(seen))
     adjustment.solution.require_success()
     if len(between) > 1:
         space = space_of(adjustment, beside)

@@ -137,11 +137,7 @@ class Limits(ElevationLimits):
 
 
 class Instrument(Section):
-    """The tracker: construction, what its maker states, and the errors it truly has.
-
-    `errors` holds values in the parameters' display units; ``draw = true`` draws all others from the prior,
-    `error_factor` times as large. The drawn noise is `noise_factor` times the stated one.
-    """
+    """The tracker: construction, what its maker states, and the errors it truly has."""
 
     preset: Literal["paper", "modern", "after-transport"] = "paper"
     """Where all that is not given comes from."""
@@ -188,11 +184,7 @@ class Instrument(Section):
 
 
 class Smr(Section):
-    """The reflectors: how their nests are used, and their error against incidence.
-
-    `table_um` is the range error at -30, -22.5, ... +30 deg, used where `incidence_error` is set;
-    `direction_deg` says where around the nest its positive side looks, 0 along the horizontal.
-    """
+    """The reflectors: how their nests are used, and their error against incidence."""
 
     nests: Literal["re-aimed", "fixed"] = "re-aimed"
     """Turned toward each station before it points, or left as they are."""
@@ -211,10 +203,7 @@ class Smr(Section):
 
 
 class Cmm(Section):
-    """The coordinate measuring machine: largest error constant_um + L / length_divisor_mm [um].
-
-    One standard deviation is that divided by `coverage`. Where `nominal` is set, the targets were measured on it.
-    """
+    """The coordinate measuring machine: largest error constant_um + L / length_divisor_mm [um]."""
 
     constant_um: NonNegative = 2.3
     """Constant part of the largest permitted error."""
@@ -323,11 +312,7 @@ class Target(Section):
 
 
 class EffectEntry(Section):
-    """Physics beyond the instrument's errors: an effect of the catalogue, its place, constants and values.
-
-    `values` in display units, others 0; ``draw = true`` draws all others at their plausible size. `shape` holds the
-    effect's constants, in display units where it declares one and in SI otherwise.
-    """
+    """Physics beyond the instrument's errors: an effect of the catalogue, its place, constants and values."""
 
     name: str
     """As `ltsim effects` lists it."""
@@ -336,8 +321,8 @@ class EffectEntry(Section):
     targets: tuple[str, ...] = ()
     """Where it acts; empty for all."""
     draw: bool = False
-    """Draw what `values` does not give."""
+    """Draw what `values` does not give, at its plausible size; 0 otherwise."""
     values: dict[str, Finite] = Field(default_factory=dict)
     """Parameters by name, in display units."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name: a wavelength, a time constant."""
+    """Constants by name, in display units where the effect declares one and in SI otherwise."""

@@ -18,10 +18,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from scipy import stats
-from scipy.optimize import brentq
+from scipy import special
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.reliability import noncentrality
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import align
@@ -30,7 +30,6 @@ from ltsim.notebook import Columns, Shown
 from ltsim.uncertainty.inputs import CONTROL, LENGTHS, PRIORS, observed_rows, reach_of
 from ltsim.units import MICROMETRE
 
-POWER = 0.8
 AXES = tuple(enumerate("xyz"))
 ALIGNING = 6
 
@@ -59,7 +58,7 @@ class Displacement:
 
     def semi_axes(self, coverage: float = 0.95) -> Floats:
         """Semi-axes (3,) [m] of the ellipsoid that holds the true shift with a probability, largest first."""
-        factor = float(stats.chi2.ppf(coverage, 3))
+        factor = float(2.0 * special.gammaincinv(1.5, coverage))
         return np.sqrt(factor * np.clip(np.linalg.eigvalsh(self.covariance), 0.0, None))[::-1]
 
 
@@ -162,21 +161,7 @@ def compare(
     same_instrument: bool = False,
     level: float = 0.05,
 ) -> Congruence:
-    """Compare the points that two recordings share.
-
-    Parameters
-    ----------
-    first, second : Adjustment
-        Converged; each with its own frame.
-    stable : sequence of str, optional
-        Points known not to have moved; they are not tested. Default: found by the test.
-    scaled : bool
-        Let the second epoch have a scale of its own: another temperature, another instrument.
-    same_instrument : bool
-        One tracker with the same errors measured both: what its maker's guarantee leaves open then shifts both epochs
-        alike and does not count as a difference.
-    level : float
-        Probability that any point is told to have moved when none did.
+    """Compare the points that two converged adjustments share, each in its own frame; options as of `ltsim.compare`.
 
     Raises
     ------
@@ -283,7 +268,7 @@ def _columns(points: Sequence[int] | Ints, size: int) -> Floats:
 def _search(gap: _Gap, tested: Ints, level: float, size: int) -> list[int]:
     """Points that moved: added while one stands out, then each tested again beside the others."""
     moved: list[int] = []
-    limit = stats.chi2.isf(level / max(len(tested), 1), 3)
+    limit = special.chdtri(3, level / max(len(tested), 1))
     most = max(0, (size // 3) - 3)
     while len(moved) < min(len(tested), most):
         now = gap.cost(_columns(moved, size))
@@ -304,7 +289,7 @@ def _told(gap: _Gap, names: Sequence[str], moved: list[int], fixed: Bools, scale
     """Displacements of all points in the frame that the unmoved ones hold, and the tests."""
     size = 3 * len(names)
     count = max(int(np.sum(~fixed)), 1)
-    needed = _noncentrality(level / count)
+    needed = noncentrality(3, level=level / count)
     rest = gap.cost(_columns(moved, size))
     displacements = []
     for i, name in enumerate(names):
@@ -313,22 +298,16 @@ def _told(gap: _Gap, names: Sequence[str], moved: list[int], fixed: Bools, scale
         own = covariance[-3:, -3:]
         drop = gap.cost(_columns(free[:-1], size)) - gap.cost(_columns(free, size))
         spread = np.sqrt(needed * np.clip(np.linalg.eigvalsh(own), 0.0, None))
-        p = float(min(1.0, count * stats.chi2.sf(drop, 3)))
+        p = float(min(1.0, count * special.chdtrc(3, max(drop, 0.0))))
         displacements.append(Displacement(name, values[-3:], own, p, i in moved, float(spread[0]), float(spread[-1])))
     values, _ = gap.estimate(_columns(moved, size))
     dof = gap.dof
     return Congruence(
         statistic=gap.cost(),
         dof=dof,
-        p_value=float(stats.chi2.sf(gap.cost(), dof)),
-        after=float(stats.chi2.sf(rest, dof - 3 * len(moved))),
+        p_value=float(special.chdtrc(dof, max(gap.cost(), 0.0))),
+        after=float(special.chdtrc(dof - 3 * len(moved), max(rest, 0.0))),
         level=level,
         displacements=tuple(displacements),
         scale=float(values[gap.free.shape[1] - 1]) if scaled else None,
     )
-
-
-def _noncentrality(level: float) -> float:
-    """Noncentrality at which a chi-square test of three directions at a level has the power."""
-    limit = stats.chi2.isf(level, 3)
-    return float(brentq(lambda x: stats.ncx2.sf(limit, 3, x) - POWER, 1e-3, 1e3))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.arrays import Floats
 from ltsim.uncertainty.inputs import Inputs
@@ -63,7 +63,7 @@ class Propagated:
 
     def expanded(self, coverage: float) -> Floats:
         """Expanded uncertainty (k,) for a coverage probability, each result by itself (normal)."""
-        return float(stats.norm.ppf(0.5 + coverage / 2)) * self.sigma
+        return float(special.ndtri(0.5 + coverage / 2)) * self.sigma
 
     @property
     def correlation(self) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.arrays import Floats
 from ltsim.uncertainty.spec import Decision, Tolerance
@@ -44,10 +44,10 @@ def conformity(
     if draws is not None:
         probability = float(np.mean((draws >= low) & (draws <= high)))
     elif sigma > 0:
-        probability = float(stats.norm.cdf((high - value) / sigma) - stats.norm.cdf((low - value) / sigma))
+        probability = float(special.ndtr((high - value) / sigma) - special.ndtr((low - value) / sigma))
     else:
         probability = float(low <= value <= high)
-    guard = float(stats.norm.isf(decision.risk)) * sigma if decision.rule == "guarded" else 0.0
+    guard = float(-special.ndtri(decision.risk)) * sigma if decision.rule == "guarded" else 0.0
     if low + guard <= value <= high - guard:
         return Conformity(probability, guard, "accepted", 1.0 - probability)
     if value < low - guard or value > high + guard:
