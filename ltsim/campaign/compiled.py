@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar, cast
 
+import llvmlite.binding
 import numba
 
 R = TypeVar("R")
+
+if llvmlite.binding.llvm_version_info[0] >= 17:
+    # Otherwise rows of one array are tested for overlap over all turns of the loop around, which is never passed.
+    llvmlite.binding.set_option("ltsim", "-hoist-runtime-checks=false")
 
 
 def compiled(function: Callable[..., R]) -> Callable[..., R]:

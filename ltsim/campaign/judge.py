@@ -160,7 +160,7 @@ class Judge:
         """
         known = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
-        patterns = np.unique(known, axis=1).T
+        patterns = known[:, :1].T if known.all() else np.unique(known, axis=1).T
         for pattern, fixed in zip(patterns, self._fixed(patterns), strict=True):
             if fixed:
                 trials = np.flatnonzero((known == pattern[:, None]).all(axis=0))

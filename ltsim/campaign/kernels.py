@@ -191,10 +191,10 @@ def readings_of(
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         own = values[instrument[i]]
-        x, y, z = path[0, 0], path[0, 1], path[0, 2]
         for _ in range(STEPS):
             _amounts(i, chain, deviation[i], own, moved)
             _walk(i, chain, moved, path)
+            x, y, z = path[0, 0], path[0, 1], path[0, 2]
             largest = 0.0
             for c in range(3):
                 j0, j1, j2 = by_point[i, c, 0], by_point[i, c, 1], by_point[i, c, 2]
@@ -282,82 +282,96 @@ def network_gradient(
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
-    force, pull = np.empty((3, trials)), np.empty(trials)
+    force, pull, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
     for i in range(len(deviation)):
         own, s = values[instrument[i]], station[i]
         _amounts(i, chain, predicted[i], own, moved)
         _walk(i, chain, moved, path)
-        _meet(
-            arm[i], rotation[s], by_point[i], weight[i], pose[s], points[target[i]], path[0], deviation[i],
-            predicted[i], residual[i], force, by_pose[s], by_points[target[i]], cost,
-        )  # fmt: skip
+        _miss(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
+        _compare(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
+        _pull(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
         _pull_back(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
 
 
 @compiled
-def _meet(
-    arm: Floats,
-    rotation: Floats,
+def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
+    """Arm from station to target in the network frame, and what the reached point misses it by in the instrument's.
+
+    They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
+    """
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    a0, a1, a2 = arm[0], arm[1], arm[2]
+    tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
+    px, py, pz = point[0], point[1], point[2]
+    qx, qy, qz = reached[0], reached[1], reached[2]
+    ax, ay, az, mx, my, mz = work[0], work[1], work[2], work[3], work[4], work[5]
+    for t in range(len(px)):
+        x, y, z = a0 + px[t] - tx[t], a1 + py[t] - ty[t], a2 + pz[t] - tz[t]
+        bx, by, bz = _rotated(-wx[t], -wy[t], -wz[t], x, y, z)
+        ax[t], ay[t], az[t] = x, y, z
+        mx[t] = (r00 * bx + r10 * by + r20 * bz) - qx[t]
+        my[t] = (r01 * bx + r11 * by + r21 * bz) - qy[t]
+        mz[t] = (r02 * bx + r12 * by + r22 * bz) - qz[t]
+
+
+@compiled
+def _compare(
     by_point: Floats,
     weight: Floats,
-    pose: Floats,
-    point: Floats,
-    reached: Floats,
+    work: Floats,
     measured: Floats,
     predicted: Floats,
     residual: Floats,
     force: Floats,
-    by_pose: Floats,
-    by_target: Floats,
     cost: Floats,
 ) -> None:
-    """One pointing: bring the predicted reading to the target, compare, and pull target and station together."""
-    r00, r01, r02 = rotation[0]
-    r10, r11, r12 = rotation[1]
-    r20, r21, r22 = rotation[2]
-    j00, j01, j02 = by_point[0]
-    j10, j11, j12 = by_point[1]
-    j20, j21, j22 = by_point[2]
-    w0, w1, w2 = weight
-    a0, a1, a2 = arm
-    tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
-    px, py, pz = point[0], point[1], point[2]
-    qx, qy, qz = reached[0], reached[1], reached[2]
+    """Bring the predicted reading to the target, compare it with the measured one: the force that joins them."""
+    j00, j01, j02 = by_point[0, 0], by_point[0, 1], by_point[0, 2]
+    j10, j11, j12 = by_point[1, 0], by_point[1, 1], by_point[1, 2]
+    j20, j21, j22 = by_point[2, 0], by_point[2, 1], by_point[2, 2]
+    w0, w1, w2 = weight[0], weight[1], weight[2]
+    mx, my, mz = work[3], work[4], work[5]
     y0, y1, y2 = measured[0], measured[1], measured[2]
     f0, f1, f2 = predicted[0], predicted[1], predicted[2]
     e0, e1, e2 = residual[0], residual[1], residual[2]
     fx, fy, fz = force[0], force[1], force[2]
-    gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
-    kx, ky, kz = by_target[0], by_target[1], by_target[2]
     for t in range(len(cost)):
-        x, y, z = a0 + px[t] - tx[t], a1 + py[t] - ty[t], a2 + pz[t] - tz[t]
-        u, v, w = wx[t], wy[t], wz[t]
-        bx, by, bz = _rotated(-u, -v, -w, x, y, z)
-        mx = (r00 * bx + r10 * by + r20 * bz) - qx[t]
-        my = (r01 * bx + r11 * by + r21 * bz) - qy[t]
-        mz = (r02 * bx + r12 * by + r22 * bz) - qz[t]
-        n0 = f0[t] + (j00 * mx + j01 * my + j02 * mz)
-        n1 = f1[t] + (j10 * mx + j11 * my + j12 * mz)
-        n2 = f2[t] + (j20 * mx + j21 * my + j22 * mz)
+        n0 = f0[t] + (j00 * mx[t] + j01 * my[t] + j02 * mz[t])
+        n1 = f1[t] + (j10 * mx[t] + j11 * my[t] + j12 * mz[t])
+        n2 = f2[t] + (j20 * mx[t] + j21 * my[t] + j22 * mz[t])
         f0[t], f1[t], f2[t] = n0, n1, n2
         d0, d1, d2 = w0 * (y0[t] - n0), w1 * (y1[t] - n1), w2 * (y2[t] - n2)
         e0[t], e1[t], e2[t] = d0, d1, d2
         cost[t] += d0 * d0 + d1 * d1 + d2 * d2
         d0, d1, d2 = w0 * d0, w1 * d1, w2 * d2
-        lx = j00 * d0 + j10 * d1 + j20 * d2
-        ly = j01 * d0 + j11 * d1 + j21 * d2
-        lz = j02 * d0 + j12 * d1 + j22 * d2
-        fx[t], fy[t], fz[t] = lx, ly, lz
-        nx = r00 * lx + r01 * ly + r02 * lz
-        ny = r10 * lx + r11 * ly + r12 * lz
-        nz = r20 * lx + r21 * ly + r22 * lz
-        vx, vy, vz = _rotated(u, v, w, nx, ny, nz)
+        fx[t] = j00 * d0 + j10 * d1 + j20 * d2
+        fy[t] = j01 * d0 + j11 * d1 + j21 * d2
+        fz[t] = j02 * d0 + j12 * d1 + j22 * d2
+
+
+@compiled
+def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats) -> None:
+    """Pull target and station together."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    wx, wy, wz, ax, ay, az = pose[3], pose[4], pose[5], work[0], work[1], work[2]
+    fx, fy, fz = force[0], force[1], force[2]
+    gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
+    kx, ky, kz = by_target[0], by_target[1], by_target[2]
+    for t in range(len(fx)):
+        nx = r00 * fx[t] + r01 * fy[t] + r02 * fz[t]
+        ny = r10 * fx[t] + r11 * fy[t] + r12 * fz[t]
+        nz = r20 * fx[t] + r21 * fy[t] + r22 * fz[t]
+        vx, vy, vz = _rotated(wx[t], wy[t], wz[t], nx, ny, nz)
         kx[t] += vx
         ky[t] += vy
         kz[t] += vz
         gx[t] -= vx
         gy[t] -= vy
         gz[t] -= vz
-        hx[t] += vy * z - vz * y
-        hy[t] += vz * x - vx * z
-        hz[t] += vx * y - vy * x
+        hx[t] += vy * az[t] - vz * ay[t]
+        hy[t] += vz * ax[t] - vx * az[t]
+        hz[t] += vx * ay[t] - vy * ax[t]

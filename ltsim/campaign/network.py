@@ -30,8 +30,10 @@ from ltsim.solve.chain import inverse_of
 from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 CAP = 8
-TOLERANCE = 1e-4
-"""A trial has converged when its step is shorter than this many standard deviations (all unknowns together)."""
+RATE = 1e-3
+"""What a step leaves of the way to the optimum, unless the steps before say more."""
+TOLERANCE = 5e-5
+"""A trial has converged when that is shorter than this many standard deviations (all unknowns together)."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,8 @@ class BatchFit:
     values : (I, p, B) float [SI]
     extra : (q, B) float [SI]
     chi2 : (B,) float
-    length : (B,) float
-        Length of the last step in standard deviations.
+    left : (B,) float
+        What the last step leaves of the way to the optimum, in standard deviations.
     iterations : int
     """
 
@@ -57,13 +59,13 @@ class BatchFit:
     values: Floats
     extra: Floats
     chi2: Floats
-    length: Floats
+    left: Floats
     iterations: int
 
     @property
     def converged(self) -> Bools:
-        """(B,) True where the last step was short; a NaN is not."""
-        converged: Bools = self.length < TOLERANCE
+        """(B,) True where little is left; a NaN is not little."""
+        converged: Bools = self.left < TOLERANCE
         return converged
 
 
@@ -245,30 +247,36 @@ class BatchNetwork:
             Errors of the known lengths.
         """
         x, predicted = self._linear_start(deviation, gauge_error)
+        before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for iteration in range(2, CAP + 1):  # noqa: B007 - its last value is reported
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
             step = self.covariance @ gradient
             x += step
-            squared = np.einsum("kb,kb->b", step, gradient)
-            length = np.sqrt(np.maximum(squared, 0.0))
-            if not np.any(length >= TOLERANCE):
+            squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
+            left = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
+            if not np.any(left >= TOLERANCE):
                 break
-        return BatchFit(*self.split(x), cost - squared, length, iteration)
+            before = squared
+        return BatchFit(*self.split(x), cost - squared, left, iteration)
+
+    @cached_property
+    def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
+        """From deviations (3 n,) and other rows (r,) to the first step (K,); from that to predicted readings (3 n,)."""
+        design = self._reading_design
+        # A reading that is not measured has no row; its prediction starts at the nominal reading.
+        predicting = np.where(self.problem.use, self.problem.sigma, 0.0).reshape(-1, 1) * design
+        if self.effects:
+            predicting[:, self.sizes[2] :] -= self._extra_design.reshape(len(design), -1)
+        by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
+        return by_reading, self.covariance @ self._design[1].T, predicting
 
     def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
         """The first step, from the nominal state, as a matrix product; the readings it predicts (n, 3, B)."""
-        design = self._reading_design
-        whitened = (deviation / self.sigma[:, :, None]).reshape(len(design), -1)
-        gradient = design.T @ whitened
-        self._add_other_rows(np.zeros_like(gradient), gauge_error, gradient, np.zeros(gradient.shape[1]))
-        x = self.covariance @ gradient
-        # A reading that is not measured has no row; its prediction starts at the nominal reading.
-        scale = np.where(self.problem.use, self.problem.sigma, 0.0)
-        predicted = (design @ x).reshape(deviation.shape) * scale[:, :, None]
-        if self.effects:
-            predicted -= self._shift(x)
-        return x, predicted
+        by_reading, by_other, predicting = self._start_matrices
+        nowhere = np.zeros((self.sizes[-1], deviation.shape[2]))
+        x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._other_rows(nowhere, gauge_error)
+        return x, (predicting @ x).reshape(deviation.shape)
 
     def _shift(self, x: Floats) -> Floats:
         """Shift (n, 3, B) of the readings by the further effects."""
@@ -297,10 +305,15 @@ class BatchNetwork:
         if self.effects:
             whitened = self._extra_design / self.sigma[:, :, None]
             by_extra += np.tensordot(whitened, residual, axes=([0, 1], [0, 1]))
-        self._add_other_rows(x, gauge_error, gradient, cost)
+        rows = self._other_rows(x, gauge_error)
+        gradient += self._design[1].T @ rows
+        cost += np.sum(rows**2, axis=0)
 
-    def _add_other_rows(self, x: Floats, gauge_error: Floats | None, gradient: Floats, cost: Floats) -> None:
-        """Known lengths, control points, levels, priors and datum: linear, but for the exact lengths."""
+    def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
+        """Whitened residuals (r, B) of known lengths, control points, levels, priors and datum.
+
+        They are linear, but for the lengths, which are exact.
+        """
         _, design, nominal = self._design
         rows = nominal[:, None] - design @ x
         gauge = self.problem.gauge
@@ -314,5 +327,4 @@ class BatchNetwork:
             if gauge_error is not None:
                 bent += gauge_error
             rows[: len(gauge)] += bent / gauge.sigma[:, None]
-        gradient += design.T @ rows
-        cost += np.sum(rows**2, axis=0)
+        return rows
