@@ -93,8 +93,10 @@ class NetworkProblem:
         return replace(self, use=use, structure=Structure.of(self.model, use, *rows, layout=self.layout))
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
-        """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
-        return replace(self, model=model, sigma=model.recording.sigma())
+        """The problem of the same set-up and pointings with stations and targets in other places."""
+        found = replace(self, model=model, sigma=model.recording.sigma())
+        vars(found)["_pattern"] = self._pattern  # it depends on nothing else
+        return found
 
     @property
     def layout(self) -> Layout:

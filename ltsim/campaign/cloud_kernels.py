@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.campaign.compiled import compiled
+from ltsim.campaign.compiled import at, compiled
 
 TURNS = 3
 MICRO = 1e6
@@ -30,14 +30,17 @@ def station_means(points: Floats, station: Ints, target: Ints, share: Floats, ou
 def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
     """Clouds (S, T, 3, B) from the instruments' frames to the network's by the nominal poses, in place."""
     for s in range(len(clouds)):
-        r = rotation[s]
+        r, place = rotation[s], position[s]
+        r00, r01, r02, p0 = r[0, 0], r[0, 1], r[0, 2], place[0]
+        r10, r11, r12, p1 = r[1, 0], r[1, 1], r[1, 2], place[1]
+        r20, r21, r22, p2 = r[2, 0], r[2, 1], r[2, 2], place[2]
         for k in range(clouds.shape[1]):
             x, y, z = clouds[s, k, 0], clouds[s, k, 1], clouds[s, k, 2]
             for t in range(len(x)):
                 a, b, c = x[t], y[t], z[t]
-                x[t] = position[s, 0] + r[0, 0] * a + r[0, 1] * b + r[0, 2] * c
-                y[t] = position[s, 1] + r[1, 0] * a + r[1, 1] * b + r[1, 2] * c
-                z[t] = position[s, 2] + r[2, 0] * a + r[2, 1] * b + r[2, 2] * c
+                x[t] = at(p0, t) + at(r00, t) * a + at(r01, t) * b + at(r02, t) * c
+                y[t] = at(p1, t) + at(r10, t) * a + at(r11, t) * b + at(r12, t) * c
+                z[t] = at(p2, t) + at(r20, t) * a + at(r21, t) * b + at(r22, t) * c
 
 
 @compiled

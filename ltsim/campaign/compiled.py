@@ -7,6 +7,10 @@ from typing import TypeVar, cast
 
 import llvmlite.binding
 import numba
+from numba import types
+from numba.extending import overload
+
+from ltsim.arrays import Floats
 
 R = TypeVar("R")
 
@@ -35,3 +39,16 @@ def inlined(function: Callable[..., R]) -> Callable[..., R]:
     """Compile into whoever calls it, so that a loop around the call still becomes vector instructions."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
     return cast(Callable[..., R], compiler(function))
+
+
+def at(value: Floats | float, trial: int) -> float:
+    """A trial's own value: of a number that all trials share, or of a row with one for each of them."""
+    return value if isinstance(value, float) else float(value[trial])
+
+
+@overload(at, inline="always", strict=False)
+def _at(value: object, trial: object) -> Callable[..., object]:
+    """The choice is made by type when a kernel is compiled: what trials share costs nothing."""
+    if isinstance(value, types.Float):
+        return lambda value, trial: value
+    return lambda value, trial: value[trial]

@@ -92,7 +92,7 @@ class Construction:
         """(n, p): each parameter's basis at raw readings (n, 3)."""
         if not self.terms:
             return np.zeros((len(raw), 0))
-        return np.stack([term.basis(raw) for term in self.terms], axis=1)
+        return np.stack([term.basis(raw) for term in self.terms]).T
 
     def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
         """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
