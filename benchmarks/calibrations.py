@@ -180,8 +180,11 @@ def other_paths() -> None:
     campaign = Campaign(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)
     task = task_of(campaign, load_scenario("paper-workshop"), "", 0, 0)
     own = seconds(lambda: shard_rows(task), 3) / campaign.trials
+    shared = task_of(Campaign(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
+    written = seconds(lambda: run_task(shared), 4) / 4096
     print("\nOther paths, one core\n")
     rows = [
+        ["shared geometry, judged, verified, encoded", f"{1e6 * written:.1f} us", f"{1 / written:.0f}", ""],
         ["distance objective, batch", f"{1e6 * each:.0f} us", f"{1 / each:.0f}", f"{worst:.0e}"],
         ["distance objective, single", f"{1e3 * single:.0f} ms", f"{1 / single:.0f}", ""],
         ["distance objective, absolute, batch", f"{1e3 * programmed:.1f} ms", f"{1 / programmed:.0f}", f"{apart:.0e}"],

@@ -93,9 +93,14 @@ class NetworkProblem:
         return replace(self, use=use, structure=Structure.of(self.model, use, *rows, layout=self.layout))
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
-        """The problem of the same set-up and pointings with stations and targets in other places."""
-        found = replace(self, model=model, sigma=model.recording.sigma())
-        vars(found)["_pattern"] = self._pattern  # it depends on nothing else
+        """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
+        found, mine, theirs = (
+            replace(self, model=model, sigma=model.recording.sigma()),
+            self.model.recording,
+            model.recording,
+        )
+        if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
+            vars(found)["_pattern"] = self._pattern
         return found
 
     @property
