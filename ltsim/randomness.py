@@ -11,6 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
+WORD = 2**32
+
 
 @lru_cache(maxsize=4096)
 def _number(name: str) -> int:
@@ -34,4 +36,8 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
         Independent of the stream of every other key.
     """
     spawn_key = tuple([_number(part) if isinstance(part, str) else part for part in key])
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))
+    if max(seed, *spawn_key) >= WORD:
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))
+    # What the sequence makes of seed and key, each a word, in a third of the time.
+    words = np.array([seed, 0, 0, 0, *spawn_key], dtype=np.uint32)
+    return np.random.default_rng(np.random.SeedSequence(words))

@@ -94,7 +94,14 @@ class NetworkProblem:
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
-        return replace(self, model=model, sigma=model.recording.sigma())
+        found, mine, theirs = (
+            replace(self, model=model, sigma=model.recording.sigma()),
+            self.model.recording,
+            model.recording,
+        )
+        if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
+            vars(found)["_pattern"] = self._pattern
+        return found
 
     @property
     def layout(self) -> Layout:

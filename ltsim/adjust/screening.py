@@ -61,7 +61,7 @@ def _excess(model: MeasurementModel, state: State) -> Floats:
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap(gap[:, 1:])
-    range_ = model.sightings(state).range_
+    range_ = model.geometry(state).range_
     gap[:, 1] *= range_ * np.cos(predicted[:, 2])
     gap[:, 2] *= range_
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)

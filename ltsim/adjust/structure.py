@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class Structure:
         """Whether the datum rows hold the turns of the anchors too."""
         return len(self._turned) > 0
 
-    @property
+    @cached_property
     def _turned(self) -> Ints:
         return np.setdiff1d(np.arange(len(self.layout.pose)), self.yaw)
 

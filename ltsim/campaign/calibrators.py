@@ -52,11 +52,11 @@ class Batch:
         return self.engine.difference(block, trial, found)
 
 
-def calibrator_of(method: Method, truth: Truth, like: Calibrator | None = None) -> Calibrator:
-    """The calibrator that a campaign file asks for; `like` one of the same method for another geometry."""
+def calibrator_of(method: Method, truth: Truth) -> Calibrator:
+    """The calibrator that a campaign file asks for."""
     construction, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
         return Single(truth, construction, effects, method.method)
     if method.method != "network":
         return BatchDistance(truth, construction, method.method)
-    return Batch(Engine(truth, construction, effects, like.engine if isinstance(like, Batch) else None))
+    return Batch(Engine(truth, construction, effects))

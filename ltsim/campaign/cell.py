@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -47,7 +48,10 @@ def truth_of(
     if any(tracker.observables != OBSERVABLES for tracker in scenario.trackers.values()):
         raise SetupError("instrument.observables leaves readings out; trials compare points that a station sees whole")
     work = fieldwork(scenario, seed, *key, plan=plan)
-    recording = _template(work, seed, *key) if like is None else _like(work, like, seed, *key)
+    if like is not None and _same_names(work, like):
+        state, noise = _start_frame(work, like.mean), stated_noise(scenario, work.sightings)
+        return replace(like, recording=_like(work, like), state=state, sightings=work.sightings, noise=noise)
+    recording = _template(work, seed, *key)
     grown, pairs = _gauge(work, recording)
     mean, sigma = instrument_law(scenario, work.construction)
     effects = _true_effects(work, grown, pairs)
@@ -93,12 +97,16 @@ def _template(work: Fieldwork, seed: int, *key: str | int) -> Recording:
     return recording
 
 
-def _like(work: Fieldwork, known: Truth, seed: int, *key: str | int) -> Recording:
-    """The recording of another geometry: the same set-up, other pointings."""
+def _same_names(work: Fieldwork, known: Truth) -> bool:
+    """Whether the same stations see the same targets, between them all."""
     s, recording = work.sightings, known.recording
-    if (s.station_names, s.target_names) != (recording.stations, recording.targets):
-        return _template(work, seed, *key)
-    return recording.replace(
+    return (s.station_names, s.target_names) == (recording.stations, recording.targets)
+
+
+def _like(work: Fieldwork, known: Truth) -> Recording:
+    """The recording of another geometry: the same set-up, other pointings."""
+    s = work.sightings
+    return known.recording.replace(
         station=s.station,
         target=s.target,
         face=s.face,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.campaign.compiled import compiled
+from ltsim.campaign.compiled import at, compiled
 
 TURNS = 3
 MICRO = 1e6
@@ -30,14 +30,17 @@ def station_means(points: Floats, station: Ints, target: Ints, share: Floats, ou
 def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
     """Clouds (S, T, 3, B) from the instruments' frames to the network's by the nominal poses, in place."""
     for s in range(len(clouds)):
-        r = rotation[s]
+        r, place = rotation[s], position[s]
+        r00, r01, r02, p0 = r[0, 0], r[0, 1], r[0, 2], place[0]
+        r10, r11, r12, p1 = r[1, 0], r[1, 1], r[1, 2], place[1]
+        r20, r21, r22, p2 = r[2, 0], r[2, 1], r[2, 2], place[2]
         for k in range(clouds.shape[1]):
             x, y, z = clouds[s, k, 0], clouds[s, k, 1], clouds[s, k, 2]
             for t in range(len(x)):
                 a, b, c = x[t], y[t], z[t]
-                x[t] = position[s, 0] + r[0, 0] * a + r[0, 1] * b + r[0, 2] * c
-                y[t] = position[s, 1] + r[1, 0] * a + r[1, 1] * b + r[1, 2] * c
-                z[t] = position[s, 2] + r[2, 0] * a + r[2, 1] * b + r[2, 2] * c
+                x[t] = at(p0, t) + at(r00, t) * a + at(r01, t) * b + at(r02, t) * c
+                y[t] = at(p1, t) + at(r10, t) * a + at(r11, t) * b + at(r12, t) * c
+                z[t] = at(p2, t) + at(r20, t) * a + at(r21, t) * b + at(r22, t) * c
 
 
 @compiled
@@ -70,11 +73,13 @@ def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
                 for b in range(3):
                     for t in range(trials):
                         k[a, b, t] += (source[i, a, t] - middle[a, t]) * (goal[i, b, t] - aim[b, t])
-    turn = np.zeros((3, 3, trials))
+    turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
     for a in range(3):
         turn[a, a, :] = 1.0
     for _ in range(TURNS):
-        _turn_towards(k, turn)
+        _turn_towards(k, more)
+        _turn_by(more, k)
+        _turn_by(more, turn)
     for i in range(len(source)):
         for a in range(3):
             for t in range(trials):
@@ -87,8 +92,8 @@ def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
 
 
 @compiled
-def _turn_towards(k: Floats, turn: Floats) -> None:
-    """One Newton step on the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
+def _turn_towards(k: Floats, more: Floats) -> None:
+    """A Newton step `more` on the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
     for t in range(k.shape[2]):
         trace = k[0, 0, t] + k[1, 1, t] + k[2, 2, t]
         m00, m11, m22 = trace - k[0, 0, t], trace - k[1, 1, t], trace - k[2, 2, t]
@@ -106,18 +111,32 @@ def _turn_towards(k: Floats, turn: Floats) -> None:
         # Cayley's form is a rotation whatever the angle, and exp to third order.
         f = 1.0 / (1.0 + 0.25 * size)
         d = 1.0 - 0.25 * size
-        r00, r01, r02 = f * (d + 0.5 * u * u), f * (0.5 * u * v - w), f * (0.5 * u * w + v)
-        r10, r11, r12 = f * (0.5 * u * v + w), f * (d + 0.5 * v * v), f * (0.5 * v * w - u)
-        r20, r21, r22 = f * (0.5 * u * w - v), f * (0.5 * v * w + u), f * (d + 0.5 * w * w)
-        for b in range(3):
-            x, y, z = k[0, b, t], k[1, b, t], k[2, b, t]
-            k[0, b, t] = r00 * x + r01 * y + r02 * z
-            k[1, b, t] = r10 * x + r11 * y + r12 * z
-            k[2, b, t] = r20 * x + r21 * y + r22 * z
-            x, y, z = turn[0, b, t], turn[1, b, t], turn[2, b, t]
-            turn[0, b, t] = r00 * x + r01 * y + r02 * z
-            turn[1, b, t] = r10 * x + r11 * y + r12 * z
-            turn[2, b, t] = r20 * x + r21 * y + r22 * z
+        more[0, 0, t], more[0, 1, t], more[0, 2, t] = (
+            f * (d + 0.5 * u * u),
+            f * (0.5 * u * v - w),
+            f * (0.5 * u * w + v),
+        )
+        more[1, 0, t], more[1, 1, t], more[1, 2, t] = (
+            f * (0.5 * u * v + w),
+            f * (d + 0.5 * v * v),
+            f * (0.5 * v * w - u),
+        )
+        more[2, 0, t], more[2, 1, t], more[2, 2, t] = (
+            f * (0.5 * u * w - v),
+            f * (0.5 * v * w + u),
+            f * (d + 0.5 * w * w),
+        )
+
+
+@compiled
+def _turn_by(r: Floats, columns: Floats) -> None:
+    """Turn columns (3, 3, B) by rotations (3, 3, B), in place."""
+    for b in range(3):
+        for t in range(r.shape[2]):
+            x, y, z = columns[0, b, t], columns[1, b, t], columns[2, b, t]
+            columns[0, b, t] = r[0, 0, t] * x + r[0, 1, t] * y + r[0, 2, t] * z
+            columns[1, b, t] = r[1, 0, t] * x + r[1, 1, t] * y + r[1, 2, t] * z
+            columns[2, b, t] = r[2, 0, t] * x + r[2, 1, t] * y + r[2, 2, t] * z
 
 
 @compiled

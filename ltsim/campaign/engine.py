@@ -14,7 +14,7 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaign.judge import Columns, Judge
-from ltsim.campaign.network import BatchNetwork, Known
+from ltsim.campaign.network import BatchNetwork
 from ltsim.campaign.truth import BLOCK, Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
@@ -82,13 +82,18 @@ def determined_points(adjustment: Adjustment) -> Floats:
     return np.where(lost[:, None], np.nan, adjustment.state.points)
 
 
-def _same_pointings(one: Recording, other: Recording) -> bool:
-    """Whether two recordings of one set-up hold the same whole pointings, in any order."""
-    if one.setup is not other.setup or len(one) != len(other) or len(one.instruments) > 1:
-        return False
-    first, second = ((2 * r.station + r.face) * len(r.targets) + r.target for r in (one, other))
-    whole = one.measured.all() and other.measured.all()
-    return bool(whole and np.array_equal(np.sort(first), np.sort(second)))
+def suspects(deviation: Floats, local: Floats) -> Bools:
+    """(B,) trials with a pointing so far off that the full solver's screening must decide about it.
+
+    Deviations (n, 3, B) are those of readings to points `local` (n, 3, B), or (n, 3, 1) where all trials share them.
+    """
+    across = np.hypot(local[:, 0], local[:, 1])
+    miss = deviation * np.stack([np.ones_like(across), across, np.sqrt(np.sum(local**2, axis=1))], axis=1)
+    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > SUSPECT
+    for trial in np.flatnonzero(far):
+        size = np.linalg.norm(miss[:, :, trial], axis=1)
+        far[trial] = size.max() > SUSPECT_FACTOR * np.median(size)
+    return far
 
 
 @dataclass(frozen=True)
@@ -102,39 +107,22 @@ class Engine:
         Whose parameters are estimated.
     effects : tuple of Effect
         Further effects that are estimated.
-    like : Engine, optional
-        Of another geometry; what only depends on set-up and pointings is taken from it where these are the same.
     """
 
     truth: Truth
     construction: Construction
     effects: tuple[Effect, ...] = ()
-    like: Engine | None = None
 
     @cached_property
     def network(self) -> BatchNetwork:
         """The factorised network."""
         truth = self.truth
         program = truth.program_of(self.construction)
-        known = None
-        if self.like is not None and not self.effects and _same_pointings(truth.recording, self.like.truth.recording):
-            known = Known(self.like.network, truth.sightings.jacobian, truth.by_value_of(self.construction))
-        return BatchNetwork(truth.recording, truth.state, self.construction, program, self.effects, known)
-
-    @cached_property
-    def _reach(self) -> Floats:
-        """(n, 3) metres at the target per unit of a reading."""
-        sightings = self.truth.sightings
-        across = sightings.range_ * np.cos(sightings.elevation)
-        return np.stack([np.ones_like(across), across, sightings.range_], axis=1)
+        return BatchNetwork(truth.recording, truth.state, self.construction, program, self.effects)
 
     def suspect(self, deviation: Floats) -> Bools:
         """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
-        far: Bools = np.max(np.abs(deviation) * self._reach[:, :, None], axis=(0, 1)) > SUSPECT
-        for trial in np.flatnonzero(far):
-            miss = np.linalg.norm(deviation[:, :, trial] * self._reach, axis=1)
-            far[trial] = miss.max() > SUSPECT_FACTOR * np.median(miss)
-        return far
+        return suspects(deviation, self.truth.sightings.local[:, :, None])
 
     def calibrate(self, block: Block) -> Calibrated:
         """Calibrate a block; trials for which the batch is not enough go to the full solver."""

@@ -52,7 +52,8 @@ class Judge:
     recording : Recording
         With nominal readings.
     state : State
-        The truth: poses and targets.
+        The truth: poses and targets; of trials with geometries of their own, which fix the same frames, a last index
+        is the trial.
     program_of : callable
         Gives the chain of a construction around the nominal readings.
     """
@@ -81,9 +82,9 @@ class Judge:
 
     def _fixed(self, use: Bools) -> Bools:
         """Whether each set of targets (k, T) fixes a frame: three off one line."""
-        count = use.sum(axis=1)
-        centre = use @ self.state.points / np.maximum(count, 1)[:, None]
-        arms = np.where(use[:, :, None], self.state.points - centre[:, None], 0.0)
+        count, points = use.sum(axis=1), self._truth(1)[:, :, 0]
+        centre = use @ points / np.maximum(count, 1)[:, None]
+        arms = np.where(use[:, :, None], points - centre[:, None], 0.0)
         spread = np.linalg.eigvalsh(np.swapaxes(arms, 1, 2) @ arms)
         fixed: Bools = np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
         return fixed
@@ -138,7 +139,9 @@ class Judge:
         return found
 
     def _truth(self, trials: int) -> Floats:
-        return np.ascontiguousarray(np.broadcast_to(self.state.points[:, :, None], (*self.state.points.shape, trials)))
+        """True targets (T, 3, B)."""
+        points = self.state.points
+        return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Clouds) -> Floats:
         """Rms (B,) [um] of the distance to the truth over stations, each fitted rigidly, and the targets they see.
@@ -160,15 +163,15 @@ class Judge:
         """
         known = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
-        patterns = np.unique(known, axis=1).T
+        patterns = np.ones((1, len(points)), dtype=bool) if known.all() else np.unique(known, axis=1).T
         for pattern, fixed in zip(patterns, self._fixed(patterns), strict=True):
             if fixed:
-                trials = np.flatnonzero((known == pattern[:, None]).all(axis=0))
-                error[trials] = self._target_error(np.ascontiguousarray(points[:, :, trials]), pattern)
+                trials = np.flatnonzero(np.all(known == pattern[:, None], axis=0))
+                truth = np.ascontiguousarray(self._truth(len(error))[:, :, trials])
+                error[trials] = self._target_error(truth, points[:, :, trials], pattern)
         return error
 
-    def _target_error(self, points: Floats, use: Bools) -> Floats:
-        truth = self._truth(points.shape[2])
+    def _target_error(self, truth: Floats, points: Floats, use: Bools) -> Floats:
         moved, total = np.empty_like(truth), np.zeros(points.shape[2])
         rigid_fit(truth + points, truth, use, moved)
         count = add_square_error(moved, truth, use, total)

@@ -1,7 +1,8 @@
 """Compiled kernels: the exact kinematic chain and the network's residuals for a block of trials.
 
-All arrays end in the trials (B), so that every inner loop runs over trials that share their geometry and the
-compiler makes vector instructions of it. Small angles enter by power series (exact to rounding below 0.01 rad).
+All arrays end in the trials (B), so that the compiler makes vector instructions of every inner loop. The geometry is
+one number for all trials that share it, or a row (B) like the rest where each trial has its own: kernels are compiled
+for either. Small angles enter by power series (exact to rounding below 0.01 rad).
 Kernels live in one file because the compiler's cache watches only the file of the function it compiles.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaign.compiled import compiled, inlined
+from ltsim.campaign.compiled import at, compiled, inlined
 
 REACHED = 1e-9
 """[m, rad] Newton's method ends with a step below this: what remains is a factor of 1e-4 smaller."""
@@ -64,12 +65,12 @@ def _amounts(i: int, chain: ChainArrays, deviation: Floats, values: Floats, out:
             b = basis[k, i]
             if varies[k] == 0:
                 for t in range(trials):
-                    row[t] += value[t] * b
+                    row[t] += value[t] * at(b, t)
             else:
                 b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
                 d0, d1, d2 = deviation[0], deviation[1], deviation[2]
                 for t in range(trials):
-                    row[t] += value[t] * (b + b0 * d0[t] + b1 * d1[t] + b2 * d2[t])
+                    row[t] += value[t] * (at(b, t) + at(b0, t) * d0[t] + at(b1, t) * d1[t] + at(b2, t) * d2[t])
         if sign[m] != 1.0:
             for t in range(trials):
                 row[t] *= sign[m]
@@ -93,13 +94,13 @@ def _walk(i: int, chain: ChainArrays, moved: Floats, path: Floats) -> None:
         if turns[m] == 0:
             fixed = amount[m, i, 0]
             for t in range(trials):
-                along2[t] = along[t] + (fixed + delta[t])
+                along2[t] = along[t] + (at(fixed, t) + delta[t])
                 across2[t] = across[t]
                 above2[t] = above[t]
         else:
             c0, s0 = amount[m, i, 0], amount[m, i, 1]
             for t in range(trials):
-                cosine, sine = _turned(c0, s0, delta[t])
+                cosine, sine = _turned(at(c0, t), at(s0, t), delta[t])
                 along2[t] = along[t]
                 across2[t] = cosine * across[t] - sine * above[t]
                 above2[t] = sine * across[t] + cosine * above[t]
@@ -137,17 +138,17 @@ def _pull_back(
                 b_ = basis[k, i]
                 if varies[k] == 0:
                     for t in range(trials):
-                        row[t] -= pull[t] * b_
+                        row[t] -= pull[t] * at(b_, t)
                 else:
                     b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
                     d0, d1, d2 = deviation[0], deviation[1], deviation[2]
                     for t in range(trials):
-                        row[t] -= pull[t] * (b_ + b0 * d0[t] + b1 * d1[t] + b2 * d2[t])
+                        row[t] -= pull[t] * (at(b_, t) + at(b0, t) * d0[t] + at(b1, t) * d1[t] + at(b2, t) * d2[t])
         if turns[m] != 0:
             c0, s0 = amount[m, i, 0], amount[m, i, 1]
             delta = moved[m]
             for t in range(trials):
-                cosine, sine = _turned(c0, s0, delta[t])
+                cosine, sine = _turned(at(c0, t), at(s0, t), delta[t])
                 f1, f2 = across[t], above[t]
                 across[t] = cosine * f1 + sine * f2
                 above[t] = cosine * f2 - sine * f1
@@ -191,16 +192,19 @@ def readings_of(
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
         own = values[instrument[i]]
-        x, y, z = path[0, 0], path[0, 1], path[0, 2]
         for _ in range(STEPS):
             _amounts(i, chain, deviation[i], own, moved)
             _walk(i, chain, moved, path)
+            x, y, z = path[0, 0], path[0, 1], path[0, 2]
             largest = 0.0
             for c in range(3):
                 j0, j1, j2 = by_point[i, c, 0], by_point[i, c, 1], by_point[i, c, 2]
+                l0, l1, l2 = local[i, 0], local[i, 1], local[i, 2]
                 row = deviation[i, c]
                 for t in range(trials):
-                    step = j0 * (local[i, 0] - x[t]) + j1 * (local[i, 1] - y[t]) + j2 * (local[i, 2] - z[t])
+                    step = (
+                        at(j0, t) * (at(l0, t) - x[t]) + at(j1, t) * (at(l1, t) - y[t]) + at(j2, t) * (at(l2, t) - z[t])
+                    )
                     row[t] += step
                     largest = max(largest, abs(step))
             if not largest > REACHED:
@@ -282,82 +286,96 @@ def network_gradient(
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
-    force, pull = np.empty((3, trials)), np.empty(trials)
+    force, pull, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
     for i in range(len(deviation)):
         own, s = values[instrument[i]], station[i]
         _amounts(i, chain, predicted[i], own, moved)
         _walk(i, chain, moved, path)
-        _meet(
-            arm[i], rotation[s], by_point[i], weight[i], pose[s], points[target[i]], path[0], deviation[i],
-            predicted[i], residual[i], force, by_pose[s], by_points[target[i]], cost,
-        )  # fmt: skip
+        _miss(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
+        _compare(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
+        _pull(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
         _pull_back(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
 
 
 @compiled
-def _meet(
-    arm: Floats,
-    rotation: Floats,
+def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
+    """Arm from station to target in the network frame, and what the reached point misses it by in the instrument's.
+
+    They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
+    """
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    a0, a1, a2 = arm[0], arm[1], arm[2]
+    tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
+    px, py, pz = point[0], point[1], point[2]
+    qx, qy, qz = reached[0], reached[1], reached[2]
+    ax, ay, az, mx, my, mz = work[0], work[1], work[2], work[3], work[4], work[5]
+    for t in range(len(px)):
+        x, y, z = at(a0, t) + px[t] - tx[t], at(a1, t) + py[t] - ty[t], at(a2, t) + pz[t] - tz[t]
+        bx, by, bz = _rotated(-wx[t], -wy[t], -wz[t], x, y, z)
+        ax[t], ay[t], az[t] = x, y, z
+        mx[t] = (at(r00, t) * bx + at(r10, t) * by + at(r20, t) * bz) - qx[t]
+        my[t] = (at(r01, t) * bx + at(r11, t) * by + at(r21, t) * bz) - qy[t]
+        mz[t] = (at(r02, t) * bx + at(r12, t) * by + at(r22, t) * bz) - qz[t]
+
+
+@compiled
+def _compare(
     by_point: Floats,
     weight: Floats,
-    pose: Floats,
-    point: Floats,
-    reached: Floats,
+    work: Floats,
     measured: Floats,
     predicted: Floats,
     residual: Floats,
     force: Floats,
-    by_pose: Floats,
-    by_target: Floats,
     cost: Floats,
 ) -> None:
-    """One pointing: bring the predicted reading to the target, compare, and pull target and station together."""
-    r00, r01, r02 = rotation[0]
-    r10, r11, r12 = rotation[1]
-    r20, r21, r22 = rotation[2]
-    j00, j01, j02 = by_point[0]
-    j10, j11, j12 = by_point[1]
-    j20, j21, j22 = by_point[2]
-    w0, w1, w2 = weight
-    a0, a1, a2 = arm
-    tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
-    px, py, pz = point[0], point[1], point[2]
-    qx, qy, qz = reached[0], reached[1], reached[2]
+    """Bring the predicted reading to the target, compare it with the measured one: the force that joins them."""
+    j00, j01, j02 = by_point[0, 0], by_point[0, 1], by_point[0, 2]
+    j10, j11, j12 = by_point[1, 0], by_point[1, 1], by_point[1, 2]
+    j20, j21, j22 = by_point[2, 0], by_point[2, 1], by_point[2, 2]
+    w0, w1, w2 = weight[0], weight[1], weight[2]
+    mx, my, mz = work[3], work[4], work[5]
     y0, y1, y2 = measured[0], measured[1], measured[2]
     f0, f1, f2 = predicted[0], predicted[1], predicted[2]
     e0, e1, e2 = residual[0], residual[1], residual[2]
     fx, fy, fz = force[0], force[1], force[2]
-    gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
-    kx, ky, kz = by_target[0], by_target[1], by_target[2]
     for t in range(len(cost)):
-        x, y, z = a0 + px[t] - tx[t], a1 + py[t] - ty[t], a2 + pz[t] - tz[t]
-        u, v, w = wx[t], wy[t], wz[t]
-        bx, by, bz = _rotated(-u, -v, -w, x, y, z)
-        mx = (r00 * bx + r10 * by + r20 * bz) - qx[t]
-        my = (r01 * bx + r11 * by + r21 * bz) - qy[t]
-        mz = (r02 * bx + r12 * by + r22 * bz) - qz[t]
-        n0 = f0[t] + (j00 * mx + j01 * my + j02 * mz)
-        n1 = f1[t] + (j10 * mx + j11 * my + j12 * mz)
-        n2 = f2[t] + (j20 * mx + j21 * my + j22 * mz)
+        n0 = f0[t] + (at(j00, t) * mx[t] + at(j01, t) * my[t] + at(j02, t) * mz[t])
+        n1 = f1[t] + (at(j10, t) * mx[t] + at(j11, t) * my[t] + at(j12, t) * mz[t])
+        n2 = f2[t] + (at(j20, t) * mx[t] + at(j21, t) * my[t] + at(j22, t) * mz[t])
         f0[t], f1[t], f2[t] = n0, n1, n2
-        d0, d1, d2 = w0 * (y0[t] - n0), w1 * (y1[t] - n1), w2 * (y2[t] - n2)
+        d0, d1, d2 = at(w0, t) * (y0[t] - n0), at(w1, t) * (y1[t] - n1), at(w2, t) * (y2[t] - n2)
         e0[t], e1[t], e2[t] = d0, d1, d2
         cost[t] += d0 * d0 + d1 * d1 + d2 * d2
-        d0, d1, d2 = w0 * d0, w1 * d1, w2 * d2
-        lx = j00 * d0 + j10 * d1 + j20 * d2
-        ly = j01 * d0 + j11 * d1 + j21 * d2
-        lz = j02 * d0 + j12 * d1 + j22 * d2
-        fx[t], fy[t], fz[t] = lx, ly, lz
-        nx = r00 * lx + r01 * ly + r02 * lz
-        ny = r10 * lx + r11 * ly + r12 * lz
-        nz = r20 * lx + r21 * ly + r22 * lz
-        vx, vy, vz = _rotated(u, v, w, nx, ny, nz)
+        d0, d1, d2 = at(w0, t) * d0, at(w1, t) * d1, at(w2, t) * d2
+        fx[t] = at(j00, t) * d0 + at(j10, t) * d1 + at(j20, t) * d2
+        fy[t] = at(j01, t) * d0 + at(j11, t) * d1 + at(j21, t) * d2
+        fz[t] = at(j02, t) * d0 + at(j12, t) * d1 + at(j22, t) * d2
+
+
+@compiled
+def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats) -> None:
+    """Pull target and station together."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    wx, wy, wz, ax, ay, az = pose[3], pose[4], pose[5], work[0], work[1], work[2]
+    fx, fy, fz = force[0], force[1], force[2]
+    gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
+    kx, ky, kz = by_target[0], by_target[1], by_target[2]
+    for t in range(len(fx)):
+        nx = at(r00, t) * fx[t] + at(r01, t) * fy[t] + at(r02, t) * fz[t]
+        ny = at(r10, t) * fx[t] + at(r11, t) * fy[t] + at(r12, t) * fz[t]
+        nz = at(r20, t) * fx[t] + at(r21, t) * fy[t] + at(r22, t) * fz[t]
+        vx, vy, vz = _rotated(wx[t], wy[t], wz[t], nx, ny, nz)
         kx[t] += vx
         ky[t] += vy
         kz[t] += vz
         gx[t] -= vx
         gy[t] -= vy
         gz[t] -= vz
-        hx[t] += vy * z - vz * y
-        hy[t] += vz * x - vx * z
-        hz[t] += vx * y - vy * x
+        hx[t] += vy * az[t] - vz * ay[t]
+        hy[t] += vz * ax[t] - vx * az[t]
+        hz[t] += vx * ay[t] - vy * ax[t]

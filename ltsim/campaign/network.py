@@ -30,8 +30,10 @@ from ltsim.solve.chain import inverse_of
 from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 CAP = 8
-TOLERANCE = 1e-4
-"""A trial has converged when its step is shorter than this many standard deviations (all unknowns together)."""
+RATE = 1e-3
+"""What a step leaves of the way to the optimum, unless the steps before say more."""
+TOLERANCE = 5e-5
+"""A trial has converged when that is shorter than this many standard deviations (all unknowns together)."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,8 @@ class BatchFit:
     values : (I, p, B) float [SI]
     extra : (q, B) float [SI]
     chi2 : (B,) float
-    length : (B,) float
-        Length of the last step in standard deviations.
+    left : (B,) float
+        What the last step leaves of the way to the optimum, in standard deviations.
     iterations : int
     """
 
@@ -57,13 +59,13 @@ class BatchFit:
     values: Floats
     extra: Floats
     chi2: Floats
-    length: Floats
+    left: Floats
     iterations: int
 
     @property
     def converged(self) -> Bools:
-        """(B,) True where the last step was short; a NaN is not."""
-        converged: Bools = self.length < TOLERANCE
+        """(B,) True where little is left; a NaN is not little."""
+        converged: Bools = self.left < TOLERANCE
         return converged
 
 
@@ -74,7 +76,7 @@ class Known:
     Attributes
     ----------
     network : BatchNetwork
-        One of the same set-up with the same pointings elsewhere, in any order.
+        One of the same set-up with the same pointings elsewhere.
     by_point : (n, 3, 3) float
         Derivative of the nominal readings by the local points.
     by_value : (n, 3, p) float
@@ -153,14 +155,19 @@ class BatchNetwork:
             raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
         return order
 
+    @property
+    def _others(self) -> tuple[Floats, Floats]:
+        """Whitened design (r, K) of the rows beyond the readings and their nominal residuals (r, 1)."""
+        return self._design[1], self._design[2]
+
     @cached_property
     def _design(self) -> tuple[Floats, Floats, Floats]:
-        """Whitened design of all rows (m, K), of the rows beyond the readings, and their nominal residuals."""
+        """Whitened design of all rows (m, K), of the rows beyond the readings, and their nominal residuals (r, 1)."""
         problem, count = self.problem, int(self.problem.use.sum())
         known = problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
         system = problem.system(self.nominal, known)
         dense = system.design.toarray()[:, self.order]
-        return dense, np.ascontiguousarray(dense[count:]), system.residual[count:]
+        return dense, np.ascontiguousarray(dense[count:]), system.residual[count:, None]
 
     def _prediction(self, known: Known) -> Prediction:
         """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
@@ -202,8 +209,12 @@ class BatchNetwork:
         recording, state = self.recording, self.state
         arm = state.points[recording.target] - state.position[recording.station]
         places = (recording.instrument, recording.station, recording.target)
-        by_point = sightings_of(recording, state).jacobian if self.known is None else self.known.by_point
-        return (*places, arm, np.ascontiguousarray(state.rotation), by_point, 1.0 / self.sigma)
+        return (*places, arm, np.ascontiguousarray(state.rotation), self._by_point, 1.0 / self.sigma)
+
+    @cached_property
+    def _by_point(self) -> Floats:
+        """Ideal derivative (n, 3, 3) of the readings by the local point."""
+        return sightings_of(self.recording, self.state).jacobian if self.known is None else self.known.by_point
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -245,30 +256,36 @@ class BatchNetwork:
             Errors of the known lengths.
         """
         x, predicted = self._linear_start(deviation, gauge_error)
+        before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for iteration in range(2, CAP + 1):  # noqa: B007 - its last value is reported
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
-            step = self.covariance @ gradient
+            step = _each(self.covariance, gradient)
             x += step
-            squared = np.einsum("kb,kb->b", step, gradient)
-            length = np.sqrt(np.maximum(squared, 0.0))
-            if not np.any(length >= TOLERANCE):
+            squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
+            left = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
+            if not np.any(left >= TOLERANCE):
                 break
-        return BatchFit(*self.split(x), cost - squared, length, iteration)
+            before = squared
+        return BatchFit(*self.split(x), cost - squared, left, iteration)
+
+    @cached_property
+    def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
+        """From deviations (3 n,) and other rows (r,) to the first step (K,); from that to predicted readings (3 n,)."""
+        design = self._reading_design
+        # A reading that is not measured has no row; its prediction starts at the nominal reading.
+        predicting = np.where(self.problem.use, self.problem.sigma, 0.0).reshape(-1, 1) * design
+        if self.effects:
+            predicting[:, self.sizes[2] :] -= self._extra_design.reshape(len(design), -1)
+        by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
+        return by_reading, self.covariance @ self._others[0].T, predicting
 
     def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
         """The first step, from the nominal state, as a matrix product; the readings it predicts (n, 3, B)."""
-        design = self._reading_design
-        whitened = (deviation / self.sigma[:, :, None]).reshape(len(design), -1)
-        gradient = design.T @ whitened
-        self._add_other_rows(np.zeros_like(gradient), gauge_error, gradient, np.zeros(gradient.shape[1]))
-        x = self.covariance @ gradient
-        # A reading that is not measured has no row; its prediction starts at the nominal reading.
-        scale = np.where(self.problem.use, self.problem.sigma, 0.0)
-        predicted = (design @ x).reshape(deviation.shape) * scale[:, :, None]
-        if self.effects:
-            predicted -= self._shift(x)
-        return x, predicted
+        by_reading, by_other, predicting = self._start_matrices
+        nowhere = np.zeros((self.sizes[-1], deviation.shape[2]))
+        x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._other_rows(nowhere, gauge_error)
+        return x, (predicting @ x).reshape(deviation.shape)
 
     def _shift(self, x: Floats) -> Floats:
         """Shift (n, 3, B) of the readings by the further effects."""
@@ -297,22 +314,87 @@ class BatchNetwork:
         if self.effects:
             whitened = self._extra_design / self.sigma[:, :, None]
             by_extra += np.tensordot(whitened, residual, axes=([0, 1], [0, 1]))
-        self._add_other_rows(x, gauge_error, gradient, cost)
+        rows = self._other_rows(x, gauge_error)
+        gradient += _each(np.swapaxes(self._others[0], -2, -1), rows)
+        cost += np.sum(rows**2, axis=0)
 
-    def _add_other_rows(self, x: Floats, gauge_error: Floats | None, gradient: Floats, cost: Floats) -> None:
-        """Known lengths, control points, levels, priors and datum: linear, but for the exact lengths."""
-        _, design, nominal = self._design
-        rows = nominal[:, None] - design @ x
+    def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
+        """Whitened residuals (r, B) of known lengths, control points, levels, priors and datum.
+
+        They are linear, but for the lengths, which are exact.
+        """
+        design, nominal = self._others
+        rows = nominal - _each(design, x)
         gauge = self.problem.gauge
         if len(gauge):
             moved = self.split(x)[1]
-            arm = self.state.points[gauge.first] - self.state.points[gauge.second]
+            arm = (self.state.points[gauge.first] - self.state.points[gauge.second]).reshape(len(gauge), 3, -1)
             change = moved[gauge.first] - moved[gauge.second]
-            length = np.linalg.norm(arm, axis=1)[:, None]
-            linear = length + np.einsum("gi,gib->gb", arm / length, change)
-            bent = linear - np.sqrt(np.sum((arm[:, :, None] + change) ** 2, axis=1))
+            length = np.sqrt(np.sum(arm**2, axis=1))
+            linear = length + np.sum(arm * change, axis=1) / length
+            bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
             if gauge_error is not None:
                 bent += gauge_error
             rows[: len(gauge)] += bent / gauge.sigma[:, None]
-        gradient += design.T @ rows
-        cost += np.sum(rows**2, axis=0)
+        return rows
+
+
+@dataclass(frozen=True)
+class Stacked(BatchNetwork):
+    """Networks of the same pointings in different places, a trial each, adjusted side by side.
+
+    Its state, its program and what is below end in the trial; `recording` is that of the first.
+
+    Attributes
+    ----------
+    parts : tuple of BatchNetwork
+        The network of each trial.
+    """
+
+    parts: tuple[BatchNetwork, ...] = ()
+
+    @cached_property
+    def problem(self) -> NetworkProblem:
+        """The problem of the first trial."""
+        return self.parts[0].problem
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (B, K, K) [SI] of the unknowns of each trial."""
+        return np.stack([part.covariance for part in self.parts])
+
+    @cached_property
+    def sigma_values(self) -> Floats:
+        """Standard deviation (I, p, B) [SI] of the parameters."""
+        return np.stack([part.sigma_values for part in self.parts], axis=-1)
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviation (n, 3, B) of the readings."""
+        return np.stack([part.sigma for part in self.parts], axis=-1)
+
+    @cached_property
+    def _by_point(self) -> Floats:
+        return np.stack([part._by_point for part in self.parts], axis=-1)
+
+    @cached_property
+    def _others(self) -> tuple[Floats, Floats]:
+        designs, nominal = zip(*(part._others for part in self.parts), strict=True)
+        return np.stack(designs), np.concatenate(nominal, axis=1)
+
+    def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
+        x, predicted = np.zeros((self.sizes[-1], deviation.shape[2])), np.zeros_like(deviation)
+        gradient, cost = np.empty_like(x), np.empty(x.shape[1])
+        arguments = deviation, gauge_error, predicted, gradient, cost
+        self._gradient(x, *arguments)
+        x += _each(self.covariance, gradient)
+        self._gradient(x, *arguments)  # the predicted readings settle
+        return x, predicted
+
+
+def _each(matrix: Floats, columns: Floats) -> Floats:
+    """The product with columns (k, B) of one matrix, or of one (B, j, k) for each of them."""
+    if matrix.ndim == 2:
+        return matrix @ columns
+    product: Floats = np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T
+    return product

@@ -8,7 +8,7 @@ parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,6 +93,15 @@ class ChainProgram:
             basis=np.ascontiguousarray(construction.bases(raw).T),
             slope=slope,
         )
+
+    def spread(self, trials: int) -> ChainProgram:
+        """Of rows that are all trials of a pointing after each other: the same with a last index for the trial."""
+
+        def apart(rows: Floats) -> Floats:
+            own = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
+            return np.ascontiguousarray(np.moveaxis(own, 2, -1))
+
+        return replace(self, amount=apart(self.amount), basis=apart(self.basis), slope=apart(self.slope))
 
 
 def _driven(motion: Motion) -> int:

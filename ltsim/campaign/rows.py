@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -14,17 +15,20 @@ from threadpoolctl import threadpool_limits
 from ltsim.arrays import Floats, Ints
 from ltsim.campaign.calibrators import Calibrator, calibrator_of
 from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import FAILED, STATUSES, Bench, Calibrated, parameter_columns
+from ltsim.campaign.engine import FAILED, STATUSES, Bench, Calibrated, parameter_columns, trials_of
 from ltsim.campaign.judge import Columns
 from ltsim.campaign.spec import Campaign
+from ltsim.campaign.stack import StackCalibrator, stacks
 from ltsim.campaign.store import encoded
 from ltsim.campaign.truth import BLOCK, Block, Truth
-from ltsim.errors import NetworkError, SetupError
+from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.workshop import Layout, planned
 
+TOGETHER = 64
+"""Trials with geometries of their own that are done side by side, as far as their stations see the same."""
 CHECKED = "full_difference_sigma"
 """Column of the trials that were calibrated once more by the full solver: largest difference in sigmas."""
 
@@ -79,32 +83,29 @@ class Prepared:
     def _plan(self) -> Layout:
         return planned(self.scenario)
 
-    def _at(self, *key: str | int) -> Ready:
-        """The geometry drawn by a key, which shares its set-up with the common one."""
-        common = self.shared
-        truth = truth_of(self.scenario, self.campaign.seed, *key, like=common.truth, plan=self._plan)
-        known = zip(self.campaign.methods, common.calibrators, strict=True)
-        return Ready(truth, Bench(truth), [calibrator_of(method, truth, like) for method, like in known])
+    def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints]]:
+        """Blocks that hold the trials ``first`` to ``last - 1``, with the numbers (B,) of their trials.
 
-    def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints] | None]:
-        """Blocks that hold the trials ``first`` to ``last - 1``, with the wanted trials' places in them.
-
-        None for a trial whose own geometry is impossible: a station that sees nothing.
+        A trial whose own geometry is impossible, a station that sees nothing, is in none.
         """
-        seed = self.campaign.seed
+        seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
             for number in range(first // BLOCK, -(-last // BLOCK)):
-                places = np.arange(BLOCK * number, BLOCK * (number + 1))
-                wanted = np.flatnonzero((places >= first) & (places < last))
-                yield self.shared, self.shared.truth.draw(seed, number), wanted
-        else:
-            for trial in range(first, last):
-                try:
-                    ready = self._at("campaign", trial)
-                except SetupError:
-                    yield None
-                    continue
-                yield ready, ready.truth.draw(seed, trial, 1), np.zeros(1, dtype=np.int64)
+                yield self.shared, self.shared.truth.draw(seed, number), trials_of(number)
+            return
+        for low in range(first, last, TOGETHER):
+            for stack, numbers in stacks(self._own(range(low, min(low + TOGETHER, last)))):
+                block, alone = stack.draw_trials(seed, numbers)
+                yield Ready(stack, Bench(stack), [StackCalibrator(stack, alone, m) for m in methods]), block, numbers
+
+    def _own(self, trials: range) -> dict[int, Truth]:
+        """The geometry of each trial that has a possible one; they share the set-up with the common one."""
+        found = {}
+        for trial in trials:
+            with suppress(SetupError):
+                key = self.campaign.seed, "campaign", trial
+                found[trial] = truth_of(self.scenario, *key, like=self.shared.truth, plan=self._plan)
+        return found
 
 
 @lru_cache(maxsize=4)
@@ -127,20 +128,18 @@ def shard_rows(task: Task) -> pa.Table:
     last = min(first + campaign.shard, campaign.trials)
     checked = _checked_trials(campaign, task.shard, first, last)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
-    start = first
-    for drawn in cell.blocks(first, last):
-        numbers = start + np.arange(1 if drawn is None else len(drawn[2]))
-        start += len(numbers)
-        if drawn is None:
-            for part in parts:
-                part.append({"trial": numbers} | _failed(1))
-            continue
-        ready, block, wanted = drawn
-        places = wanted[np.isin(numbers, checked)]
+    missing = set(range(first, last))
+    for ready, block, numbers in cell.blocks(first, last):
+        wanted = np.flatnonzero((numbers >= first) & (numbers < last))
+        missing -= set(numbers[wanted].tolist())
+        places = wanted[np.isin(numbers[wanted], checked)]
         shared = ready.bench.before(block)
         for part, calibrator in zip(parts, ready.calibrators, strict=True):
-            columns = _by_method(campaign, ready.bench, block, calibrator, shared, wanted, places)
-            part.append({"trial": numbers} | {name: column[wanted] for name, column in columns.items()})
+            columns = {"trial": numbers} | _by_method(campaign, ready.bench, block, calibrator, shared, wanted, places)
+            part.append({name: column[wanted] for name, column in columns.items()})
+    if missing:
+        for part in parts:
+            part.append({"trial": np.array(sorted(missing))} | _failed(len(missing)))
     tables = [_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
     return pa.concat_tables(tables, promote_options="default").combine_chunks()
 
@@ -148,16 +147,10 @@ def shard_rows(task: Task) -> pa.Table:
 def _by_method(
     campaign: Campaign, bench: Bench, block: Block, calibrator: Calibrator, shared: Columns, wanted: Ints, checked: Ints
 ) -> Columns:
-    """The columns of a method on a block; a trial whose own geometry determines too little has failed."""
-    trials = block.deviation.shape[2]
-    try:
-        found = calibrator.calibrate(block, wanted)
-    except (NetworkError, SetupError):
-        if campaign.geometry == "shared":
-            raise
-        return _failed(trials)
+    """The columns of a method on a block."""
+    found = calibrator.calibrate(block, wanted)
     columns = _columns(campaign, bench, block, found, calibrator.construction, shared)
-    columns[CHECKED] = np.full(trials, np.nan)
+    columns[CHECKED] = np.full(block.deviation.shape[2], np.nan)
     for place in checked:
         columns[CHECKED][place] = calibrator.difference(block, int(place), found)
     return columns
@@ -231,6 +224,8 @@ def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:
         name: np.concatenate([part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in parts])
         for name in names
     }
+    order = np.argsort(merged["trial"])
+    merged = {name: values[order] for name, values in merged.items()}
     trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
     count = len(trial)
     lost = status == STATUSES.index(FAILED)

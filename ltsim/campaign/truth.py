@@ -122,8 +122,11 @@ class Truth:
         for known, program in self._programs:  # comparing a few is quicker than hashing one
             if known == construction:
                 return program
-        self._programs.append((construction, ChainProgram.of(construction, self.recording.readings)))
+        self._programs.append((construction, self._laid_out(construction)))
         return self._programs[-1][1]
+
+    def _laid_out(self, construction: Construction) -> ChainProgram:
+        return ChainProgram.of(construction, self.recording.readings)
 
     @property
     def program(self) -> ChainProgram:
@@ -165,14 +168,22 @@ class Truth:
         width : int
             Number of trials; another one than `BLOCK` gives other draws.
         """
+        values = self.values(seed, number, width)
+        return self.read(seed, number, values, self._exact(values))
+
+    def values(self, seed: int, number: int, width: int) -> Floats:
+        """True instrument parameters (I, p, B) of a block."""
+        trackers = [f"instrument {name}" if name else "instrument" for name in self.recording.instruments]
+        shape = self.construction.size, width
+        errors = [stream(seed, "campaign", own, number).standard_normal(shape) for own in trackers]
+        return self.mean[:, :, None] + self.sigma[:, :, None] * np.stack(errors)
+
+    def read(self, seed: int, number: int, values: Floats, deviation: Floats) -> Block:
+        """The block of true parameters whose exact readings less nominal ones are `deviation` (n, 3, B), reused."""
 
         def normal(what: str, *shape: int) -> Floats:
-            return stream(seed, "campaign", what, number).standard_normal((*shape, width))
+            return stream(seed, "campaign", what, number).standard_normal((*shape, deviation.shape[2]))
 
-        trackers = [f"instrument {name}" if name else "instrument" for name in self.recording.instruments]
-        errors = np.stack([normal(own, self.construction.size) for own in trackers])
-        values = self.mean[:, :, None] + self.sigma[:, :, None] * errors
-        deviation = self._exact(values)
         gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
         amounts = []
         for place, entry in enumerate(self.effects):

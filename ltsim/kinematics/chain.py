@@ -61,14 +61,12 @@ def _amount(motion: Motion, raw: Floats, errors: Mapping[str, Floats]) -> Floats
     return None if amount is None else motion.sign * amount
 
 
-def _turned(points: Floats, axis: int, angle: Floats) -> Floats:
-    """Points (n, 3) turned about a coordinate axis by angles (n,)."""
+def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
+    """Turn vectors (..., n, 3) about a coordinate axis by angles (n,), in place."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
-    turned = points.copy()
-    turned[:, i] = c * points[:, i] - s * points[:, j]
-    turned[:, j] = s * points[:, i] + c * points[:, j]
-    return turned
+    for v in vectors:
+        v[..., i], v[..., j] = c * v[..., i] - s * v[..., j], s * v[..., i] + c * v[..., j]
 
 
 def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
@@ -81,7 +79,7 @@ def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
         if isinstance(motion, Shift):
             p[:, motion.axis] += amount
         else:
-            p = _turned(p, motion.axis, amount)
+            _turn(motion.axis, amount, p)
     return p
 
 
@@ -94,21 +92,25 @@ def point_and_derivatives(
     current frame, so a turn turns them all, and a shift moves the point alone.
     """
     p = np.zeros((len(raw), 3))
+    carried, count = np.zeros((len(chain), len(raw), 3)), 0
     derivatives: dict[str, Floats] = {}
     for motion in reversed(chain):
         amount = _amount(motion, raw, errors)
         if isinstance(motion, Shift):
             if amount is not None:
                 p[:, motion.axis] += amount
-            by_amount = np.zeros_like(p)
-            by_amount[:, motion.axis] = motion.sign
+        elif amount is not None:
+            _turn(motion.axis, amount, p, carried[:count])
+        if motion.slot not in slots:
+            continue
+        if motion.slot not in derivatives:
+            derivatives[motion.slot] = carried[count]
+            count += 1
+        by_amount = derivatives[motion.slot]
+        if isinstance(motion, Shift):
+            by_amount[:, motion.axis] += motion.sign
         else:
-            if amount is not None:
-                p = _turned(p, motion.axis, amount)
-                derivatives = {k: _turned(v, motion.axis, amount) for k, v in derivatives.items()}
             i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
-            by_amount = np.zeros_like(p)
-            by_amount[:, i], by_amount[:, j] = -motion.sign * p[:, j], motion.sign * p[:, i]
-        if motion.slot in slots:
-            derivatives[motion.slot] = derivatives.get(motion.slot, 0.0) + by_amount
+            by_amount[:, i] -= motion.sign * p[:, j]
+            by_amount[:, j] += motion.sign * p[:, i]
     return p, derivatives

@@ -92,12 +92,15 @@ class Construction:
         """(n, p): each parameter's basis at raw readings (n, 3)."""
         if not self.terms:
             return np.zeros((len(raw), 0))
-        return np.stack([term.basis(raw) for term in self.terms], axis=1)
+        return np.stack([term.basis(raw) for term in self.terms]).T
 
     def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
         """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
+        return self._amounts(self.bases(raw), values)
+
+    def _amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
         amounts: dict[str, Floats] = {}
-        for term, amount in zip(self.terms, (self.bases(raw) * values).T, strict=True):
+        for term, amount in zip(self.terms, (bases * values).T, strict=True):
             amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
         return amounts
 
@@ -112,12 +115,13 @@ class Construction:
         size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
         """
         slots = {term.slot for term in self.terms} | set(self._reading_slots)
-        p, by_slot = point_and_derivatives(self._named_chain, raw, self.errors(raw, values), slots)
+        bases = self.bases(raw)
+        p, by_slot = point_and_derivatives(self._named_chain, raw, self._amounts(bases, values), slots)
         by_reading = np.stack([by_slot[slot] for slot in self._reading_slots], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(raw), 3, 0))
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
-        return p, by_reading, by_value * self.bases(raw)[:, None, :]
+        return p, by_reading, by_value * bases[:, None, :]
 
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact.

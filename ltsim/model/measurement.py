@@ -62,7 +62,11 @@ def sightings_of(recording: Recording, state: State) -> Sightings:
 
     Nest normals are turned from the floor plan into the network's frame (`floor_plan.plan_rotation`).
     """
-    turn = plan_rotation(recording, state.position, state.rotation)
+    return _sightings(recording, state, plan_rotation(recording, state.position, state.rotation))
+
+
+def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
+    """The same with nest normals turned by `turn` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -132,8 +136,7 @@ class MeasurementModel:
         """The pointings without their geometry, gathered once; nest normals of the floor plan."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
-        found = sightings_of(self.recording, State(*none, np.zeros((0, 0))))
-        return replace(found, nest_normal=_nest_normals(self.recording))
+        return _sightings(self.recording, State(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
     def _horizontal(self) -> Bools | None:
@@ -143,7 +146,7 @@ class MeasurementModel:
 
     def sightings(self, state: State) -> Sightings:
         """The sightings of the pointings with stations, targets and instruments at `state`."""
-        found = self._geometry(state)
+        found = self.geometry(state)
         return self._completed(found, state, self._instrument_readings(found, state))
 
     def _completed(self, found: Sightings, state: State, raw: Floats) -> Sightings:
@@ -154,7 +157,7 @@ class MeasurementModel:
     def _instrument_readings(self, geometry: Sightings, state: State) -> Floats:
         return self.construction.readings(geometry.local, geometry.face, self._instrument_values(state))
 
-    def _geometry(self, state: State) -> Sightings:
+    def geometry(self, state: State) -> Sightings:
         """The same as far as no effect is concerned."""
         return self._nowhere.at(state.position, state.rotation, state.points)
 
@@ -165,7 +168,7 @@ class MeasurementModel:
 
     def predict(self, state: State) -> Floats:
         """Predicted raw readings (n, 3)."""
-        sightings = self._geometry(state)
+        sightings = self.geometry(state)
         raw = self._instrument_readings(sightings, state)
         if self.effects:
             sightings = self._completed(sightings, state, raw)
@@ -181,7 +184,7 @@ class MeasurementModel:
 
     def linearised(self, state: State) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and further effects."""
-        sightings = self._geometry(state)
+        sightings = self.geometry(state)
         values = self._instrument_values(state)
         raw = self._instrument_readings(sightings, state)
         if self.effects:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.geometry.polar import to_polar
@@ -74,13 +74,12 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
     """
     plan, placing = plan or planned(scenario), scenario.placing
     position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
-    for i, (name, station) in enumerate(scenario.stations.items()):
-        draw = stream(seed, *key, "placing", "station", name).standard_normal(6)
+    draws = [stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations]
+    levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
+    tilt = [placing.tilt_deg * DEGREE if own is None else own for own in levelled]
+    leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
+    for i, (draw, lean) in enumerate(zip(draws, leans, strict=True)):
         position[i] += placing.station_mm * MILLIMETRE * draw[:3]
-        tilt = placing.tilt_deg * DEGREE
-        if station.levelled:
-            tilt = station.levelling_sigma_arcsec * ARCSECOND
-        lean = from_rotation_vector(np.array([tilt * draw[3], tilt * draw[4], 0.0]))
         rotation[i] = lean @ about_z(placing.yaw_deg * DEGREE * draw[5]) @ rotation[i]
     for i, name in enumerate(scenario.targets):
         draw = stream(seed, *key, "placing", "target", name).standard_normal(3)
@@ -108,23 +107,20 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
     kept = np.flatnonzero(visible.any(axis=0))
     renumbered = np.full(len(layout.targets), -1)
     renumbered[kept] = np.arange(len(kept))
-    rows: list[tuple[int, int, int, int, float]] = []
-    clock, work = 0.0, scenario.work
-    for s in range(len(layout.stations)):
-        for target, face, repeat in _visit(scenario, layout, s, visible[s], seed, *key):
-            rows.append((s, int(renumbered[target]), face, repeat, clock))
-            clock += work.seconds_per_pointing
-        clock += 60.0 * work.minutes_per_move
-    whole = np.array([row[:4] for row in rows], dtype=np.int64)
-    time = np.array([row[4] for row in rows])
+    visits = [_visit(scenario, layout, s, visible[s], seed, *key) for s in range(len(layout.stations))]
+    station = np.repeat(np.arange(len(visits)), [len(visit) for visit in visits])
+    target, face, repeat = np.concatenate(visits).T
+    work = scenario.work
+    spent = [np.append(np.full(len(v), work.seconds_per_pointing), 60.0 * work.minutes_per_move) for v in visits]
+    time = np.concatenate([[0.0], np.cumsum(np.concatenate(spent))])[np.arange(len(station)) + station]
     index = {name: i for i, name in enumerate(scenario.trackers)}
     of_station = np.array([index[s.instrument or ""] for s in scenario.stations.values()], dtype=np.int64)
     return Sightings(
-        station=whole[:, 0],
-        target=whole[:, 1],
-        instrument=of_station[whole[:, 0]],
-        face=whole[:, 2],
-        repeat=whole[:, 3],
+        station=station,
+        target=renumbered[target],
+        instrument=of_station[station],
+        face=face,
+        repeat=repeat,
         time=time,
         position=layout.position,
         rotation=layout.rotation,
@@ -137,33 +133,32 @@ def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *k
     )
 
 
-def _visit(
-    scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int
-) -> list[tuple[int, int, int]]:
-    """(target, face, repeat) of one station's visit in the order of the work."""
+def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int) -> Ints:
+    """(k, 3): target, face and repeat of one station's visit in the order of the work."""
     work = scenario.work
-    faces = tuple(range(1, work.faces + 1))
-    pointings: list[tuple[int, int, int]] = []
+    faces, pointings = np.arange(1, work.faces + 1), []
     for repeat in range(1, work.repeats + 1):
-        order = [t for t in _order(scenario, layout, station, repeat, seed, *key) if visible[t]]
+        order = _order(scenario, layout, station, repeat, seed, *key)
+        order = order[visible[order]]
         if work.face_order == "per-target":
-            pointings += [(t, face, repeat) for t in order for face in faces]
+            pair = np.repeat(order, len(faces)), np.tile(faces, len(order))
         else:
-            pointings += [(t, face, repeat) for face in faces for t in order]
-    return pointings
+            pair = np.tile(order, len(faces)), np.repeat(faces, len(order))
+        pointings.append(np.stack([*pair, np.full(len(pair[0]), repeat)], axis=1))
+    return np.concatenate(pointings)
 
 
-def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int) -> list[int]:
+def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int) -> Ints:
     """Targets in the order in which a station points at them."""
     count = len(layout.targets)
     if scenario.work.order == "as-listed":
-        return list(range(count))
+        return np.arange(count)
     if scenario.work.order == "level-by-level":
         azimuth = to_polar(layout.points - layout.position[station])[:, 1]
         levels = _levels(layout.points[:, 2])
-        return [int(t) for t in np.lexsort((azimuth, levels))]
+        return np.lexsort((azimuth, levels))
     draw = stream(seed, *key, "order", layout.stations[station], repeat)
-    return [int(t) for t in draw.permutation(count)]
+    return draw.permutation(count)
 
 
 def _levels(heights: Floats) -> Floats:

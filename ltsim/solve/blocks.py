@@ -68,24 +68,23 @@ class Factor:
         self._system = system
         self._scale = column_scale(system.design)
         design = system.design
-        scaled = sp.csr_array((design.data * self._scale[design.indices], design.indices, design.indptr), design.shape)
         self._elimination: Elimination
         try:
             if design.shape[0] * design.shape[1] <= DENSE:
-                self._elimination = DenseElimination(scaled.toarray(), system.kept, damping)
+                self._elimination = DenseElimination(design.toarray() * self._scale, system.kept, damping)
             else:
-                self._elimination = SparseElimination(scaled, system.kept, damping)
+                self._elimination = SparseElimination(_scaled(design, self._scale), system.kept, damping)
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED) from error
-        if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest(scaled) <= RANK:
+        if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest() <= RANK:
             raise SingularSystemError(UNDETERMINED)
 
-    def _weakest(self, scaled: sp.csr_array) -> float:
+    def _weakest(self) -> float:
         """Squared length of the image of the weakest direction, by inverse iteration; accurate however small."""
-        vector = np.cos(np.arange(scaled.shape[1], dtype=np.float64))[:, None]
+        vector = np.cos(np.arange(len(self._scale), dtype=np.float64))[:, None]
         for _ in range(3):
             vector = self._elimination.solve(vector / np.linalg.norm(vector))
-        image = scaled @ (vector[:, 0] / np.linalg.norm(vector))
+        image = self._system.design @ (self._scale * vector[:, 0] / np.linalg.norm(vector))
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
@@ -131,12 +130,16 @@ class Factor:
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """Covariance R N^-1 R' of groups of functions (q, K + 3 E): group i are the rows edges[i] to edges[i + 1]."""
-        scaled = sp.csr_array((rows.data * self._scale[rows.indices], rows.indices, rows.indptr), rows.shape)
-        return self._elimination.forms(scaled, edges)
+        return self._elimination.forms(_scaled(rows, self._scale), edges)
 
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
         return self._local[1]
+
+
+def _scaled(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
+    """Rows with every column times its scale."""
+    return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
 
 
 def column_scale(design: sp.csr_array) -> Floats:

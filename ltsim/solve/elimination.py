@@ -53,7 +53,8 @@ class DenseElimination:
         at = kept + np.arange(3 * count).reshape(count, 3)
         self._inverse, self._least = block_inverse(normal[at[:, :, None], at[:, None, :]])
         across = normal[:kept, kept:].reshape(kept, count, 3)
-        self._carry = np.einsum("kei,eij->kej", across, self._inverse).reshape(kept, 3 * count)
+        carry = np.swapaxes(across, 0, 1) @ self._inverse
+        self._carry = np.swapaxes(carry, 0, 1).reshape(kept, 3 * count)
         schur = normal[:kept, :kept] - self._carry @ normal[kept:, :kept]
         self._root = scipy.linalg.cholesky(schur, lower=True, check_finite=False)
 

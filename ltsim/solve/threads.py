@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextvars import ContextVar
 from functools import cache, wraps
 from typing import ParamSpec, TypeVar
 
@@ -10,6 +11,9 @@ from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit already", default=False)
 
 
 @cache
@@ -23,7 +27,13 @@ def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with _pools().limit(limits=1):
+        if _LIMITED.get():
             return function(*args, **kwargs)
+        token = _LIMITED.set(True)
+        try:
+            with _pools().limit(limits=1):
+                return function(*args, **kwargs)
+        finally:
+            _LIMITED.reset(token)
 
     return limited

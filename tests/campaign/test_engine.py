@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
-from ltsim.campaign.cell import truth_of as cell_truth
 from ltsim.campaign.engine import FAILED, FULL, STATUSES, Bench, Engine, recording_of
 from ltsim.campaign.truth import BLOCK, TrueEffect, Truth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
@@ -18,7 +17,6 @@ from ltsim.evaluate.criteria import evaluate
 from ltsim.evaluate.share_removed import share_removed, target_error
 from ltsim.model.construction import dh, misalignment
 from ltsim.scene.sightings import Sightings
-from ltsim.simulate.scenario import load_scenario
 
 
 @dataclass(frozen=True)
@@ -191,18 +189,3 @@ def test_stated_lengths_carry_their_error_to_every_calibrator(engine: Engine) ->
     error = [1e-3 * (b.length_mm - a.length_mm) for a, b in zip(before, after, strict=True)]
     assert error == pytest.approx(block.gauge_error[:, 4], abs=1e-15)
     assert np.std(block.gauge_error) == pytest.approx(2.5e-6, rel=0.1)
-
-
-@pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
-def test_what_another_geometry_knows_changes_nothing(name: str) -> None:
-    scenario = load_scenario(name)
-    common = Engine(cell_truth(scenario, 8, "campaign"), misalignment())
-    truth = cell_truth(scenario, 8, "campaign", 5, like=common.truth)
-    block = truth.draw(8, 5, 1)
-    alone, helped = Engine(truth, misalignment()), Engine(truth, misalignment(), like=common)
-    assert helped.network.known is not None
-    assert helped.network._design[0] == pytest.approx(alone.network._design[0], rel=1e-9, abs=1e-6)
-    ours, theirs = helped.calibrate(block), alone.calibrate(block)
-    assert ours.sigma == pytest.approx(theirs.sigma, rel=1e-9)
-    assert np.abs(ours.values[:, :, 0] - theirs.values[:, :, 0]).max() < 1e-6 * ours.sigma.min()
-    assert helped.difference(block, 0, ours) < 1e-3
