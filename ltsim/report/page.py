@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import platform
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -158,9 +159,10 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
 
     A folder in the `top` one that cannot be read is a section that says so, unless there is nothing else.
     """
-    shown: set[Path | None] = set()
+    shown: set[Path | str | None] = set()
     for part in parts:
-        detail: Detail = "none" if part.recording in shown and part.recording else "still" if shown else "turn"
+        source = part.recording or _digest(part)
+        detail: Detail = "none" if source in shown and source else "still" if shown else "turn"
         try:
             section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
             section = replace(section, actions=actions_of(part.kind, part.folder))
@@ -169,8 +171,17 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
                 raise
             section = Section(part.folder.name, UNREADABLE, str(problem), "bad")
         if any(block.kind == "scene" for block in section.blocks):
-            shown.add(part.recording)
+            shown.add(source)
         yield part, section
+
+
+def _digest(part: Part) -> str:
+    """Digest of the recording that a result names; empty where it names none."""
+    try:
+        named = json.loads((part.folder / part.kind).read_text(encoding="utf-8"))["recording"]["digest"]
+    except (ValueError, KeyError, TypeError, OSError):
+        return ""
+    return str(named)
 
 
 def render(content: Document) -> str:
