@@ -269,6 +269,16 @@ class Setup(Section):
         return self.instruments.get(name or "", self.instrument)
 
     @property
+    def measured(self) -> str | None:
+        """Day, or day and time, of the measurement in ISO form; None where it is not stated."""
+        if self.report is not None and self.report.date is not None:
+            return self.report.date
+        try:
+            return datetime.datetime.fromisoformat(self.started).isoformat()
+        except ValueError:
+            return None
+
+    @property
     def instruments_in_words(self) -> str:
         """Model and serial number of each instrument that states them, with its name where there are several."""
         stated = self.instruments or {"": self.instrument}
