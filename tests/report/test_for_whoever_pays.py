@@ -56,7 +56,7 @@ def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
     made = samples.recording()
     for verb in ("calibrate", "diagnose"):
         samples.calibration_folder(tmp_path / verb)
-        shutil.move(tmp_path / verb / "calibration" / "calibration.json", tmp_path / verb)
+        shutil.copytree(tmp_path / verb / "calibration", tmp_path / verb, dirs_exist_ok=True)
     shutil.rmtree(tmp_path / "calibrate" / "recording")
     assert set(read(tmp_path / "diagnose" / "recording").targets) == set(made.targets)
     sections = {s.folder: s for s in document(tmp_path).sections if s.kind.startswith("Calibration")}
