@@ -20,6 +20,8 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.precision import ellipsoids
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.adjust.verdict import verdict
+from ltsim.calibrate import calibrate_network
+from ltsim.calibrate.choice import Choice
 from ltsim.effects import BASELINE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector
@@ -289,6 +291,28 @@ def scanner_truth(out: Path) -> None:
                 "exact_chain": f"{exact[k]:.1f}", "exact_less_first_order": f"{form[k]:.2f}",
             })  # fmt: skip
     show_table(out / "scanner.csv", rows)
+    show_table(out / "scanner_choice.csv", [row for known in (True, False) for row in choice_of_parameters(known)])
+
+
+def choice_of_parameters(known: bool) -> Rows:
+    """`ltsim calibrate --parameters` with the four that the exercise has, beside all sixteen."""
+    recording = scanner(known) if known else without_points(scanner(True))
+    every, four = (
+        calibrate_network(recording, advise=False, weigh=False, choice=choice)
+        for choice in (Choice(), Choice(parameters=tuple(SCANNER_TRUTH)))
+    )
+    rows: Rows = []
+    for p in PARAMETERS:
+        row: dict[str, object] = {"points": "known" if known else "unknown", "parameter": p.name, "unit": p.unit,
+                                  "truth": SCANNER_TRUTH[p.name]}  # fmt: skip
+        sigmas = []
+        for label, found in (("16", every), ("4", four)):
+            k = found.names.index(p.name)
+            sigmas.append(found.sigma[0, k])
+            row[f"found_{label}"] = f"{found.values[0, k] / p.factor:.1f}"
+            row[f"sigma_{label}"] = f"{sigmas[-1] / p.factor:.2f}"
+        rows.append(row | {"sigma_ratio": f"{sigmas[0] / sigmas[1]:.1f}"})
+    return rows
 
 
 def fitted(recording: Recording, known: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ import numpy as np
 from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjust import adjust
 from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.calibrate.choice import Choice
 from ltsim.calibrate.files import history_file
 from ltsim.calibrate.history import History
 from ltsim.diagnose import diagnose
@@ -44,6 +45,7 @@ from .desy import (
 )
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
+DEFAULT = "what `calibrate` applies by default"
 SIX = misalignment([effect for effect in BASELINE if effect.name in FLIPPING])
 LONG = 1.0
 UNITS = ("um", "urad across", "urad elevation")
@@ -144,8 +146,10 @@ def course(out: Path) -> None:
 
 METHODS = (
     ("16 parameters", misalignment(), False, False),
+    (DEFAULT, misalignment(), False, False),
     ("16 parameters, outliers out", misalignment(), True, False),
     ("16 parameters, outliers out, history of other epochs", misalignment(), True, True),
+    ("6 parameters", SIX, False, False),
     ("6 parameters, outliers out", SIX, True, False),
 )
 
@@ -163,7 +167,8 @@ def transfer(out: Path) -> None:
             history = History.of(others) if informed else None
             for s in (0, 1):
                 used = history.informed(own[name, s]) if history else own[name, s]
-                one = compare_two_face(raw[name, 1 - s], construction, used.values[0])
+                values = used.applied[0] if method == DEFAULT else used.values[0]
+                one = compare_two_face(raw[name, 1 - s], construction, values)
                 compared[name, s] = one
                 row = figures("clean", one.only(good[name, 1 - s]))
                 every.append({"method": method, "epoch": name, "from": s, "to": 1 - s, **row})
@@ -172,6 +177,7 @@ def transfer(out: Path) -> None:
             total.append({"method": method, **figures(kind, pooled(chosen)), **medians(chosen)})
     show_table(out / "transfer.csv", every)
     show_table(out / "transfer_summary.csv", [*total, ceiling(raw, good)])
+    show_table(out / "transfer_limit.csv", limits(found))
 
 
 def pooled(compared: list[TwoFaceComparison]) -> TwoFaceComparison:
@@ -192,6 +198,42 @@ def ceiling(raw: dict[tuple[str, int], Recording], good: dict[tuple[str, int], n
            for k, r in raw.items()]  # fmt: skip
     return {"method": "ceiling: 16 parameters on the set-up they were fitted to",
             **figures("clean", pooled(own)), **medians(own)}  # fmt: skip
+
+
+def limits(found: Noise) -> Rows:
+    """From set-up 0 to set-up 1, epoch by epoch and in the middle: what limits the share that is removed.
+
+    Six terms fitted to the evaluated set-up itself, and no half difference but the noise found, are what no transfer
+    can do better than.
+    """
+    six = Choice(parameters=FLIPPING)
+    rows: Rows = []
+    for name in EPOCHS:
+        recording = epoch(name)
+        own, other = set_up(recording, 0), set_up(recording, 1)
+        default = calibrate_network(own, advise=False)
+        few, itself = (calibrate_network(r, advise=False, choice=six, weigh=False) for r in (own, other))
+        before = two_face(other)
+        floor = noise_of_halves(epoch(name, found), before)
+        shares = {
+            "default": compare_two_face(other, default.construction, default.applied[0]).share_removed,
+            "six": compare_two_face(other, few.construction, few.values[0]).share_removed,
+            "six fitted to set-up 1": compare_two_face(other, itself.construction, itself.values[0]).share_removed,
+            "noise alone left": 1.0 - floor / before.rms,
+        }
+        rows.append({"epoch": name, **{f"{how}, {axis}": round(100 * float(share[k]), 1)
+                                       for how, share in shares.items()
+                                       for k, axis in ((1, "across"), (2, "elevation"))}})  # fmt: skip
+    keys = [key for key in rows[0] if key != "epoch"]
+    return [*rows, {"epoch": "median", **{key: round(float(np.median([row[key] for row in rows])), 1) for key in keys}}]
+
+
+def noise_of_halves(recording: Recording, pairs: TwoFace) -> np.ndarray:
+    """(3,) rms [m, rad, rad] that white noise alone gives the half differences of these pairs."""
+    sigma = set_up(recording, 1).sigma()
+    sigma[:, 1] *= np.abs(np.cos(set_up(recording, 1).readings[:, 2]))
+    variance = 0.25 * np.sum(sigma[pairs.rows] ** 2, axis=1)
+    return np.sqrt(variance.mean(axis=0))
 
 
 def lines(out: Path) -> None:

@@ -45,8 +45,7 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     along = gauge.directions(state.points) / gauge.sigma[:, None]
     for end in (gauge.first, gauge.second):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
-    at, axis = np.nonzero(control.axes)
-    np.add.at(normal, (control.target[at], axis, axis), control.weights()[:, 0] ** 2)
+    np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
     spread = np.linalg.eigvalsh(normal)
     return doubtful & (spread[:, 0] <= POINT * spread[:, 2])
 

@@ -180,8 +180,8 @@ class NetworkProblem:
         return [
             pointings,
             gauge,
-            layout.target[self.control.target][self.control.axes][:, None],
-            layout.pose[self.known_marks.target, :3][self.known_marks.axes][:, None],
+            np.repeat(layout.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
+            np.repeat(layout.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
             np.repeat(layout.pose[self.levels.station, 3:], 2, axis=0),
             self.structure.held_columns,
             self._prior_columns(),

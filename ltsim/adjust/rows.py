@@ -12,6 +12,7 @@ from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import verticals
 from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Target, symmetric
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -63,8 +64,8 @@ class ControlRows:
     """(k, 3) [m]."""
     axes: Bools
     """(k, 3): coordinates that are known."""
-    sigma: Floats
-    """(k,) [m]."""
+    root: Floats
+    """(k, 3, 3) [1 / m]: whitens the gap of the known coordinates, R' R their inverse covariance; 0 for the others."""
 
     @classmethod
     def of(cls, recording: Recording) -> ControlRows:
@@ -82,11 +83,12 @@ class ControlRows:
     def _known(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
         known = [(i, recording.target_setup(name)) for i, name in places]
         rows = [(i, t) for i, t in known if t.known_mm is not None]
+        axes = np.array([[axis in t.known_axes for axis in "xyz"] for _, t in rows], dtype=bool).reshape(-1, 3)
         return cls(
             np.array([i for i, _ in rows], dtype=np.int64),
             np.array([t.known_mm for _, t in rows], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
-            np.array([[axis in t.known_axes for axis in "xyz"] for _, t in rows], dtype=bool).reshape(-1, 3),
-            np.array([t.known_sigma_mm for _, t in rows], dtype=np.float64) * MILLIMETRE,
+            axes,
+            np.array([_root(t, known) for (_, t), known in zip(rows, axes, strict=True)]).reshape(-1, 3, 3),
         )
 
     def __len__(self) -> int:
@@ -99,16 +101,26 @@ class ControlRows:
 
     def residual(self, points: Floats) -> Floats:
         """Whitened residuals (count,) where the places are at `points` (T or S, 3)."""
-        return ((self.points - points[self.target]) / self.sigma[:, None])[self.axes]
+        gap = np.where(self.axes, self.points - points[self.target], 0.0)
+        return np.einsum("kij,kj->ki", self.root, gap)[self.axes]
 
     def weights(self) -> Floats:
-        """One over sigma (count, 1) of each known coordinate."""
-        rows: Floats = np.repeat(1.0 / self.sigma[:, None], 3, axis=1)[self.axes]
-        return rows[:, None]
+        """Derivative (count, 3) of the whitened coordinates, with the sign of a prediction, by their place."""
+        return self.root[self.axes]
 
     def equations(self, centre: Floats, reach: float) -> Floats:
         """Rows (count, 6): what a rigid motion about `centre`, rotation in units of 1 / `reach`, does to them."""
         return rigid_motion((self.points - centre) / reach)[self.axes.ravel()]
+
+
+def _root(target: Target, axes: Bools) -> Floats:
+    """The root (3, 3) [1 / m] of a target's known coordinates."""
+    if target.known_covariance_mm2 is None:
+        return np.diag(axes / (target.known_sigma_mm * MILLIMETRE))
+    at, root = np.ix_(axes, axes), np.zeros((3, 3))
+    covariance = symmetric(target.known_covariance_mm2)[at] * MILLIMETRE**2
+    root[at] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return root
 
 
 @dataclass(frozen=True)

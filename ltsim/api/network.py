@@ -244,7 +244,11 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
 
 
 def history(
-    sources: Iterable[RecordingSource | Calibration], *, instrument: str | None = None, **options: Any
+    sources: Iterable[RecordingSource | Calibration],
+    *,
+    instrument: str | None = None,
+    dates: Sequence[str] | None = None,
+    **options: Any,
 ) -> History:
     """Follow one instrument over calibrations in the order of time: course, spread, and what has changed.
 
@@ -254,6 +258,8 @@ def history(
         A recording is calibrated first, with `options` of `calibrate`.
     instrument : str, optional
         Which, where a calibration holds several.
+    dates : sequence of str, optional
+        When each was measured, in ISO form; default what their recordings state.
 
     Raises
     ------
@@ -269,7 +275,7 @@ def history(
     True
     """
     named = [_labelled(number, source, options) for number, source in enumerate(sources, start=1)]
-    return History.of(named, instrument)
+    return History.of(named, instrument, dates)
 
 
 def _labelled(number: int, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:

@@ -17,6 +17,8 @@ from scipy import linalg, special
 
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
+from ltsim.calibrate.dates import days_of
+from ltsim.calibrate.evidence import Evidence, evidence
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown
@@ -110,20 +112,30 @@ class History(Shown):
         One a calibration.
     calibrations : tuple of Calibration
         Each of one instrument, all with the same construction.
+    days : (K,) float, optional
+        Days since the first; None where not all are dated.
     """
 
     labels: tuple[str, ...]
     calibrations: tuple[Calibration, ...]
+    days: Floats | None = None
 
     @classmethod
-    def of(cls, named: Sequence[tuple[str, Calibration]], instrument: str | None = None) -> History:
+    def of(
+        cls,
+        named: Sequence[tuple[str, Calibration]],
+        instrument: str | None = None,
+        dates: Sequence[str] | None = None,
+    ) -> History:
         """A history of labelled calibrations; `instrument` chooses where a calibration holds several.
+
+        `dates` (ISO form, one a calibration) stand in for those of the recordings behind them.
 
         Raises
         ------
         RecordError
-            When there are fewer than two, the constructions differ, the instrument is not clear, or a parameter
-            has no uncertainty.
+            When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
+            uncertainty, or the dates are none or out of order.
         """
         if len(named) < 2:
             raise RecordError(f"found {len(named)} calibration(s), expected at least two to compare")
@@ -142,7 +154,9 @@ class History(Shown):
             if len(unsure):
                 name = calibration.construction.names[unsure[0]]
                 raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
-        return cls(tuple(label for label, _ in named), chosen)
+        labels = tuple(label for label, _ in named)
+        stated = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
+        return cls(labels, chosen, days_of(labels, stated))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -342,38 +356,6 @@ def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
         )
         for c in calibrations
     )
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What a calibration's readings say without its prior, in units of common prior sigmas.
-
-    Attributes
-    ----------
-    remaining : (p, p) float
-        Covariance after the calibration.
-    information : (p, p) float
-        Inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`.
-    told : (p,) float
-        `information` times the estimate that the readings alone would give.
-    """
-
-    remaining: Floats
-    information: Floats
-    told: Floats
-
-
-def evidence(calibration: Calibration, unit: Floats) -> Evidence:
-    """The evidence of a calibration of one instrument whose priors are centred at 0; `unit` (p,) [SI]."""
-    prior = calibration.prior_sigma[0] / unit
-    remaining = calibration.covariance / np.outer(unit, unit)
-    values, vectors = linalg.eigh(remaining / np.outer(prior, prior))
-    heard = 1.0 - values > SILENT
-    inverse = np.where(heard, 1.0 / np.where(heard, values, 1.0), 0.0)
-    basis = vectors / prior[:, None]
-    information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
-    told = (basis * inverse) @ basis.T @ (calibration.values[0] / unit)
-    return Evidence(0.5 * (remaining + remaining.T), information, told)
 
 
 def _test(gap: Floats, spread: Floats) -> ChiSquare:

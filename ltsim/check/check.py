@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from scipy import stats
 
-from ltsim.adjust.estimate import adjust
 from ltsim.arrays import Bools, Ints
 from ltsim.check.faces import Faces, Mpe, faces_or_none
+from ltsim.check.items import Family, Item, two_sided
+from ltsim.check.network import NETWORK_TESTS, items_of_network
 from ltsim.check.visit import Gain, Visit, surprise
 from ltsim.check.words import bump_sentence, drift_sentence, face_sentence, gross_sentence, instrument_sentence
 from ltsim.effects.index_drift import IndexDrift
@@ -23,7 +22,7 @@ from ltsim.effects.motions import station_design
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction, misalignment
+from ltsim.model.construction import Construction, stated_construction
 from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.recording import Recording
 
@@ -32,27 +31,8 @@ MOST_GROSS = 0.1
 """Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
 WITNESSES = 3
 """Targets on both sides of a gap that a motion of the station needs: one alone may itself have moved."""
-Kind = Literal["two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network"]
 TESTS = 6
-"""Tests of one set-up: every kind but the last."""
-
-
-@dataclass(frozen=True)
-class Item:
-    """One thing that was looked at: whether it passes, in a sentence, with its chance over everything looked at.
-
-    `p_value` is None where a limit was compared; `rows` are rows of the recording from 1, `between` the two times
-    [s] that enclose an event.
-    """
-
-    station: str
-    kind: Kind
-    passed: bool
-    sentence: str
-    p_value: float | None = None
-    targets: tuple[str, ...] = ()
-    rows: tuple[int, ...] = ()
-    between: tuple[float, float] | None = None
+"""Tests of one set-up."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +55,7 @@ class Check(Shown):
 
     recording: Recording
     setups: tuple[SetUp, ...]
-    network: Item | None
+    network: tuple[Item, ...]
     level: float
 
     def _lines(self) -> list[str]:
@@ -95,8 +75,7 @@ class Check(Shown):
     @property
     def items(self) -> tuple[Item, ...]:
         """Every item, set-up by set-up."""
-        between = (self.network,) if self.network is not None else ()
-        return (*(item for setup in self.setups for item in setup.items), *between)
+        return (*(item for setup in self.setups for item in setup.items), *self.network)
 
     @property
     def passed(self) -> bool:
@@ -111,23 +90,6 @@ class Check(Shown):
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             return f"no-go: {failed[0].sentence}{more}"
         return f"go: {len(self.setups)} set-up{'s' if len(self.setups) > 1 else ''} within noise and guarantee"
-
-
-@dataclass(frozen=True)
-class Family:
-    """The tests of a recording: `adjusted` chances count all of them and every place that one looked at."""
-
-    level: float
-    tests: int
-
-    @property
-    def share(self) -> float:
-        """Part of the level that one test has."""
-        return self.level / self.tests
-
-    def adjusted(self, p: float, looks: int = 1) -> float:
-        """Chance of one such result or more among all that was looked at (Bonferroni)."""
-        return min(1.0, p * looks * self.tests)
 
 
 def check(recording: Recording, *, level: float = LEVEL, mpe: Mpe | None = None) -> Check:
@@ -146,19 +108,19 @@ def check(recording: Recording, *, level: float = LEVEL, mpe: Mpe | None = None)
     NetworkError
         When nothing was measured twice: there is nothing to check yet.
     """
-    family = Family(level, TESTS * max(len(recording.stations), 1) + 1)
-    built = misalignment()
-    setups = tuple(_set_up(recording, s, family, mpe, built) for s in range(len(recording.stations)))
-    found = Check(recording, setups, _of_network(recording, family), level)
+    family = Family(level, TESTS * max(len(recording.stations), 1) + NETWORK_TESTS)
+    setups = tuple(_set_up(recording, s, family, mpe) for s in range(len(recording.stations)))
+    found = Check(recording, setups, items_of_network(recording, family), level)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return found
 
 
-def _set_up(whole: Recording, station: int, family: Family, mpe: Mpe | None, construction: Construction) -> SetUp:
+def _set_up(whole: Recording, station: int, family: Family, mpe: Mpe | None) -> SetUp:
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
+    construction = stated_construction(recording)
     items: list[Item] = []
     faces = faces_or_none(recording, construction, family.share, mpe)
     if faces is not None:
@@ -261,42 +223,9 @@ def _instrument_drift(visit: Visit, family: Family) -> Item:
 def _closure(visit: Visit, family: Family) -> Item:
     """Scatter of repeated pointings against the stated noise, two-sided; less noise than stated passes with a word."""
     name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
-    p, less = _two_sided(visit.chi2, visit.dof)
+    p, less = two_sided(visit.chi2, visit.dof)
     p = family.adjusted(p)
     scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the stated noise ({visit.dof} degrees of freedom)"
     if p >= family.level:
         return Item(name, "closure", True, f"{scatter}, as it should be", p)
     return Item(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
-
-
-def _two_sided(chi2: float, dof: int) -> tuple[float, bool]:
-    """Chance of a chi-square so far out on either side, and whether it is too small."""
-    low, high = float(stats.chi2.cdf(chi2, dof)), float(stats.chi2.sf(chi2, dof))
-    return min(1.0, 2 * min(low, high)), low < high
-
-
-def _of_network(recording: Recording, family: Family) -> Item | None:
-    """Whether the stations agree on their common targets, the instrument's errors estimated; None where they cannot."""
-    if len(recording.stations) < 2:
-        return None
-    try:
-        found = adjust(recording, misalignment(), robust=True)
-    except NetworkError:
-        return None
-    if not found.solution.converged or found.dof < 1:
-        return None
-    out = found.rejected.any(axis=1)
-    p, less = _two_sided(found.chi2, found.dof)
-    p = family.adjusted(p)
-    scatter = f"sigma0 {found.sigma0:.2f} where the stated noise gives 1 ({found.dof} degrees of freedom)"
-    if not out.any():
-        passed = less or p >= family.level
-        verb = "agree" if passed else "disagree"
-        return Item("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
-    rows = np.flatnonzero(out)
-    station, target = recording.station[rows[0]], recording.target[rows[0]]
-    first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
-    many = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{many} the other stations ({first}{', is the first' if len(rows) > 1 else ''})"
-    targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
-    return Item("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import CalibrationFile, Reading, Source
+from ltsim.cli.options import CalibrationFile, FramedReading, Source
 from ltsim.cli.places import Force, claim_recording
 from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal
@@ -22,11 +22,13 @@ def correct(
     calibration: CalibrationFile,
     out: Destination,
     *,
-    reading: Reading,
+    reading: FramedReading,
     force: Force = False,
     terminal: Terminal,
 ) -> None:
     """Write the recording that an ideal tracker would have made, by a calibration of the instrument.
+
+    Readings stay in the axes of each set-up; with --frame whatever is computed from them later is in those of FILE.
 
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """

@@ -32,6 +32,15 @@ EachSetUp = Annotated[bool, typer.Option("--each-set-up", help="Calibrate every 
 InstrumentName = Annotated[
     str | None, typer.Option("--instrument", metavar="NAME", help="Which, where a calibration holds several.")
 ]
+Dates = Annotated[
+    str | None,
+    typer.Option(
+        "--dates",
+        metavar="DATE,...",
+        help="When each was measured, such as 2026-05-31; default what their recordings state. Usual steps may grow "
+        "with the days between.",
+    ),
+]
 FailOnChange = Annotated[
     bool,
     typer.Option(
@@ -48,6 +57,7 @@ def history(
     out: Out = None,
     each_set_up: EachSetUp = False,
     instrument: InstrumentName = None,
+    dates: Dates = None,
     fail_on_change: FailOnChange = False,
     robust: Robust = False,
     noise_from_data: NoiseFromData = False,
@@ -73,7 +83,7 @@ def history(
         for source in sources:
             named += _calibrations(terminal, source, reading, treated, each_set_up=each_set_up)
             done(1)
-    found = History.of(named, instrument)
+    found = History.of(named, instrument, None if dates is None else [d.strip() for d in dates.split(",")])
     content = history_file(found)
     if out is not None:
         from ltsim.recording.result_file import write_result
@@ -91,9 +101,9 @@ def history(
 
 def _has_changed(found: History) -> bool:
     """An event where there are calibrations enough to tell one, otherwise any change from the first to the last."""
-    from ltsim.calibrate.events import can_tell, events
+    from ltsim.calibrate.events import events, knows_usual
 
-    return bool(events(found)) if can_tell(found) else found.change(0, len(found) - 1).joint.p_value < LEVEL
+    return bool(events(found)) if knows_usual(found) else found.change(0, len(found) - 1).joint.p_value < LEVEL
 
 
 def _calibrations(
@@ -124,7 +134,7 @@ def _calibrated(recording: Recording, label: str, treated: dict[str, Any]) -> Ca
 
 def show(terminal: Terminal, found: History) -> None:
     """The course of each parameter, then what changed from one calibration to the next."""
-    from ltsim.calibrate.events import can_tell, events
+    from ltsim.calibrate.events import events, knows_usual
 
     rows = []
     silent = []
@@ -147,8 +157,9 @@ def show(terminal: Terminal, found: History) -> None:
     for i, change in enumerate(found.changes()):
         terminal.say(_sentence(found, change, [event for event in found_events if event.step == i]))
     terminal.say("since the first: " + _sentence(found, found.change(0, len(found) - 1), found_events))
-    if not can_tell(found):
-        terminal.say(f"{len(found)} calibrations are too few to tell an event from how the instrument moves day by day")
+    if not knows_usual(found):
+        few = "no event can be told" if len(found) < 4 else "only a gross event stands out"
+        terminal.say(f"{len(found)} calibrations hardly tell how the instrument moves from one to the next: {few}")
 
 
 def _sentence(found: History, change: Change, stood_out: Sequence[Event]) -> str:
@@ -159,11 +170,11 @@ def _sentence(found: History, change: Change, stood_out: Sequence[Event]) -> str
 
 
 def _verdict(found: History, change: Change) -> str:
-    from ltsim.calibrate.events import can_tell
+    from ltsim.calibrate.events import knows_usual
 
     if change.joint.p_value >= LEVEL:
         return "no change seen"
-    if can_tell(found):
+    if knows_usual(found):
         return "no more than it moves from one calibration to the next"
     names = [found.construction.names[k] for k in change.changed()]
     return "changed" + (f", above all {', '.join(names)}" if names else ", in no single parameter for certain")

@@ -45,7 +45,10 @@ def report(
     """Write report.html into DIR: one page that opens offline, the answer first, then tables, figures and the 3D view.
 
     DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them. The head names
-    instrument, date, operator and customer from the table [report] of setup.toml, or from the options.
+    instrument, date, operator and customer from the table [report] of setup.toml, or from the options; without a word
+    there, the instruments by their model and serial.
+
+    Coordinates stand in the axes in which they were computed: --frame belongs to adjust, calibrate, diagnose, convert.
 
     Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
     """

@@ -55,11 +55,14 @@ class SourceEntry(Entry):
     """How many."""
     digest: str
     """Of who sighted what, and of the readings."""
+    measured: str | None = None
+    """Day, or day and time, of the measurement in ISO form, where the set-up says it."""
 
     @classmethod
     def of(cls, recording: Recording) -> SourceEntry:
         """What a result says of its recording."""
-        return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording))
+        when = {"measured": recording.setup.measured} if recording.setup.measured else {}
+        return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
 
 
 class ResultFile(Entry):

@@ -8,7 +8,10 @@ from __future__ import annotations
 import datetime
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from ltsim.arrays import Floats
 
 
 def _some_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -30,6 +33,23 @@ def _calendar_date(text: str) -> str:
         raise ValueError("it should be a date such as 2026-05-31") from None
 
 
+def _definite(entries: tuple[float, ...]) -> tuple[float, ...]:
+    matrix = symmetric(entries)
+    sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    if sigma.min() < LEAST_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < DEFINITE:
+        raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
+    return entries
+
+
+def symmetric(entries: tuple[float, ...]) -> Floats:
+    """The matrix (3, 3) whose upper triangle is xx, xy, xz, yy, yz, zz."""
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = entries
+    return matrix + np.triu(matrix, 1).T
+
+
+DEFINITE = 1e-9
+"""Smallest eigenvalue of correlations that is told from none."""
 SHORT = 1e-6
 """Length below which a vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
@@ -44,6 +64,7 @@ LEAST_SIGMA = 1e-6
 """[mm, arcsec, ppm] Nobody knows anything better, and numbers lose their digits."""
 Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+Covariance = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_definite)]
 Direction = Annotated[Vector, AfterValidator(_some_length)]
 EXACT_LEVEL_ARCSEC = 1e-3
 """Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
@@ -109,6 +130,10 @@ class Instrument(Section):
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Where the beam comes from: a source in the turning head, or a mirror that steers it."""
+    model: Line | None = None
+    """Maker and model, such as "Leica AT960", for the head of a report."""
+    serial: Line | None = None
+    """Serial number, for the head of a report."""
     corrected: bool = False
     """The maker's or a former calibration's corrections are already in the readings."""
     noise: Noise = Noise()
@@ -174,9 +199,9 @@ class Station(Section):
 class Target(Section):
     """What is known about one reflector position.
 
-    `known_mm` holds with `known_sigma_mm` along `known_axes`. `approximate_mm` is a start value without
-    weight; where `datum` is set, all such targets together define the frame by inner constraints, each along its
-    `datum_axes` (three targets with "xyz", "yz" and "z" span axes by the 3-2-1 rule).
+    `known_mm` holds with `known_sigma_mm`, or `known_covariance_mm2`, along `known_axes`. `approximate_mm` is a start
+    value without weight; where `datum` is set, all such targets together define the frame by inner constraints, each
+    along its `datum_axes` (three targets with "xyz", "yz" and "z" span axes by the 3-2-1 rule).
     """
 
     nest_normal: Direction | None = None
@@ -189,6 +214,8 @@ class Target(Section):
     """Coordinates of a control point: a condition with weight."""
     known_sigma_mm: Sigma = 0.01
     """Standard deviation of each known coordinate."""
+    known_covariance_mm2: Covariance | None = None
+    """Covariance xx, xy, xz, yy, yz, zz of the known coordinates, in place of `known_sigma_mm`."""
     known_axes: Axes = "xyz"
     """Which of the coordinates are known."""
     approximate_mm: Vector | None = None
@@ -205,7 +232,7 @@ class About(Section):
     """Who measured what for whom, table `[report]`: the head of a report; nothing is computed from it."""
 
     instrument: Line | None = None
-    """Maker, model and serial number, such as "Leica AT960, 751234"."""
+    """Maker, model and serial number, such as "Leica AT960, 751234"; default those of the instruments."""
     date: Date | None = None
     """Day of the measurement, year-month-day."""
     operator: Line | None = None
@@ -240,3 +267,22 @@ class Setup(Section):
         """Give the instrument that stood at `station`."""
         name = self.stations.get(station, Station()).instrument
         return self.instruments.get(name or "", self.instrument)
+
+    @property
+    def measured(self) -> str | None:
+        """Day, or day and time, of the measurement in ISO form; None where it is not stated."""
+        if self.report is not None and self.report.date is not None:
+            return self.report.date
+        try:
+            return datetime.datetime.fromisoformat(self.started).isoformat()
+        except ValueError:
+            return None
+
+    @property
+    def instruments_in_words(self) -> str:
+        """Model and serial number of each instrument that states them, with its name where there are several."""
+        stated = self.instruments or {"": self.instrument}
+        said = {name: [word for word in (i.model, i.serial) if word] for name, i in stated.items()}
+        return "; ".join(
+            ", ".join([*([name] if len(stated) > 1 else []), *words]) for name, words in said.items() if words
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import platform
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -51,7 +52,9 @@ def _campaign_section(folder: Path) -> Section:
 Builder = Callable[["Part", Recording | None, Detail], Section]
 KINDS: dict[str, Builder] = {
     "observations.csv": lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
-    "calibration.json": lambda part, recording, detail: calibration_section(part.folder, recording, detail=detail),
+    "calibration.json": lambda part, recording, detail: calibration_section(
+        part.folder, recording, detail=detail, brief=part.brief
+    ),
     "diagnosis.json": lambda part, recording, _: beside_truth(diagnosis_section(part.folder, recording), part.folder),
     "history.json": lambda part, _, __: history_section(part.folder),
     "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
@@ -129,11 +132,15 @@ def _about(parts: list[Part], given: About) -> list[tuple[str, str]]:
     """Who measured what for whom; several recordings may have several answers."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     files = [place / SETUP for place in folders if (place / SETUP).is_file()]
-    stated = [entry for entry in (read_setup(file).report for file in files) if entry is not None]
+    setups = [read_setup(file) for file in files]
+    stated = [setup.report for setup in setups if setup.report is not None]
+    stated.append(
+        About(instrument="; ".join(dict.fromkeys(s.instruments_in_words for s in setups)).strip("; ") or None)
+    )
     said = []
     for key in About.model_fields:
-        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated]
-        text = ", ".join(dict.fromkeys(value for value in values if value))
+        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated[:-1]]
+        text = ", ".join(dict.fromkeys(value for value in values if value)) or getattr(stated[-1], key)
         said += [(key, text)] * bool(text)
     return said
 
@@ -149,8 +156,16 @@ def _parts(folder: Path, recording: Path | None) -> list[Part]:
     ]
     if not found:
         raise RecordError(f"holds nothing to report; expected one of {', '.join(KINDS)} in it", file=folder)
+    behind = {_digest(part): part.recording for part in found if part.recording}
+    found = [part if part.recording else replace(part, recording=behind.get(_digest(part) or "-")) for part in found]
     used = Counter(part.recording for part in found)
-    return [replace(part, brief=used[part.recording] > 1) for part in found]
+    diagnosed = {part.recording for part in found if part.kind == "diagnosis.json"} - {None}
+    return [
+        replace(
+            part, brief=used[part.recording] > 1 if part.kind == "observations.csv" else part.recording in diagnosed
+        )
+        for part in found
+    ]
 
 
 def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
@@ -158,9 +173,10 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
 
     A folder in the `top` one that cannot be read is a section that says so, unless there is nothing else.
     """
-    shown: set[Path | None] = set()
+    shown: set[Path | str | None] = set()
     for part in parts:
-        detail: Detail = "none" if part.recording in shown and part.recording else "still" if shown else "turn"
+        source = part.recording or _digest(part)
+        detail: Detail = "none" if source in shown and source else "still" if shown else "turn"
         try:
             section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
             section = replace(section, actions=actions_of(part.kind, part.folder))
@@ -169,8 +185,17 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
                 raise
             section = Section(part.folder.name, UNREADABLE, str(problem), "bad")
         if any(block.kind == "scene" for block in section.blocks):
-            shown.add(part.recording)
+            shown.add(source)
         yield part, section
+
+
+def _digest(part: Part) -> str:
+    """Digest of the recording that a result names; empty where it names none."""
+    try:
+        named = json.loads((part.folder / part.kind).read_text(encoding="utf-8"))["recording"]["digest"]
+    except (ValueError, KeyError, TypeError, OSError):
+        return ""
+    return str(named)
 
 
 def render(content: Document) -> str:

@@ -18,6 +18,7 @@ from ltsim.report.workshop import Workshop
 from ltsim.units import DEGREE
 
 WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
+MOST_ARROWS = 300
 MOST_LABELS = 60
 LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 
@@ -267,6 +268,7 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     if not float(length.max()) > 0:
         return
     scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
+    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MOST_ARROWS:][0]))
     arrows = [
         pv.Arrow(
             start=p,
@@ -279,10 +281,11 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
             tip_resolution=12,
         )
         for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
-        if n > 1e-3 * length.max()
+        if n >= least
     ]
     plotter.add_mesh(solids.merged(arrows), color=PURPLE, name="corrections")
-    lines.append(f"arrows: correction of a target, enlarged {times(scale)} times")
+    most = f" (the {MOST_ARROWS} largest)" if len(length) > MOST_ARROWS else ""
+    lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
 
 def _labels(plotter: pv.Plotter, workshop: Workshop) -> None:

@@ -38,6 +38,10 @@ def scene_page(workshop: Workshop) -> str:
     """One self-contained HTML page with the scene to turn; it asks nothing of any server."""
     plotter, legend = scene3d.build(workshop)
     _solid_labels(plotter, workshop)
+    for actor in plotter.actors.values():
+        mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
+        if mesh is not None:
+            mesh.points = mesh.points.astype(np.float32)  # a tenth of a millimetre is too small to see
     html = viewer_page(plotter)
     plotter.close()
     title = escape(workshop.title or "Workshop")

@@ -49,11 +49,14 @@ def rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
 
 FEW_BALLS = 150
 """Above so many a ball is small on the screen, and eight sides look round."""
+MANY_BALLS = 600
+"""Above so many six sides do."""
 
 
 def balls(centres: Floats, axes: Floats) -> pv.PolyData:
     """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
-    unit = _unit_sphere(18, 12) if len(centres) <= FEW_BALLS else _unit_sphere(8, 6)
+    count = len(centres)
+    unit = _unit_sphere(*((18, 12) if count <= FEW_BALLS else (8, 6) if count <= MANY_BALLS else (6, 4)))
     points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
     first = len(unit.points) * np.arange(len(centres), dtype=np.int64)[:, None, None]
     corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first).reshape(-1, 3)

@@ -81,6 +81,10 @@ DARK = {
 ON_PALE, ON_DEEP = "#23282c", "#fefefe"
 """Letters on coloured cells, which keep their colour on a dark screen."""
 _DOTS = re.compile(r'(?<=data:image/png;base64,)[^"]+')
+_PLACES = re.compile(r'(?:\bd="|\b[xy]="|\btranslate\()[^")]+')
+_INDENT = re.compile(r" *\n *")
+_LETTER = re.compile(r'<use xlink:href="([^"]+)" transform="translate\(([-\d.]+) 0\)"/>')
+_DECIMALS = re.compile(r"-?\d+\.\d{3,}")
 
 P = ParamSpec("P")
 
@@ -145,7 +149,15 @@ def svg(figure: Figure) -> str:
     with mpl.rc_context(_SETTINGS):
         figure.savefig(stream, format="svg", metadata={"Date": None})
     text = _DOTS.sub(lambda found: _fewer_colours(found.group()), stream.getvalue())
+    text = _PLACES.sub(lambda found: _DECIMALS.sub(_shorter, found.group()), text)
+    text = _LETTER.sub(r'<use xlink:href="\1" x="\2"/>', _INDENT.sub("\n", text))
+    text = text.replace("DejaVuSans-", "f").replace("xlink:href=", "href=")
     return text.replace("<defs>", f"<defs>{_dark_rules()}", 1)
+
+
+def _shorter(place: re.Match[str]) -> str:
+    """A coordinate to a hundredth of a point."""
+    return f"{float(place.group()):.2f}"
 
 
 def _fewer_colours(png: str) -> str:

@@ -347,6 +347,37 @@ def test_marks_that_are_no_targets_are_shared_and_may_be_known():
     assert_same_shape(found, marks[1:])
 
 
+def test_known_points_may_have_a_full_covariance():
+    """Turned with their covariances they give the same network turned; alike in all directions they are as before."""
+    recording, truth = network(seed=3, stations=3)
+    points, places = truth.state.points, [2, 9, 14, 21]
+    shifted = points + 1e-3 * stream(3, "known").standard_normal(points.shape)
+    roots = stream(3, "roots").uniform(0.3, 2.0, (len(points), 3, 3))
+    found = []
+    for turn in (np.eye(3), about_z(0.7)):
+        targets = {}
+        for i in places:
+            matrix = turn @ (roots[i] @ roots[i].T) @ turn.T
+            place = tuple(1e3 * turn @ shifted[i])
+            entries = tuple(matrix[np.triu_indices(3)])
+            targets[recording.targets[i]] = Target(known_mm=place, known_covariance_mm2=entries)
+        found.append(adjust(with_setup(recording, targets=targets)))
+        assert found[-1].solution.converged
+    assert found[1].chi2 == pytest.approx(found[0].chi2, rel=1e-9)
+    np.testing.assert_allclose(found[1].state.points, found[0].state.points @ about_z(0.7).T, atol=1e-9)
+    gap = found[0].state.points[places[0]] - shifted[places[0]]
+    assert np.linalg.norm(gap) > 1e-4
+    by_sigma = adjust(known(recording, shifted, places, known_sigma_mm=0.5))
+    by_matrix = adjust(known(recording, shifted, places, known_covariance_mm2=(0.25, 0, 0, 0.25, 0, 0.25)))
+    assert by_matrix.chi2 == pytest.approx(by_sigma.chi2, rel=1e-12)
+
+
+@pytest.mark.parametrize("entries", [(1, 2, 0, 1, 0, 1), (1, 0, 0, 1, 0, 0), (-1, 0, 0, 1, 0, 1)])
+def test_a_covariance_is_positive_in_every_direction(entries):
+    with pytest.raises(ValueError, match="positive in every direction"):
+        Target(known_mm=(0, 0, 0), known_covariance_mm2=entries)
+
+
 def test_the_start_is_good_enough_with_the_noise_of_total_stations():
     for seed in range(5):
         recording, marks = total_stations(seed)

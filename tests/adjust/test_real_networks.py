@@ -84,3 +84,12 @@ def test_parameters_of_the_simulated_scanner_are_recovered(experiment, known):
     assert np.all(np.abs(values - experiment.TRUTH) < 3.2 * sigma)
     exact, _ = experiment.fitted(experiment.rounded(None), known)
     np.testing.assert_allclose(exact, experiment.TRUTH, atol=1.0)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["points known", "points unknown"])
+def test_four_parameters_of_the_scanner_are_better_known_than_sixteen(experiment, known):
+    ratio = {row["parameter"]: float(row["sigma_ratio"]) for row in experiment.choice_of_parameters(known)}
+    assert ratio["vertical-index"] > 10
+    assert ratio["beam-tilt"] > 5
+    assert ratio["range-offset"] > 3
+    assert ratio["transit-tilt"] >= 1.0

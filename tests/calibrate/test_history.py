@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
@@ -140,6 +141,48 @@ def test_a_blow_stands_out_and_is_dated():
         assert found[0].usual == pytest.approx(0.7 * PRIOR[6], rel=0.5)
         entry = history_file(history).events[0]
         assert (entry.from_, entry.to, entry.unit) == ("c7", "c8", CONSTRUCTION.parameters[6].unit)
+
+
+DATES = ("01-01", "01-02", "01-04", "01-05", "01-06", "06-15", "06-16", "06-18", "06-19")
+
+
+def wandered(trial, *, blow=0.0, dated=True):
+    """Nine calibrations of an instrument that wanders by 0.3 prior sigmas a root day, 160 days apart once."""
+    rng = stream(8, "wander", trial)
+    days = np.diff([date.fromisoformat(f"2026-{d}").toordinal() for d in DATES])
+    steps = 0.3 * np.sqrt(days)[:, None] * rng.standard_normal((len(days), SIZE))
+    truths = PRIOR * np.cumsum(np.vstack([np.zeros(SIZE), steps]), axis=0)
+    truths[7:, 6] += blow * PRIOR[6]
+    named = labelled([estimate(t, d, rng) for t, d in zip(truths, designs(rng, len(DATES), 40.0), strict=True)])
+    return History.of(named, dates=[f"2026-{d}" for d in DATES] if dated else None)
+
+
+def test_half_a_year_may_move_what_a_day_may_not():
+    """Without dates the long step is taken for an event; with them it is one as often as it should be."""
+    undated = sum(bool(events(wandered(trial, dated=False))) for trial in range(8))
+    dated = sum(bool(events(wandered(trial))) for trial in range(8))
+    assert undated >= 6
+    assert dated <= 1
+
+
+def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
+    found = events(wandered(0, blow=12.0))
+    assert [(event.step, CONSTRUCTION.names[event.parameter]) for event in found] == [(6, CONSTRUCTION.names[6])]
+
+
+@pytest.mark.parametrize(
+    ("dates", "words"),
+    [
+        (["2026-01-01"], "found 1 dates for 2 calibrations"),
+        (["2026-01-02", "2026-01-01"], r"c0 \(2026-01-02\) stands before c1 .* in the order of time"),
+        (["1.2.2026", "2.2.2026"], "expected such as 2026-05-31"),
+    ],
+)
+def test_wrong_dates_get_a_sentence(dates, words):
+    rng = stream(7, "few")
+    named = labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)])
+    with pytest.raises(RecordError, match=words):
+        History.of(named, dates=dates)
 
 
 def test_few_calibrations_tell_no_event():

@@ -21,13 +21,14 @@ from ltsim.cli.terminal import Terminal
 from ltsim.effects.motions import exact_station_change
 from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluate.two_face import two_face
-from ltsim.model.construction import misalignment
+from ltsim.model.construction import misalignment, steering_mirror
 from ltsim.randomness import stream
 from ltsim.recording import Hints, Recording, read, write
+from ltsim.recording.setup import Instrument, Station
 from ltsim.report.figures.check import check_figure
 from ltsim.report.style import svg
 from ltsim.units import ARCSECOND, MICROMETRE
-from tests.networks import network
+from tests.networks import drawn, network
 
 
 def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
@@ -139,6 +140,39 @@ def test_scatter_is_judged_on_both_sides() -> None:
     assert any("less than stated" in item.sentence for item in found.items)
     shaken = recording.readings + stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.sigma()
     assert ("S1", "closure") in kinds(check(recording.with_readings(shaken)))
+
+
+def levelled(recording: Recording, sigma: float) -> Recording:
+    """The recording with every station said to follow its level, so well [arcsec]."""
+    stations = {name: Station(levelled=True, levelling_sigma_arcsec=sigma) for name in recording.stations}
+    return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+
+def test_a_level_that_is_off_is_told_by_the_others() -> None:
+    upright = levelled(visits(2, stations=3), 1.0)
+    assert {item.passed for item in check(upright).items if item.kind == "level"} == {True}
+    leaning = moved(upright, 1, -1.0, [0.0, 0.0, 0.0, 0.0, 30 * ARCSECOND, 0.0])
+    found = check(leaning)
+    assert ("S2", "level") in kinds(found)
+    said = next(item.sentence for item in found.items if item.kind == "level" and item.station == "S2")
+    assert said.startswith("S2: its level is off the vertical of the others (30 +- 1.")
+
+
+def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
+    """Errors of a mirror that a source in the head cannot have are within its guarantee, and no scatter."""
+    mirror = steering_mirror()
+    recording, _ = network(faces=2, seed=5, stations=1, construction=mirror, values=drawn(mirror, 5))
+    stated = Instrument(construction="steering-mirror")
+    own = recording.replace(setup=recording.setup.model_copy(update={"instrument": stated}))
+    assert check(own).passed
+    assert ("S1", "closure") in kinds(check(recording))
+    both = visits(3, stations=2)
+    mixed = {"instruments": {"M": stated}, "stations": {"S2": Station(instrument="M")}}
+    items = check(both.replace(setup=both.setup.model_copy(update=mixed))).items
+    assert any(
+        "the stations are not compared: stations S2 are of a tracker with a steering mirror" in i.sentence
+        for i in items
+    )
 
 
 def test_nothing_repeated_is_said() -> None:

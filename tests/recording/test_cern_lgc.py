@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
 from ltsim.recording import Recording, read
@@ -111,7 +112,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     for said in (
         "2 lines are switched off",
         "*DVER is not understood here and skipped (1",
-        "*OBSXYZ holds observed coord",
+        "*OBSXYZ observes 1 points in a frame of its own (F); all of them are fixed",
         "*RS2K",
     ):
         assert said in notes, said
@@ -178,3 +179,69 @@ def test_real_files(name: str, stations: int, targets: int, pointings: int) -> N
     assert (len(recording.stations), len(recording.targets), len(recording)) == (stations, targets, pointings)
     right, wrong = misfit(recording, 1.0), misfit(recording, -1.0)
     assert np.median(right) < 0.3 * np.median(wrong)
+
+
+PLACED = """*TITR
+Observed points
+*OLOC
+*INSTR
+*POLAR AT402.391234 PRISM 0 0 0 0 0
+PRISM 3 4 .02 6 0 0 0 0 0 0
+*CALA
+FIXED 0 0 0
+*POIN
+SEEN 10 0 1
+HALF 0 10 1 SX 0 SZ 2
+WHOLE 10 10 1 APRICOV MAT(4e-6,1e-6,0,1e-6,9e-6,0,0,0,1e-6)
+ST 4 4 2
+*TSTN ST AT402.391234 ROT3D
+*V0
+*PLR3D
+FIXED 250 120 6
+SEEN 350 110 7.3
+HALF 150 110 7.3
+WHOLE 50 110 8.5
+*OBSXYZ
+FIXED 1 1 1 1 1 1
+SEEN 10.001 0.002 1.003 1 2 3
+SEEN 10.003 0.002 1.003 1 2 3
+*END
+"""
+
+
+def test_observed_coordinates_are_known_with_their_covariance(tmp_path: Path) -> None:
+    file = tmp_path / "a.lgc"
+    file.write_text(PLACED)
+    recording = read(file)
+    targets = recording.setup.targets
+    assert (targets["FIXED"].known_mm, targets["FIXED"].known_covariance_mm2) == ((0, 0, 0), None)
+    assert "*OBSXYZ of FIXED: the point is fixed" in " ".join(recording.notes)
+    np.testing.assert_allclose(targets["SEEN"].known_mm, [10002, 2, 1003])
+    np.testing.assert_allclose(targets["SEEN"].known_covariance_mm2, [0.5, 0, 0, 2, 0, 4.5], atol=1e-9)
+    half = targets["HALF"]
+    assert half.known_axes == "xz"
+    assert half.approximate_mm == (0, 10000, 1000)
+    assert half.known_covariance_mm2 is not None
+    np.testing.assert_allclose(np.array(half.known_covariance_mm2)[[0, 5]], [1e-8, 4])
+    np.testing.assert_allclose(targets["WHOLE"].known_covariance_mm2, [4, 1, 0, 9, 0, 1], atol=1e-9)
+    tracker = recording.setup.instruments["AT402.391234"]
+    assert (tracker.model, tracker.serial) == ("AT402", "391234")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("SX 0 SZ 2", "BEAR 10 SX 1", "BEAR: standard deviations in turned axes are not read"),
+        ("MAT(4e-6,1e-6,0,1e-6,9e-6,0,0,0,1e-6)", "DIAG(1,2)", "expected DIAG"),
+        ("MAT(4e-6,1e-6,0", "MAT(4e-6,2e-6,0", "expected DIAG"),
+        ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 2", "three standard deviations"),
+        ("SEEN 10.001 0.002 1.003 1 2 3", "SEEN 10.001 0.002 1.003 1 0 3", "a standard deviation of 0"),
+        ("SEEN 10.001", "NOBODY 10.001", "observes NOBODY, which is in no block of points"),
+    ],
+)
+def test_wrong_covariances_get_a_sentence(old: str, new: str, words: str, tmp_path: Path) -> None:
+    assert old in PLACED
+    file = tmp_path / "a.lgc"
+    file.write_text(PLACED.replace(old, new, 1))
+    with pytest.raises(RecordError, match=words):
+        read(file)

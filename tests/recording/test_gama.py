@@ -207,6 +207,7 @@ def test_an_export_reads_back(tmp_path: Path, data: st.DataObject) -> None:
     kinds = [
         lambda p: Target(known_mm=p, known_sigma_mm=1e-4),
         lambda p: Target(known_mm=p, known_sigma_mm=0.5),
+        lambda p: Target(known_mm=p, known_covariance_mm2=(4.0, 0.5, -1.0, 2.0, 0.25, 3.0)),
         lambda p: Target(known_mm=p, known_sigma_mm=1e-4, known_axes="xy", approximate_mm=p),
         lambda p: Target(approximate_mm=p, datum=True),
         lambda p: Target(approximate_mm=p, height_mm=250.0),
@@ -224,6 +225,8 @@ def test_an_export_reads_back(tmp_path: Path, data: st.DataObject) -> None:
         got = back.setup.targets[name]
         assert got.known_axes == target.known_axes
         assert got.datum == target.datum or not anchored
+        if target.known_covariance_mm2 is not None:
+            np.testing.assert_allclose(got.known_covariance_mm2, target.known_covariance_mm2)
         for field in ("known_mm", "approximate_mm"):
             want = getattr(target, field)
             if want is None:

@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.errors import RecordError
 from ltsim.recording import read, write
-from ltsim.recording.setup import About
+from ltsim.recording.setup import About, Instrument
 from ltsim.report import solids
 from ltsim.report.document import Document, Listing, Section, Table
 from ltsim.report.page import document, render
@@ -39,6 +39,29 @@ def test_head_names_who_measured_what_for_whom(folder: Path) -> None:
     assert "Hall &lt;3&gt;" in html
     assert html.index("Model 9, 751234") < html.index(content.verdict) < html.index("What to do next")
     assert content.actions[0].startswith("Measure the first three targets again")
+
+
+def test_instruments_head_a_report_where_nobody_says_which(folder: Path, tmp_path: Path) -> None:
+    """Without a word in [report] the head has each tracker with its serial number."""
+    place = shutil.copytree(folder, tmp_path / "diagnosis")
+    made = samples.recording()
+    trackers = {"A": Instrument(model="AT960", serial="751234"), "B": Instrument(serial="9")}
+    write(made.replace(setup=made.setup.model_copy(update={"instruments": trackers})), tmp_path / "recording")
+    assert dict(document(place).about) == {"instrument": "A, AT960, 751234; B, 9"}
+    assert dict(document(place, about=About(instrument="C")).about) == {"instrument": "C"}
+
+
+def test_results_of_one_recording_share_it(tmp_path: Path) -> None:
+    """A calibration beside another that carries the recording: the workshop is drawn once."""
+    made = samples.recording()
+    for verb in ("calibrate", "diagnose"):
+        samples.calibration_folder(tmp_path / verb)
+        shutil.copytree(tmp_path / verb / "calibration", tmp_path / verb, dirs_exist_ok=True)
+    shutil.rmtree(tmp_path / "calibrate" / "recording")
+    assert set(read(tmp_path / "diagnose" / "recording").targets) == set(made.targets)
+    sections = {s.folder: s for s in document(tmp_path).sections if s.kind.startswith("Calibration")}
+    assert any(block.kind == "scene" for block in sections["calibrate"].blocks)
+    assert not any(block.kind == "scene" for block in sections["diagnose"].blocks)
 
 
 def test_an_option_stands_before_the_file(folder: Path) -> None:

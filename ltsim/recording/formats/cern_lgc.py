@@ -1,8 +1,9 @@
 """Input files of CERN's LGC (``.lgc``, ``.lgc2``).
 
-Understood are points (``*CALA``, ``*POIN``, ``*VXY`` and its kin, ``*PDOR``), polar instruments with the sigmas of
-their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``, ``*ZEND``, ``*DIST``, ``*DHOR``),
-free rotation (``ROT3D``) and lines switched off with ``%``. Other observations are named in a note and skipped.
+Understood are points (``*CALA``, ``*POIN``, ``*VXY`` and its kin, ``*PDOR``) and what observes them (``*OBSXYZ``),
+polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
+``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``) and lines switched off with ``%``. Other observations are
+named in a note and skipped, and so are those in frames of their own (``*FRAME``).
 Angles count clockwise, in gon; coordinates and distances are in metres.
 
 In a curved reference (``*RS2K`` and others) the third coordinate is a height. It is turned into the z of a plane that
@@ -15,6 +16,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +25,21 @@ from ltsim.errors import RecordError
 from ltsim.recording.build import NAN, recording_of
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import MAX_TEXT, check_name, number, read_lines, shown
+from ltsim.recording.formats.cern_instruments import (
+    Polar,
+    add_target,
+    instrument_of,
+    option,
+    options_of,
+    sigma_of,
+)
+from ltsim.recording.formats.cern_points import FIXED, POINTS, Point, observed_point, point_of
 from ltsim.recording.merge import Kind, Merged, Observed, merged
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Axes, Instrument, Noise, Setup, Station, Target, Vector
-from ltsim.units import ARCSECOND, GON, MILLIMETRE, PPM
+from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
+from ltsim.units import GON, MILLIMETRE
 
 EARTH = 6_371_000.0
-FIXED_MM = 1e-4
-CC = GON * 1e-4
-POINTS: dict[str, Axes | None] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": None}
 OBSERVATIONS: dict[str, tuple[Kind, ...]] = {
     "PLR3D": ("azimuth", "elevation", "distance"),
     "ANGL": ("azimuth",),
@@ -44,25 +52,6 @@ OPTIONS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
 )
-WITH_VALUE = ("OBSE", "PPM", "TH", "THSE", "TCSE", "TRGT", "ID", "ASE", "ZSE", "DSE", "ACST", "IH", "IHSE", "ICSE")
-
-
-@dataclass(frozen=True)
-class _Sigmas:
-    """Standard deviations by the target used: azimuth and zenith angle [rad], distance [m] and its part per metre."""
-
-    azimuth: float
-    elevation: float
-    distance: float
-    per_metre: float
-    height: float
-
-
-@dataclass
-class _Polar:
-    default: str
-    height: float
-    targets: dict[str, _Sigmas] = field(default_factory=dict)
 
 
 @dataclass
@@ -82,9 +71,12 @@ class _File:
     path: Path
     title: list[str] = field(default_factory=list)
     curved: str = ""
-    points: dict[str, tuple[Axes | None, Floats]] = field(default_factory=dict)
+    points: dict[str, Point] = field(default_factory=dict)
+    frames: list[str] = field(default_factory=list)
+    framed: list[str] = field(default_factory=list)
+    placed: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation: list[str] = field(default_factory=list)
-    polar: dict[str, _Polar] = field(default_factory=dict)
+    polar: dict[str, Polar] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
     station: str = ""
     observed: list[Observed] = field(default_factory=list)
@@ -113,8 +105,12 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             keyword = tokens[0][1:].upper()
             last = keyword
             in_frame = (in_frame or keyword == "FRAME") and keyword != "ENDFRAME"
+            if keyword == "FRAME":
+                file.frames.append(" ".join(tokens[1:2]))
             if not in_frame:
                 _begin(keyword, tokens[1:], file, row)
+        elif in_frame and keyword == "OBSXYZ":
+            file.framed.append(tokens[0])
         elif in_frame or not _line(keyword, tokens, file, row):
             file.skipped[keyword] = file.skipped.get(keyword, 0) + 1
         if keyword == "END":
@@ -143,12 +139,12 @@ def _begin(keyword: str, rest: list[str], file: _File, row: int) -> None:
         if len(rest) < 3:
             raise RecordError("*POLAR needs an instrument, its default target and a height", file=file.path, row=row)
         name = check_name(rest[0], "instrument", file=file.path, row=row)
-        file.polar[name] = _Polar(rest[1], number(rest[2], file=file.path, row=row, column="height"))
+        file.polar[name] = Polar(rest[1], number(rest[2], file=file.path, row=row, column="height"))
     elif keyword == "TSTN":
         _begin_setup(rest, file, row)
     elif keyword == "V0":
         _begin_set(rest, file, row)
-    elif keyword not in (*OPTIONS, *POINTS, *OBSERVATIONS, "FRAME", "ENDFRAME"):
+    elif keyword not in (*OPTIONS, *POINTS, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
         file.skipped.setdefault(keyword, 0)
 
 
@@ -159,9 +155,9 @@ def _begin_setup(rest: list[str], file: _File, row: int) -> None:
     point = check_name(rest[0], "station", file=file.path, row=row)
     if point not in file.points:
         raise RecordError(f"the set-up stands on {point}, which no block of points declares", file=file.path, row=row)
-    options = _options(rest[2:], file, row)
+    options = options_of(rest[2:], file.path, row)
     polar = file.polar[rest[1]]
-    height = _option(options, "IH", polar.height if "IHFIX" in options else 0.0, file, row)
+    height = option(options, "IH", polar.height if "IHFIX" in options else 0.0, file.path, row)
     file.station = point
     default = options.get("TRGT", polar.default)
     file.setups[_free_name(point, file)] = _SetUp(point, rest[1], height, "ROT3D" not in options, default)
@@ -172,9 +168,9 @@ def _begin_set(rest: list[str], file: _File, row: int) -> None:
     """An orientation: the first of a set-up is its own, a further one makes a further set-up on the same point."""
     if not file.station:
         raise RecordError("*V0 without a set-up (*TSTN) before it", file=file.path, row=row)
-    options = _options(rest, file, row)
+    options = options_of(rest, file.path, row)
     setup = file.setups[file.station]
-    constant = _option(options, "ACST", 0.0, file, row) * GON
+    constant = option(options, "ACST", 0.0, file.path, row) * GON
     if any(o.station == file.station for o in file.observed):
         setup = _SetUp(setup.point, setup.instrument, setup.height, setup.levelled, setup.default)
         file.station = _free_name(setup.point, file)
@@ -188,62 +184,28 @@ def _free_name(point: str, file: _File) -> str:
     return point if not count else f"{point}#{count + 1}"
 
 
-def _options(tokens: list[str], file: _File, row: int) -> dict[str, str]:
-    """Words after the values: flags, and names with one value each."""
-    found: dict[str, str] = {}
-    rest = iter(tokens)
-    for token in rest:
-        word = token.upper()
-        if word in WITH_VALUE:
-            value = next(rest, None)
-            if value is None:
-                raise RecordError(f"{word} without a value", file=file.path, row=row)
-            found[word] = value
-        else:
-            found[word] = ""
-    return found
-
-
-def _option(options: dict[str, str], name: str, default: float, file: _File, row: int) -> float:
-    return number(options[name], file=file.path, row=row, column=name) if name in options else default
-
-
 def _line(keyword: str, tokens: list[str], file: _File, row: int) -> bool:
     """A line of the current block; False where the block is of no use here."""
     if keyword in ("TITR", ""):
         file.title.append(" ".join(tokens))
     elif keyword in POINTS:
-        name = check_name(tokens[0], "point", file=file.path, row=row)
-        if len(tokens) < 4:
-            raise RecordError("a point needs a name and three coordinates", file=file.path, row=row)
-        values = [
-            number(t, file=file.path, row=row, column=c, limit=1e8) for t, c in zip(tokens[1:4], "XYZ", strict=True)
-        ]
+        name, point = point_of(keyword, tokens, file.path, row)
         if name in file.points:
             raise RecordError(f"the point {name} is declared twice", file=file.path, row=row)
-        file.points[name] = (POINTS[keyword], np.array(values))
+        file.points[name] = point
+    elif keyword == "OBSXYZ":
+        if file.curved:
+            return False
+        file.placed.append(observed_point(tokens, file.path, row))
     elif keyword == "PDOR":
         file.orientation.append(tokens[0])
     elif keyword == "POLAR":
-        _target_line(tokens, file, row)
+        file.notes += add_target(file.polar[next(reversed(file.polar))], tokens, file.path, row)
     elif keyword in OBSERVATIONS:
         _observation(keyword, tokens, file, row)
     else:
         return keyword in OPTIONS
     return True
-
-
-def _target_line(tokens: list[str], file: _File, row: int) -> None:
-    """Sigmas of one kind of target with the last instrument: angle and zenith [cc], distance [mm], mm per km."""
-    if len(tokens) < 5:
-        raise RecordError("a target needs its name and four sigmas", file=file.path, row=row)
-    azimuth, elevation, distance, ppm = (number(t, file=file.path, row=row, column="sigma") for t in tokens[1:5])
-    height = number(tokens[9], file=file.path, row=row, column="height") if len(tokens) > 9 else 0.0
-    correction = number(tokens[6], file=file.path, row=row, column="correction") if len(tokens) > 6 else 0.0
-    if correction:
-        file.notes.append(f"target {shown(tokens[0])}: its correction of distances of {correction:g} m is not applied")
-    sigmas = _Sigmas(azimuth * CC, elevation * CC, distance * MILLIMETRE, ppm * PPM, height)
-    file.polar[next(reversed(file.polar))].targets[tokens[0]] = sigmas
 
 
 def _observation(keyword: str, tokens: list[str], file: _File, row: int) -> None:
@@ -257,16 +219,16 @@ def _observation(keyword: str, tokens: list[str], file: _File, row: int) -> None
     target = check_name(tokens[0], "target", file=file.path, row=row)
     if target not in file.points:
         raise RecordError(f"the point {target} is in no block of points", file=file.path, row=row)
-    options = _options(tokens[1 + len(kinds) :], file, row)
+    options = options_of(tokens[1 + len(kinds) :], file.path, row)
     used = options.get("TRGT", setup.default)
     declared = file.polar[setup.instrument].targets
     if used not in declared:
         message = f"the target {shown(used)} is not declared with instrument {setup.instrument}"
         raise RecordError(message, file=file.path, row=row)
-    height = _option(options, "TH", declared[used].height, file, row)
+    height = option(options, "TH", declared[used].height, file.path, row)
     for kind, text in zip(kinds, tokens[1:], strict=False):
         value = number(text, file=file.path, row=row, column=kind, limit=1e6)
-        sigma = _sigma(kind, declared[used], options, value, file, row)
+        sigma = sigma_of(kind, declared[used], options, value, file.path, row)
         si = _si(kind, value, setup, file, row)
         at = (setup.height, NAN if kind == "azimuth" else height)
         flat = keyword == "DHOR"
@@ -287,32 +249,18 @@ def _si(kind: Kind, value: float, setup: _SetUp, file: _File, row: int) -> float
     return value
 
 
-def _sigma(kind: Kind, target: _Sigmas, options: dict[str, str], value: float, file: _File, row: int) -> float:
-    """Standard deviation [m, rad] of one value: as declared with the target, or as the line says."""
-    if kind == "distance":
-        constant = _option(options, "DSE", _option(options, "OBSE", target.distance / MILLIMETRE, file, row), file, row)
-        per_metre = _option(options, "PPM", target.per_metre / PPM, file, row) * PPM
-        sigma = constant * MILLIMETRE + per_metre * value
-    else:
-        declared = (target.azimuth if kind == "azimuth" else target.elevation) / CC
-        name = "ASE" if kind == "azimuth" else "ZSE"
-        sigma = _option(options, name, _option(options, "OBSE", declared, file, row), file, row) * CC
-    if not sigma > 0:
-        raise RecordError("a standard deviation of 0", file=file.path, row=row, column=kind)
-    return sigma
-
-
 def _finished(file: _File) -> Recording:
     together = merged(file.observed)
     if not together.pointings:
         raise RecordError("holds no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in together.pointings)
-    marks = [s.point for s in file.setups.values() if file.points[s.point][0] or s.point in targets]
+    _learn(file)
+    marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
     used = dict.fromkeys([*targets, *marks, *(s.point for s in file.setups.values())])
     middle = _middle(file, list(used))
     setup = Setup(
         title=_title(file),
-        instruments={name: Instrument(noise=_noise(polar), corrected=True) for name, polar in file.polar.items()},
+        instruments={name: instrument_of(name, polar) for name, polar in file.polar.items()},
         stations={name: _station(name, s, file, middle, marks, together) for name, s in file.setups.items()},
         targets={name: _target(name, file, middle, together) for name in dict.fromkeys([*targets, *marks])},
     )
@@ -320,9 +268,20 @@ def _finished(file: _File) -> Recording:
     return recording_of(together.pointings, setup, notes=list(dict.fromkeys(file.notes)), file=file.path)
 
 
+def _learn(file: _File) -> None:
+    """What observed coordinates say of the points that are not fixed already."""
+    for name, place, covariance in file.placed:
+        if name not in file.points:
+            raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
+        if file.points[name].is_fixed:
+            file.notes.append(f"*OBSXYZ of {name}: the point is fixed, its observed coordinates tell nothing")
+        else:
+            file.points[name].add(place, covariance, np.ones(3, dtype=bool))
+
+
 def _middle(file: _File, names: list[str]) -> Floats:
     """Where the network lies in plan (2,) [m]; points at 0, 0 are place-holders."""
-    plan = np.array([file.points[name][1][:2] for name in names])
+    plan = np.array([file.points[name].place[:2] for name in names])
     placed = plan[np.any(plan != 0, axis=1)]
     return np.asarray(np.median(placed, axis=0)) if len(placed) else np.zeros(2)
 
@@ -336,9 +295,11 @@ def _say(file: _File) -> None:
     if file.switched_off:
         file.notes.append(f"{file.switched_off} lines are switched off with % and left out")
     for keyword, count in file.skipped.items():
-        observed = "holds observed coordinates, no readings of an instrument,"
-        why = observed if keyword == "OBSXYZ" else "is not understood here"
+        curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
+        why = curved if keyword == "OBSXYZ" else "is not understood here"
         file.notes.append(f"*{shown(keyword)} {why} and skipped ({count} lines)")
+    if file.framed:
+        file.notes.append(_framed(file))
     if file.curved:
         sphere = "heights refer to a curved surface: a sphere is taken for it, plumb lines differ by place"
         file.notes.append(f"*{file.curved}: {sphere}")
@@ -346,23 +307,32 @@ def _say(file: _File) -> None:
         file.notes.append(f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}")
 
 
-def _local(name: str, file: _File, middle: Floats) -> Vector:
+def _framed(file: _File) -> str:
+    """What is said of coordinates observed in frames of their own."""
+    count, frames = len(file.framed), ", ".join(map(shown, file.frames))
+    said = f"*OBSXYZ observes {count} points in a frame of its own ({frames})"
+    if all(name in file.points and file.points[name].is_fixed for name in file.framed):
+        return f"{said}; all of them are fixed, so this tells where that frame lies and nothing of the network"
+    return f"{said}, whose place is not adjusted here; they are skipped"
+
+
+def _local(place: Floats, file: _File, middle: Floats) -> Vector:
     """Coordinates [mm] in the plane that touches the reference in the middle of the network."""
-    x, y, height = file.points[name][1].tolist()
+    x, y, height = place.tolist()
     drop = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / (2 * EARTH) if file.curved else 0.0
     return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
 
 def _is_placeholder(name: str, file: _File) -> bool:
-    return not np.any(file.points[name][1][:2])
+    return not np.any(file.points[name].place[:2])
 
 
 def _station(name: str, setup: _SetUp, file: _File, middle: Floats, marks: list[str], together: Merged) -> Station:
     vertical: Vector | None = None
     if file.curved and setup.levelled and not _is_placeholder(setup.point, file):
-        x, y = ((file.points[setup.point][1][:2] - middle) / EARTH).round(12).tolist()
+        x, y = ((file.points[setup.point].place[:2] - middle) / EARTH).round(12).tolist()
         vertical = (x, y, 1.0)
-    rough = None if _is_placeholder(setup.point, file) else _local(setup.point, file, middle)
+    rough = None if _is_placeholder(setup.point, file) else _local(file.points[setup.point].place, file, middle)
     return Station(
         position_mm=rough,
         levelled=setup.levelled,
@@ -375,26 +345,19 @@ def _station(name: str, setup: _SetUp, file: _File, middle: Floats, marks: list[
 
 
 def _target(name: str, file: _File, middle: Floats, together: Merged) -> Target:
-    axes = file.points[name][0]
-    place = None if _is_placeholder(name, file) and not axes else _local(name, file, middle)
+    point = file.points[name]
+    axes = point.axes
+    rough = None if _is_placeholder(name, file) and not axes else _local(point.place, file, middle)
+    known: dict[str, Any] = {}
+    if axes:
+        place, covariance = point.known
+        spread = covariance[np.triu_indices(3)] / MILLIMETRE**2
+        known = {"known_mm": _local(place, file, middle), "known_axes": axes, "known_sigma_mm": FIXED / MILLIMETRE}
+        if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+            known["known_covariance_mm2"] = tuple(spread.tolist())
     return Target(
-        known_mm=place if axes else None,
-        known_axes=axes or "xyz",
-        known_sigma_mm=FIXED_MM if axes else Target().known_sigma_mm,
-        approximate_mm=place if axes != "xyz" else None,
+        **known,
+        approximate_mm=rough if axes != "xyz" else None,
         datum=name in file.orientation,
         height_mm=together.target_heights.get(name, 0.0),
-    )
-
-
-def _noise(polar: _Polar) -> Noise:
-    """The sigmas of the default target; those of single observations stand in columns."""
-    sigmas = polar.targets.get(polar.default) or next(iter(polar.targets.values()), None)
-    if sigmas is None:
-        return Noise()
-    return Noise(
-        distance_mm=max(sigmas.distance / MILLIMETRE, 1e-6),
-        distance_ppm=sigmas.per_metre / PPM,
-        azimuth_arcsec=max(sigmas.azimuth / ARCSECOND, 1e-6),
-        elevation_arcsec=max(sigmas.elevation / ARCSECOND, 1e-6),
     )

@@ -19,6 +19,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.build import NAN, recording_of
 from ltsim.recording.conventions import NO_HINTS, Hints
@@ -33,6 +34,8 @@ LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 FIXED_MM = 1e-4
 CC = GON * 1e-4
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
+
+CORRELATIONS = "correlations of observations are left out: of a <cov-mat> the diagonal is used"
 
 
 @dataclass
@@ -145,39 +148,51 @@ def _read_point(element: Element, network: _Network) -> None:
 
 
 def _read_coordinates(element: Element, network: _Network) -> None:
-    """Observed coordinates with a covariance: known with that standard deviation, correlations left out."""
-    points = [inner for inner in element if tag(inner) == "point"]
-    variances = _diagonal(element, network)
-    for point in points:
-        axes = [axis for axis in "xyz" if point.get(axis) is not None]
+    """Observed coordinates: known with their covariance; what correlates different points is left out."""
+    row, column, numbers = _covariances(element, network)
+    at = 0
+    for point in [inner for inner in element if tag(inner) == "point"]:
+        axes = ["xyz".index(axis) for axis in "xyz" if point.get(axis) is not None]
         _read_point(point, network)
-        mine, variances = variances[: len(axes)], variances[len(axes) :]
-        if len(mine) != len(axes) or any(not v > 0 for v in mine):
+        own, at = np.eye(3), at + len(axes)
+        mine = (row >= at - len(axes)) & (row < at)
+        inside = mine & (column < at)
+        place = np.array(axes)[np.stack([row[inside], column[inside]]) - at + len(axes)]
+        own[place[0], place[1]] = own[place[1], place[0]] = numbers[inside]
+        variances = np.diag(own)[axes]
+        if np.count_nonzero(row[inside] == column[inside]) < len(axes) or not np.all(variances > 0):
             raise RecordError("observed coordinates need a variance each", file=network.file)
-        name = attribute(point, "id", network.file)
-        entry = network.targets[name]
-        entry["fixed"] = "".join(axes)
-        entry["sigma"] = float(np.sqrt(np.mean(mine)))
-        if max(mine) > 1.0001 * min(mine):
-            network.notes.append(f"point {name}: one standard deviation is taken for all axes")
+        if np.any(numbers[mine & ~inside]):
+            network.notes.append(CORRELATIONS)
+        entry = network.targets[attribute(point, "id", network.file)]
+        entry["fixed"] = "".join("xyz"[axis] for axis in axes)
+        entry["sigma"] = float(np.sqrt(np.mean(variances)))
+        if np.any(np.triu(own, 1)) or max(variances) > 1.0001 * min(variances):
+            sign = np.array([1.0, network.y_sign, 1.0])
+            entry["covariance"] = tuple((own * np.outer(sign, sign))[np.triu_indices(3)].tolist())
+
+
+def _covariances(element: Element, network: _Network) -> tuple[Ints, Ints, Floats]:
+    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form, [mm^2] or [cc^2]."""
+    matrix = next((inner for inner in element if tag(inner) == "cov-mat"), None)
+    if matrix is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    size, band = (int(value_of(matrix, name, network.file)) for name in ("dim", "band"))
+    words = (matrix.text or "").split()
+    in_row = np.array([min(band, size - 1 - i) + 1 for i in range(min(size, 100_000))], dtype=np.int64)
+    if not 0 < size < 100_000 or not 0 <= band < size or len(words) != in_row.sum():
+        raise RecordError("a <cov-mat> whose numbers do not match dim and band", file=network.file)
+    row = np.repeat(np.arange(size), in_row)
+    column = row + np.arange(len(row)) - np.repeat(np.cumsum(in_row) - in_row, in_row)
+    return row, column, np.array([number(word, file=network.file, column="cov-mat") for word in words])
 
 
 def _diagonal(element: Element, network: _Network) -> list[float]:
-    """The variances of a covariance matrix in Gama's band form, [mm^2] or [cc^2]."""
-    matrix = next((inner for inner in element if tag(inner) == "cov-mat"), None)
-    if matrix is None:
-        return []
-    size, band = (int(value_of(matrix, name, network.file)) for name in ("dim", "band"))
-    words = (matrix.text or "").split()
-    in_row = [min(band, size - 1 - i) + 1 for i in range(min(size, 100_000))]
-    if not 0 < size < 100_000 or not 0 <= band < size or len(words) != sum(in_row):
-        raise RecordError("a <cov-mat> whose numbers do not match dim and band", file=network.file)
-    numbers = [number(word, file=network.file, column="cov-mat") for word in words]
-    places = np.cumsum([0, *in_row[:-1]])
-    rest = np.delete(np.array(numbers), places)
-    if np.any(rest != 0):
-        network.notes.append("correlations of observations are left out: of a <cov-mat> the diagonal is used")
-    return [numbers[i] for i in places]
+    """The variances of a covariance matrix, [mm^2] or [cc^2]."""
+    row, column, numbers = _covariances(element, network)
+    if np.any(numbers[row != column]):
+        network.notes.append(CORRELATIONS)
+    return [float(v) for v in numbers[row == column]]
 
 
 def _read_obs(element: Element, network: _Network) -> None:
@@ -327,6 +342,7 @@ def _target(name: str, network: _Network, together: Merged) -> Target:
         known_mm=known,
         known_axes=fixed or "xyz",
         known_sigma_mm=point.get("sigma", FIXED_MM) if fixed else Target().known_sigma_mm,
+        known_covariance_mm2=point.get("covariance") if fixed else None,
         approximate_mm=None if fixed == "xyz" else _coordinates(point),
         datum=point.get("datum", False),
         height_mm=together.target_heights.get(name, 0.0),

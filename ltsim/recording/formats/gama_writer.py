@@ -13,7 +13,7 @@ from ltsim.errors import RecordError
 from ltsim.recording.files import write_text
 from ltsim.recording.formats.gama import CC, FIXED_MM
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Target, Vector
+from ltsim.recording.setup import Target, Vector, symmetric
 from ltsim.units import GON, MILLIMETRE
 
 SPACE = "http://www.gnu.org/software/gama/gama-local"
@@ -77,7 +77,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
         datum = target.datum or name in first
         if target.known_mm is None:
             yield f'<point id={quoteattr(name)}{words} adj="{"XYZ" if datum else "xyz"}" />'
-        elif target.known_sigma_mm <= 10 * FIXED_MM:
+        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_MM:
             rest = "".join(a for a in "xyz" if a not in target.known_axes)
             adjusted = f' adj="{rest}"' if rest else ""
             yield f'<point id={quoteattr(name)}{words} fix="{target.known_axes}"{adjusted} />'
@@ -99,9 +99,14 @@ def _words(place: Vector, axes: str) -> str:
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
     words = _words(target.known_mm, target.known_axes) if target.known_mm is not None else ""
-    variances = " ".join([repr(target.known_sigma_mm**2)] * len(target.known_axes))
     yield f"<coordinates><point id={quoteattr(name)}{words} />"
-    yield f'<cov-mat dim="{len(target.known_axes)}" band="0">{variances}</cov-mat></coordinates>'
+    at, band = ["xyz".index(axis) for axis in target.known_axes], 0
+    matrix = np.eye(3) * target.known_sigma_mm**2
+    if target.known_covariance_mm2 is not None:
+        matrix, band = symmetric(target.known_covariance_mm2), len(at) - 1
+    own = matrix[np.ix_(at, at)].tolist()
+    numbers = " ".join(repr(own[i][j]) for i in range(len(at)) for j in range(i, min(i + band + 1, len(at))))
+    yield f'<cov-mat dim="{len(at)}" band="{band}">{numbers}</cov-mat></coordinates>'
 
 
 def _first_cloud(recording: Recording) -> dict[str, Vector]:

@@ -10,6 +10,9 @@ from matplotlib.figure import Figure
 from ltsim.arrays import Floats
 from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, bare, new_figure, on_phone, shorten, styled
 
+MOST_NUMBERS = 24
+"""Parameters whose coefficients and lower names can be read."""
+
 
 @styled
 def correlation(names: Sequence[str], matrix: Floats) -> Figure:
@@ -29,10 +32,12 @@ def correlation(names: Sequence[str], matrix: Floats) -> Figure:
     ax.set_facecolor("#DDE1E4")
     picture = ax.imshow(off_diagonal, cmap=DIVERGING, vmin=-1, vmax=1)
     short = [shorten(name, 26) for name in names]
-    ax.set_xticks(range(count), short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.0 if small else 7.5)
-    ax.set_yticks(range(count), short, fontsize=6.0 if small else 7.5)
+    below = short if count <= MOST_NUMBERS else []  # in the order of those at the side
+    letters = 6.0 if small else 7.5
+    ax.set_xticks(range(len(below)), below, rotation=60, ha="right", rotation_mode="anchor", fontsize=letters)
+    ax.set_yticks(range(count), short, fontsize=letters)
     bare(ax)
-    if count <= (8 if small else 24):
+    if count <= (8 if small else MOST_NUMBERS):
         for i, j in zip(*np.nonzero(np.abs(matrix) > 0.3), strict=True):
             if i != j:
                 colour = ON_DEEP if abs(matrix[i, j]) > 0.6 else ON_PALE

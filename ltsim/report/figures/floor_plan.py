@@ -21,6 +21,8 @@ from ltsim.units import DEGREE, MILLIMETRE
 
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
 MOST_LABELS = 60
+FEW_DOTS = 150
+"""Above so many targets their marks are one small image."""
 MOST_PLACES = 16
 WIDE, HEIGHTS = 4.6, (3.6, 5.4)
 """Inches: width of the axes beside the legend, and the figure's least and greatest height."""
@@ -182,6 +184,7 @@ def _targets(ax: Axes, workshop: Workshop) -> None:
                 edgecolors="white",
                 linewidths=0.5,
                 label=span,
+                rasterized=len(workshop.targets) > FEW_DOTS,
             )
         low = high
 

@@ -80,8 +80,13 @@ def scatter(ax: Axes, residuals: Residuals, observable: str, covariate: str, *, 
         label="before" if hollow else "after",
         zorder=1 if hollow else 2,
     )
+    under_dots(ax)
+
+
+def under_dots(ax: Axes) -> None:
+    """The line at zero and the grid of an axes whose dots become one small image; lines stay lines."""
     ax.axhline(0.0, color=INK, linewidth=0.6, zorder=2.6)
-    ax.set_rasterization_zorder(2.5)  # dots become one small image an axes; lines stay lines
+    ax.set_rasterization_zorder(2.5)
     quiet_axis(ax, grid="both")
 
 

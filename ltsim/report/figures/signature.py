@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.recording.recording import OBSERVABLES
-from ltsim.report.figures.residuals_by_covariate import axis_text, running_mean
+from ltsim.report.figures.residuals_by_covariate import axis_text, running_mean, under_dots
 from ltsim.report.residuals import Residuals
-from ltsim.report.style import AFTER, INK, OBSERVABLE_UNIT, RED, new_figure, quiet_axis, styled, unit_text
+from ltsim.report.style import AFTER, OBSERVABLE_UNIT, RED, new_figure, styled, unit_text
 
 
 @styled
@@ -51,8 +51,7 @@ def signature(
             ):
                 ax.scatter(x[some], y[some], linewidths=0, label=word if some.any() else None, **look)
             running_mean(ax, x[rows & here], y[rows & here], colour=RED)
-            ax.axhline(0.0, color=INK, linewidth=0.6)
-            quiet_axis(ax, grid="both")
+            under_dots(ax)
             size = float(np.sqrt(np.mean(residuals.w[rows & here] ** 2))) if (rows & here).any() else np.nan
             ax.set_title(f"{observable} {title}", fontsize=8.5)
             ax.annotate(

@@ -27,10 +27,12 @@ SETTLED = ("", "converged", "not stated")
 """How a fit may have ended that nobody need worry about."""
 
 
-def calibration_section(folder: Path, recording: Recording | None = None, *, detail: Detail = "turn") -> Section:
+def calibration_section(
+    folder: Path, recording: Recording | None = None, *, detail: Detail = "turn", brief: bool = False
+) -> Section:
     """The section of a folder with `calibration.json`.
 
-    A `recording` adds the floor plan and the residuals before.
+    A `recording` adds the floor plan and the residuals before; a `brief` section leaves residuals to the diagnosis.
 
     Raises
     ------
@@ -52,7 +54,7 @@ def calibration_section(folder: Path, recording: Recording | None = None, *, det
     blocks += _treatment(content)
     blocks += parameter_blocks(content)
     blocks += _criteria(content)
-    blocks += _network(folder, content, recording, detail=detail)
+    blocks += _network(folder, content, recording, detail=detail, residuals=not brief)
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
     blocks += _outliers(content)
@@ -214,7 +216,9 @@ def _criteria(content: CalibrationFile) -> list[Block]:
     return [picture("Criteria before and after calibration", figures.criteria(rows), text)]
 
 
-def _network(folder: Path, content: CalibrationFile, recording: Recording | None, *, detail: Detail) -> list[Block]:
+def _network(
+    folder: Path, content: CalibrationFile, recording: Recording | None, *, detail: Detail, residuals: bool
+) -> list[Block]:
     """Residuals, floor plan, 3D view, stations and targets, as far as the files are there."""
     blocks: list[Block] = []
     before, geometry = residuals_before(None, recording)
@@ -236,7 +240,7 @@ def _network(folder: Path, content: CalibrationFile, recording: Recording | None
         ]
     else:
         tables = []
-    if after is not None:
+    if after is not None and residuals:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
     return blocks + tables
 

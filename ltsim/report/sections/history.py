@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ltsim.calibrate.events import ENOUGH_STEPS
 from ltsim.calibrate.schema import ChangeEntry, CourseEntry, HistoryFile
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
@@ -18,15 +19,15 @@ def history_section(folder: Path) -> Section:
     """The section of a folder with `history.json`; raises RecordError."""
     content = _shortened(read_result(folder, HistoryFile))
     since = content.since_first
-    changed = since.p_value < LEVEL
+    changed = bool(content.events) if _knows_usual(content) else since.p_value < LEVEL
     facts = [
         Fact("calibrations", str(len(content.calibrations))),
-        Fact("changed since the first", "yes" if changed else "not seen", mood(not changed)),
-        Fact("p of no change", p_text(since.p_value), mood(not changed)),
+        Fact("events", str(len(content.events)), mood(not content.events)),
+        Fact("p of no change since the first", p_text(since.p_value)),
         Fact("construction", content.construction or "–"),
     ]
     known = [p for p in content.parameters if p.constant.dof]
-    blocks = [*_course(content, known), _parameters(known), _changes(content), _fits(content)]
+    blocks = [*_course(content, known), *_events(content), _parameters(known), _changes(content), _fits(content)]
     return Section(folder.name, "History", _answer(content), mood(not changed), facts, blocks)
 
 
@@ -43,6 +44,10 @@ def _shortened(content: HistoryFile) -> HistoryFile:
         update={
             "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
             "changes": tuple(renamed(c) for c in content.changes),
+            "events": tuple(
+                e.model_copy(update={"from_": short.get(e.from_, e.from_), "to": short.get(e.to, e.to)})
+                for e in content.events
+            ),
             "since_first": renamed(content.since_first),
         }
     )
@@ -53,12 +58,36 @@ def _answer(content: HistoryFile) -> str:
     since, size = content.since_first, count(len(content.calibrations), "calibration")
     span = f"Over {size} from {since.from_} to {since.to} the instrument"
     tested = f"(χ² {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
+    if content.events:
+        steps = list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in content.events))
+        names = listing(list(dict.fromkeys(e.name for e in content.events)))
+        return f"{span} had an event (a service, a blow) {listing(steps)}, in {names}."
     if since.p_value >= LEVEL:
         between = [c for c in content.changes if c.p_value < LEVEL]
         back = f", though it did between {listing([f'{c.from_} and {c.to}' for c in between])}" if between else ""
         return f"{span} shows no change since the first {tested}{back}."
+    if _knows_usual(content):
+        return f"{span} moved no more than it does from one calibration to the next {tested}."
     which = f", above all in {listing(since.changed)}" if since.changed else ", in no single parameter for certain"
     return f"{span} has changed since the first{which} {tested}."
+
+
+def _knows_usual(content: HistoryFile) -> bool:
+    return len(content.calibrations) > ENOUGH_STEPS
+
+
+def _events(content: HistoryFile) -> list[Block]:
+    """Steps that stand out of the usual ones."""
+    rows = [
+        [
+            e.from_, e.to, e.name, f"{style.with_sigma(e.difference, e.sigma)} {style.unit_text(e.unit)}",
+            f"{style.number(e.usual, 2)} {style.unit_text(e.unit)}", p_text(e.p_value),
+        ]
+        for e in content.events
+    ]  # fmt: skip
+    header = ["from", "to", "parameter", "step", "its usual step", "p"]
+    note = "Steps that stand out of how the instrument moves otherwise."
+    return [Table("Events", header, rows, 3, note)] if rows else []
 
 
 def _course(content: HistoryFile, known: list[CourseEntry]) -> list[Block]:

@@ -1,0 +1,44 @@
+"""What a calibration says without its prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from ltsim.arrays import Floats
+from ltsim.calibrate.calibration import Calibration
+from ltsim.remedies.undetermined import SILENT
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a calibration's readings say without its prior, in units of common prior sigmas.
+
+    Attributes
+    ----------
+    remaining : (p, p) float
+        Covariance after the calibration.
+    information : (p, p) float
+        Inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`.
+    told : (p,) float
+        `information` times the estimate that the readings alone would give.
+    """
+
+    remaining: Floats
+    information: Floats
+    told: Floats
+
+
+def evidence(calibration: Calibration, unit: Floats) -> Evidence:
+    """The evidence of a calibration of one instrument whose priors are centred at 0; `unit` (p,) [SI]."""
+    prior = calibration.prior_sigma[0] / unit
+    remaining = calibration.covariance / np.outer(unit, unit)
+    values, vectors = linalg.eigh(remaining / np.outer(prior, prior))
+    heard = 1.0 - values > SILENT
+    inverse = np.where(heard, 1.0 / np.where(heard, values, 1.0), 0.0)
+    basis = vectors / prior[:, None]
+    information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
+    told = (basis * inverse) @ basis.T @ (calibration.values[0] / unit)
+    return Evidence(0.5 * (remaining + remaining.T), information, told)
