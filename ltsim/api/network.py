@@ -25,6 +25,7 @@ from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
 
 METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
+NO_PRIOR = "none"
 CalibrationSource = Calibration | str | Path
 """A calibration, its file, or the folder that holds it."""
 
@@ -106,7 +107,8 @@ def calibrate(
     hold : mapping of str to float, optional
         Parameters to hold at a value, in the parameter's unit.
     prior : Calibration, History, str or Path, optional
-        What earlier calibrations found, with its covariance, as the prior; method `network` only.
+        What earlier calibrations found, with its covariance, as the prior, or `"none"`: nothing is known beforehand,
+        and what is applied is chosen by the readings alone. Method `network` only.
     harmonics, degree : int, optional
         Orders of a D-H chain's error functions; 2 by default.
     box : float, optional
@@ -141,14 +143,15 @@ def calibrate(
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
-    known = None if prior is None else Known.of(prior)
-    choice = Choice(parameters, tuple(without), dict(hold or {}), known)
+    free = isinstance(prior, str) and prior == NO_PRIOR
+    known = None if prior is None or free else Known.of(prior)
+    choice = Choice(parameters, tuple(without), dict(hold or {}), known, free)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum}
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
     if method == "network":
         return calibrate_network(recording_of(recording), built, advise=advise, choice=choice, **options)
-    if any(options.values()) or known is not None:
+    if any(options.values()) or prior is not None:
         raise ModelError(f"robust, noise_from_data, datum and prior go with the method network, not {method}")
     return calibrate_distance(recording_of(recording), built, method=method, advise=advise, choice=choice, box=box)
 

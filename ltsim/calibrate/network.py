@@ -13,7 +13,7 @@ from ltsim.adjust.components import Grouping
 from ltsim.adjust.doubt import require_result
 from ltsim.adjust.prior import ParameterPrior
 from ltsim.calibrate.calibration import Calibration
-from ltsim.calibrate.choice import Choice
+from ltsim.calibrate.choice import WIDE, Choice
 from ltsim.calibrate.conflict import disagreement
 from ltsim.calibrate.result import (
     criteria_of,
@@ -65,7 +65,7 @@ def calibrate_network(
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
     weigh : bool
-        Find out what of the estimates is worth applying (`calibrate.worth`), unless the choice brings a prior.
+        Find out what of the estimates is worth applying (`calibrate.worth`).
 
     Raises
     ------
@@ -86,8 +86,10 @@ def calibrate_network(
     found = _adjusted(recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
     calibration = _calibration(recording, found, "network", advise=advise, robust=robust)
     informed = chosen.prior is not None
-    if weigh and not informed:
-        calibration = replace(calibration, correction=correction_of(found, calibration.names))
+    if weigh:
+        wider = WIDE if chosen.free else None
+        worth = correction_of(found, calibration.names, informed=informed, wider=wider)
+        calibration = replace(calibration, correction=worth)
         calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
     return replace(calibration, notes=(*calibration.notes, *disagreement(calibration)), informed=informed)
 

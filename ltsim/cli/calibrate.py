@@ -69,9 +69,11 @@ HoldList = Annotated[
     typer.Option("--hold", metavar="NAME=VALUE", help="A parameter to hold at a value, in its unit; can be repeated."),
 ]
 PriorFile = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
-        "--prior", metavar="FILE", help="What was known before, in place of the set-up: a calibration or a history."
+        "--prior",
+        metavar="FILE|none",
+        help="What was known before, in place of the set-up: a calibration, a history, or none at all.",
     ),
 ]
 Harmonics = Annotated[
