@@ -29,7 +29,10 @@ MOSTLY = 0.9
 
 @dataclass(frozen=True)
 class Fit:
-    """How the readings agree with the model; `p_value` and `sigma0` are None without redundancy."""
+    """How the readings agree with the model; `p_value` and `sigma0` are None without redundancy.
+
+    `chi2_sigma` is the standard deviation of chi-square to expect where that is not the root of 2 dof.
+    """
 
     chi2: float
     dof: int
@@ -38,6 +41,7 @@ class Fit:
     iterations: int
     status: str
     sentence: str = ""
+    chi2_sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -178,6 +182,8 @@ class Calibration(Shown):
         Parameters that were not estimated but held at their value.
     informed : bool
         Whether the prior came from earlier calibrations.
+    silent : (k, I p) float
+        Combinations, in prior sigmas, that a distance method left at zero.
     correction : Correction, optional
         What is taken out of readings and what that is expected to be worth; without one, the estimates themselves.
     notes : tuple of str
@@ -209,6 +215,7 @@ class Calibration(Shown):
     lost_targets: tuple[str, ...] = ()
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     informed: bool = False
+    silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     correction: Correction | None = None
     notes: tuple[str, ...] = ()
     recording: SourceEntry | None = None
@@ -223,6 +230,15 @@ class Calibration(Shown):
         """Standard deviations (I, p) of the parameters [SI]."""
         deviation: Floats = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
         return deviation
+
+    @property
+    def missed(self) -> Floats:
+        """(I p, I p) What the estimates miss of the truth, noise aside, both in prior sigmas: -missed @ truth."""
+        if self.method == "network":
+            unit = self.prior_sigma.ravel()
+            return self.covariance / np.outer(unit, unit)
+        found: Floats = self.silent.T @ self.silent
+        return found
 
     @property
     def applied(self) -> Floats:

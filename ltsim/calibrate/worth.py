@@ -94,7 +94,7 @@ class ScaledPrior:
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * max(float(strength[-1]), 1.0))
         self._told = self._basis.T @ told
-        self._scales = SCALES[SCALES > 0.99 * least]
+        self._scales = SCALES[0.99 * least < SCALES]
         ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
         gain = self._scales[:, None] ** 2 * self._told**2 / ratio
         self._likelihood = 0.5 * np.sum(gain - np.log(ratio), axis=1)
