@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
 from ltsim.arrays import Bools, Floats
+from ltsim.calibrate.beside import FittedEffect
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
@@ -186,6 +187,8 @@ class Calibration(Shown):
         Combinations, in prior sigmas, that a distance method left at zero.
     correction : Correction, optional
         What is taken out of readings and what that is expected to be worth; without one, the estimates themselves.
+    effects : tuple of FittedEffect
+        Effects of the catalogue that were estimated beside, on request.
     notes : tuple of str
         What a reader should know of how this came about.
     recording : SourceEntry or None
@@ -217,6 +220,7 @@ class Calibration(Shown):
     informed: bool = False
     silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     correction: Correction | None = None
+    effects: tuple[FittedEffect, ...] = ()
     notes: tuple[str, ...] = ()
     recording: SourceEntry | None = None
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)

@@ -86,6 +86,15 @@ Box = Annotated[
     float | None,
     typer.Option("--box", metavar="N", help="With --method equation-9: no parameter beyond N prior sigmas."),
 ]
+WithEffects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--with",
+        metavar="EFFECT[:WHERE,...]",
+        help="An effect of the catalogue to estimate too, at stations or targets, with constants as law=visit; what is "
+        "not said, the readings choose; can be repeated.",
+    ),
+]
 
 
 def calibrate(
@@ -101,6 +110,7 @@ def calibrate(
     harmonics: Harmonics = None,
     degree: Degree = None,
     box: Box = None,
+    with_effects: WithEffects = None,
     out: Out = None,
     points: PointsFile = None,
     reading: FramedReading,
@@ -114,11 +124,12 @@ def calibrate(
     Example: ltsim calibrate my-recording --out my-calibration
     """
     options = treatment.as_options()
-    if method is not Method.NETWORK and any([*options.values(), prior]):
-        message = "--robust, --noise-from-data, --datum and --prior go with --method network"
+    if method is not Method.NETWORK and any([*options.values(), prior, with_effects]):
+        message = "--robust, --noise-from-data, --datum, --prior and --with go with --method network"
         raise SetupError(f"{message}, not {method.value}")
     options |= {"parameters": names_of(parameters), "without": names_of(without) or (), "hold": held_values(hold)}
     options |= {"prior": prior, "harmonics": harmonics, "degree": degree, "box": box}
+    options["with_effects"] = with_effects or ()
     claim_results(out, points, adjusted=False, force=force)
     recording = reading.open(source, terminal)
     built = construction.value if construction else None
