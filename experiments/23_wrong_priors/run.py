@@ -1,4 +1,4 @@
-"""Does calibration make new points worse when the stated prior is wrong by 0.1 to 1000, or when there is none?"""
+"""What calibration makes of new points when the stated prior is wrong by 0.1 to 1000, or when there is none."""
 
 from __future__ import annotations
 

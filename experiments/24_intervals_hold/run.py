@@ -1,4 +1,4 @@
-"""Do 95 % intervals hold for every construction, order of harmonics and number of instruments?"""
+"""Whether 95 % intervals hold, for every construction, order of harmonics and number of instruments."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def scenario_of(base: Scenario, instrument: dict[str, Any], trackers: str) -> Sc
 
 
 def scores(scenario: Scenario, seed: int, number: int, width: int) -> dict[str, Floats]:
-    """z-scores of a batch; what is left of each prior; how far the first trial is from the calibrator that users have."""
+    """z-scores of a batch, what is left of each prior, and how far the first trial is from the full solver."""
     truth = truth_of(scenario, seed, "intervals")
     engine, block = Engine(truth, truth.construction), truth.draw(seed, number, width)
     found = engine.calibrate(block)
