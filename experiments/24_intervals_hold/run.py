@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from experiments.common import Made, Options, Row, batches, spread_out, stacked, tell, write_table
+from experiments.common import Made, Options, Row, batches, spread_out, stacked, tell, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import SHARPER
 from ltsim.campaign.cell import truth_of
 from ltsim.campaign.engine import Engine
 from ltsim.campaign.recovery import from_prior
 from ltsim.campaign.rows import z_scores
+from ltsim.report.figures import Mean, by_setting
 from ltsim.simulate.scenario import Scenario, changed, load_scenario
 
 HERE = Path(__file__).resolve().parent
@@ -61,6 +63,17 @@ def row_of(found: dict[str, Floats]) -> Row:
     }
 
 
+def figure_of(rows: list[Row]) -> Figure:
+    """Share inside, with its confidence interval, and the parameters that hold least and most."""
+    means = []
+    for row in rows:
+        mean, half = float(row["inside_percent"]), float(row["half_interval"])
+        ends = float(row["least_parameter_percent"]), float(row["most_parameter_percent"])
+        word = f"{row['trackers']} tracker" + ("s" if int(row["trackers"]) > 1 else "")
+        means.append(Mean(row["instrument"], word, mean, mean - half, mean + half, *ends))
+    return by_setting(means, label="inside 95 % intervals [%]; thin: all parameters")
+
+
 def run(given: Options) -> Made:
     config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     trials, seed = given.trials or config["trials"], config["seed"]
@@ -74,4 +87,5 @@ def run(given: Options) -> Made:
             rows.append({"instrument": title, "trackers": len(set(trackers))} | row_of(found))
             write_table(given.out / "intervals.csv", rows)
             tell(str(rows[-1]))
+    write_figure(given.out / "intervals.svg", figure_of(rows))
     return Made(seed, trials)

@@ -268,6 +268,7 @@ class Calibration(Shown):
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
             lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
+        lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} readings do not belong")
         if self.criteria is not None:

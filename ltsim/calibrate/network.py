@@ -103,8 +103,7 @@ def calibrate_network(
         fits.append(fitted(found, after, best, tried, sigmas))
         found = after
     calibration = _calibration(recording, found, "network", advise=advise, robust=robust)
-    told = *calibration.notes, *(fit.sentence for fit in fits)
-    calibration = replace(calibration, effects=tuple(fits), notes=told)
+    calibration = replace(calibration, effects=tuple(fits))
     informed = chosen.prior is not None
     if weigh:
         wider = WIDE if chosen.free else None
