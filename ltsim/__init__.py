@@ -26,7 +26,13 @@ if TYPE_CHECKING:
     from ltsim.api.pages import report as report, view as view
     from ltsim.api.planning import next_measurement as next_measurement, plan as plan
     from ltsim.api.recovering import recover as recover
-    from ltsim.api.tasks import accept as accept, check as check, compare as compare, uncertainty as uncertainty
+    from ltsim.api.tasks import (
+        accept as accept,
+        bench as bench,
+        check as check,
+        compare as compare,
+        uncertainty as uncertainty,
+    )
     from ltsim.api.workshop import scenario as scenario, simulate as simulate
 
     __version__: str
@@ -41,7 +47,7 @@ _ROOMS = {
     "planning": ("plan", "next_measurement"),
     "pages": ("view", "report"),
     "catalogue": ("catalogue",),
-    "tasks": ("accept", "check", "compare", "uncertainty"),
+    "tasks": ("accept", "bench", "check", "compare", "uncertainty"),
 }
 """The functions that each module of `ltsim.api` holds."""
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

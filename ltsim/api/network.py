@@ -14,6 +14,7 @@ from ltsim.calibrate import (
     correct as corrected_by,
     read_calibration,
 )
+from ltsim.calibrate.beside import Wanted
 from ltsim.calibrate.choice import Choice
 from ltsim.calibrate.history import History
 from ltsim.calibrate.known import Known
@@ -25,6 +26,7 @@ from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
 
 METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
+NO_PRIOR = "none"
 CalibrationSource = Calibration | str | Path
 """A calibration, its file, or the folder that holds it."""
 
@@ -83,6 +85,7 @@ def calibrate(
     harmonics: int | None = None,
     degree: int | None = None,
     box: float | None = None,
+    with_effects: Sequence[str] = (),
     advise: bool = True,
 ) -> Calibration:
     """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
@@ -106,11 +109,15 @@ def calibrate(
     hold : mapping of str to float, optional
         Parameters to hold at a value, in the parameter's unit.
     prior : Calibration, History, str or Path, optional
-        What earlier calibrations found, with its covariance, as the prior; method `network` only.
+        What earlier calibrations found, with its covariance, as the prior, or `"none"`: nothing is known beforehand,
+        and what is applied is chosen by the readings alone. Method `network` only.
     harmonics, degree : int, optional
         Orders of a D-H chain's error functions; 2 by default.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
+    with_effects : sequence of str
+        Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`: stations, targets, and constants as
+        `law=visit` in the effect's units. What is not said, the readings choose. Method `network` only.
     advise : bool
         Say which further measurements would determine what is not determined.
 
@@ -141,16 +148,43 @@ def calibrate(
         built: Construction | None = construction
     else:
         built = _named_construction(construction, harmonics, degree)
-    known = None if prior is None else Known.of(prior)
-    choice = Choice(parameters, tuple(without), dict(hold or {}), known)
+    free = isinstance(prior, str) and prior == NO_PRIOR
+    known = None if prior is None or free else Known.of(prior)
+    choice = Choice(parameters, tuple(without), dict(hold or {}), known, free)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum}
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
+    seen = recording_of(recording)
     if method == "network":
-        return calibrate_network(recording_of(recording), built, advise=advise, choice=choice, **options)
-    if any(options.values()) or known is not None:
-        raise ModelError(f"robust, noise_from_data, datum and prior go with the method network, not {method}")
-    return calibrate_distance(recording_of(recording), built, method=method, advise=advise, choice=choice, box=box)
+        beside = [_wanted(text, seen) for text in with_effects]
+        return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
+    if any(options.values()) or prior is not None or with_effects:
+        listed = "robust, noise_from_data, datum, prior and with_effects"
+        raise ModelError(f"{listed} go with the method network, not {method}")
+    return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
+
+
+def _wanted(text: str, recording: Recording) -> Wanted:
+    """An effect as a person asks for it: `NAME`, or `NAME:WHERE,...` with stations, targets and constants."""
+    from ltsim.simulate.physics import effect_from  # only this option needs it
+
+    name, _, rest = text.partition(":")
+    places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
+    constants: dict[str, Any] = {}
+    for item in filter(None, (part.strip() for part in rest.split(","))):
+        key, is_constant, value = item.partition("=")
+        if is_constant:
+            try:
+                constants[key.strip()] = float(value)
+            except ValueError:
+                constants[key.strip()] = value.strip()
+        elif item in recording.stations or item in recording.targets:
+            places["stations" if item in recording.stations else "targets"] += (item,)
+        else:
+            known = ", ".join(recording.stations)
+            raise ModelError(f"'{text}': '{item}' is no station ({known}), no target, and no CONSTANT=VALUE")
+    stated = {kind for kind, named in places.items() if named} | set(constants)
+    return Wanted(effect_from(name.strip(), places, constants), frozenset(stated))
 
 
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:

@@ -1,4 +1,4 @@
-"""What measured points are worth: tasks, two epochs, go or no-go in the field, acceptance tests."""
+"""What measured points are worth: tasks, two epochs, go or no-go in the field, acceptance tests, reflectors."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
 from ltsim.adjust import Adjustment, adjust
 from ltsim.check.check import Check, check as check_of
+from ltsim.evaluate.bench import bench_file, evaluate_bench, read_bench
+from ltsim.evaluate.schema import BenchFile
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.uncertainty.epochs import Congruence, compare as compared
 from ltsim.uncertainty.evaluation import Evaluation, evaluate_tasks
 from ltsim.uncertainty.spec import FORMAT, Tasks, load_tasks, tasks_from
+from ltsim.units import DEGREE, MICROMETRE
 
 
 def uncertainty(recording: RecordingSource, tasks: str | Path | Mapping[str, Any] | Tasks) -> Evaluation:
@@ -148,3 +151,35 @@ def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str 
     if isinstance(acceptance, Mapping):
         return accepted(acceptance_from({"format": "ltsim-acceptance/1", **acceptance}, "acceptance"), Path(folder))
     return accepted(load_acceptance(Path(acceptance)), Path(acceptance).parent)
+
+
+def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
+    """Find a reflector's range error against incidence from its test on a roundness table.
+
+    Parameters
+    ----------
+    source : str or Path
+        A table ``angle_deg,length_um,probe_um``; cells are empty where one of them was not read.
+    probe_direction : float, [deg]
+        Where the probe stands, from the interferometer.
+    length_sigma : float, [um]
+        Standard deviation of the interferometer.
+
+    Raises
+    ------
+    RecordError
+        When the table is malformed, or holds too few angles.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> from pathlib import Path
+    >>> rows = [[str(a), str(0.1 * a) if abs(a) <= 30 else "", "0.0"] for a in range(-180, 180, 15)]
+    >>> lines = [",".join(row) for row in [["angle_deg", "length_um", "probe_um"], *rows]]
+    >>> _ = Path("reflector.csv").write_text(chr(10).join(lines))
+    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").table]
+    [-3.0, -1.5, 0.0, 1.5, 3.0]
+    """
+    how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
+    record = read_bench(Path(source), **how)
+    return bench_file(record, evaluate_bench(record))

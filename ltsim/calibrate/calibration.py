@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
 from ltsim.arrays import Bools, Floats
+from ltsim.calibrate.beside import FittedEffect
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
@@ -29,7 +30,10 @@ MOSTLY = 0.9
 
 @dataclass(frozen=True)
 class Fit:
-    """How the readings agree with the model; `p_value` and `sigma0` are None without redundancy."""
+    """How the readings agree with the model; `p_value` and `sigma0` are None without redundancy.
+
+    `chi2_sigma` is the standard deviation of chi-square to expect where that is not the root of 2 dof.
+    """
 
     chi2: float
     dof: int
@@ -38,6 +42,7 @@ class Fit:
     iterations: int
     status: str
     sentence: str = ""
+    chi2_sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -178,8 +183,12 @@ class Calibration(Shown):
         Parameters that were not estimated but held at their value.
     informed : bool
         Whether the prior came from earlier calibrations.
+    silent : (k, I p) float
+        Combinations, in prior sigmas, that a distance method left at zero.
     correction : Correction, optional
         What is taken out of readings and what that is expected to be worth; without one, the estimates themselves.
+    effects : tuple of FittedEffect
+        Effects of the catalogue that were estimated beside, on request.
     notes : tuple of str
         What a reader should know of how this came about.
     recording : SourceEntry or None
@@ -209,7 +218,9 @@ class Calibration(Shown):
     lost_targets: tuple[str, ...] = ()
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     informed: bool = False
+    silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     correction: Correction | None = None
+    effects: tuple[FittedEffect, ...] = ()
     notes: tuple[str, ...] = ()
     recording: SourceEntry | None = None
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
@@ -223,6 +234,15 @@ class Calibration(Shown):
         """Standard deviations (I, p) of the parameters [SI]."""
         deviation: Floats = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
         return deviation
+
+    @property
+    def missed(self) -> Floats:
+        """(I p, I p) What the estimates miss of the truth, noise aside, both in prior sigmas: -missed @ truth."""
+        if self.method == "network":
+            unit = self.prior_sigma.ravel()
+            return self.covariance / np.outer(unit, unit)
+        found: Floats = self.silent.T @ self.silent
+        return found
 
     @property
     def applied(self) -> Floats:
@@ -248,6 +268,7 @@ class Calibration(Shown):
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
             lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
+        lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} readings do not belong")
         if self.criteria is not None:

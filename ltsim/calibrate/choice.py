@@ -15,6 +15,9 @@ from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, every_parameter_name
 from ltsim.recording.recording import Recording
 
+WIDE = 1000.0
+"""Prior sigmas that stand for no prior: 10 to 20 mm and 15 mrad, within which the equations hold."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -33,17 +36,20 @@ class Choice:
         Parameters to hold at a value, in the parameter's unit.
     prior : Known, optional
         What earlier calibrations say, in place of the set-up's prior.
+    free : bool
+        Without a prior: parameters may be `WIDE` times as large as the set-up says, which no instrument's are.
     """
 
     parameters: Sequence[str] | None = None
     without: Sequence[str] = ()
     hold: Mapping[str, float] = field(default_factory=dict)
     prior: Known | None = None
+    free: bool = False
 
     def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
         """The prior of a recording's instruments that follows; raises ModelError, SetupError."""
         check_names(recording, construction)
-        stated = ParameterPrior.independent(prior_sigmas(recording, construction))
+        stated = ParameterPrior.independent(prior_sigmas(recording, construction) * (WIDE if self.free else 1.0))
         if self.prior is not None:
             stated = self.prior.over(stated, construction, recording.instruments)
         names = Names(construction.names, recording.instruments)

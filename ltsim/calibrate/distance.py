@@ -90,6 +90,7 @@ def calibrate_distance(
     layout = adjustment.problem.layout
     pose = adjustment.pose_covariance + added[layout.pose[:, :, None], layout.pose[:, None, :]]
     scale = prior.ravel()
+    silent = np.array([d.vector for d in estimate.left_out]).reshape(-1, len(scale))
     return Calibration(
         method=method,
         construction=built,
@@ -97,6 +98,7 @@ def calibrate_distance(
         values=values,
         prior_sigma=prior,
         covariance=estimate.covariance * np.outer(scale, scale),
+        silent=silent,
         held=held,
         fit=_fit(propagation),
         undetermined=_undetermined(adjustment, built, estimate, advise=advise),
@@ -117,7 +119,8 @@ def calibrate_distance(
 def _fit(propagation: Propagation) -> Fit:
     """The fit of the network that the parameters leave; `dof` is the chi-square to expect, to the nearest integer."""
     chi2, estimate = propagation.adjustment.chi2, propagation.estimate
-    expected = round(propagation.chi2_moments()[0])
+    mean, variance = propagation.chi2_moments()
+    expected = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected > 0
     if estimate.converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
@@ -131,6 +134,7 @@ def _fit(propagation: Propagation) -> Fit:
         iterations=estimate.iterations,
         status=status[0],
         sentence=status[1],
+        chi2_sigma=float(np.sqrt(variance)),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.amplitude import Harmonic, harmonics
+from ltsim.calibrate.beside import FittedEffect, FittedParameter
 from ltsim.calibrate.calibration import Calibration, Combination, Correction, Fit, StationPose
 from ltsim.calibrate.events import Event, events
 from ltsim.calibrate.history import Change, History
@@ -29,6 +31,7 @@ from ltsim.calibrate.schema import (
     DifferenceEntry,
     EventEntry,
     FitEntry,
+    FittedEffectEntry,
     HarmonicEntry,
     HistoryFile,
     NoiseEntry,
@@ -93,6 +96,7 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         lost_targets=calibration.lost_targets,
         informed=calibration.informed,
         correction=_correction(calibration.correction),
+        effects=tuple(FittedEffectEntry(**asdict(effect)) for effect in calibration.effects),
         notes=calibration.notes,
     )
 
@@ -251,6 +255,10 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         covariance=covariance,
         held=held.reshape(shape),
         informed=content.informed,
+        effects=tuple(
+            FittedEffect(**dict(e) | {"parameters": tuple(FittedParameter(**dict(p)) for p in e.parameters)})
+            for e in content.effects
+        ),
         correction=_read_correction(content.correction, applied.reshape(shape)),
         fit=Fit(**content.fit.model_dump()),
         undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),

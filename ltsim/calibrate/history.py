@@ -26,6 +26,8 @@ from ltsim.remedies.undetermined import SILENT
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
+UNTOLD = 1e-6
+"""Information on a mean that nothing tells, in prior variances: it stays near 0."""
 ROUNDS, SETTLED = 2000, 1e-4
 LEVEL = 0.01
 """Chance that an unchanged instrument shows any changed parameter between two calibrations (Holm over them)."""
@@ -261,22 +263,28 @@ class History(Shown):
 
     @cached_property
     def population(self) -> Population:
-        """Mean and spread of the parameters over the calibrations (most likely values, by expectation-maximisation).
+        """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
 
-        Where no calibration tells anything both stay those of the prior: 0 and the prior sigma.
+        By expectation-maximisation with the mean as an unknown of its own (Patterson and Thompson, Biometrika 58
+        (1971) 545): a mean found from the same few calibrations does not make them look alike. Where no calibration
+        tells anything both stay those of the prior: 0 and the prior sigma.
         """
         information = np.array([e.information for e in self._evidence])
         told = np.array([e.told for e in self._evidence])
-        size = self.construction.size
-        mean, variance = np.zeros(size), np.ones(size)
+        one, variance = np.eye(self.construction.size), np.ones(self.construction.size)
+        mean = np.zeros(self.construction.size)
         for _ in range(ROUNDS):
-            remaining = np.linalg.inv(information + np.diag(1.0 / variance))
-            single = np.einsum("kab,kb->ka", remaining, told + mean / variance)
-            after = np.mean(single, axis=0)
-            spread = np.mean((single - after) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
+            # With N and V: what an estimate keeps of the mean, and the covariance of the estimate and of the mean.
+            keeps = np.linalg.inv(one + variance[:, None] * information)
+            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + UNTOLD * one)
+            mean = of_mean @ np.einsum("kba,kb->a", keeps, told)
+            single = np.einsum("kab,kb->ka", keeps, variance * told + mean)
+            apart = keeps - one
+            left = keeps * variance + apart @ of_mean @ np.swapaxes(apart, 1, 2)
+            spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", left), axis=0)
             spread = np.maximum(spread, RESOLVED)
             settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
-            mean, variance = after, spread
+            variance = spread
             if settled:
                 break
         silent = self._gain < SILENT

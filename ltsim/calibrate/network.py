@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.adjust.doubt import require_result
 from ltsim.adjust.prior import ParameterPrior
+from ltsim.calibrate.beside import FittedEffect, Wanted, choose, fitted, freedom_of
 from ltsim.calibrate.calibration import Calibration
-from ltsim.calibrate.choice import Choice
+from ltsim.calibrate.choice import WIDE, Choice
 from ltsim.calibrate.conflict import disagreement
 from ltsim.calibrate.result import (
     criteria_of,
@@ -30,6 +32,7 @@ from ltsim.calibrate.result import (
 )
 from ltsim.calibrate.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
+from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.recording import MODE_COLUMN, Recording
@@ -46,6 +49,7 @@ def calibrate_network(
     datum: Sequence[str] | None = None,
     choice: Choice | None = None,
     weigh: bool = True,
+    beside: Sequence[Wanted] = (),
 ) -> Calibration:
     """Estimate the parameters of an instrument from a network, with everything else that is unknown.
 
@@ -65,7 +69,9 @@ def calibrate_network(
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
     weigh : bool
-        Find out what of the estimates is worth applying (`calibrate.worth`), unless the choice brings a prior.
+        Find out what of the estimates is worth applying (`calibrate.worth`).
+    beside : sequence of Wanted
+        Effects of the catalogue to estimate too.
 
     Raises
     ------
@@ -83,11 +89,26 @@ def calibrate_network(
     """
     built = construction or stated_construction(recording)
     chosen = choice or Choice()
-    found = _adjusted(recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
+    for wanted in beside:
+        wanted.check(recording, built)
+    adjusted = partial(_adjusted, recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
+    found, effects, fits = adjusted(), list[Signature](), list[FittedEffect]()
+    for wanted in beside:
+        best, tried, sigmas = choose(found, wanted)
+        if not freedom_of(found, best):
+            fits.append(FittedEffect(best.name, wanted.effect.place, (), 0.0, 0, tried))
+            continue
+        effects.append(best)
+        after = adjusted(effects)
+        fits.append(fitted(found, after, best, tried, sigmas))
+        found = after
     calibration = _calibration(recording, found, "network", advise=advise, robust=robust)
+    calibration = replace(calibration, effects=tuple(fits))
     informed = chosen.prior is not None
-    if weigh and not informed:
-        calibration = replace(calibration, correction=correction_of(found, calibration.names))
+    if weigh:
+        wider = WIDE if chosen.free else None
+        worth = correction_of(found, calibration.names, informed=informed, wider=wider)
+        calibration = replace(calibration, correction=worth)
         calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
     return replace(calibration, notes=(*calibration.notes, *disagreement(calibration)), informed=informed)
 
@@ -111,11 +132,12 @@ def _adjusted(
     noise_from_data: bool,
     datum: Sequence[str] | None,
     prior: ParameterPrior | None = None,
+    effects: Sequence[Signature] = (),
 ) -> Adjustment:
     grouping: Grouping | None = "instrument" if noise_from_data else None
-    modes = [RangeMode()] if construction.size and MODE_COLUMN in recording.circumstances else []
+    modes: list[Signature] = [RangeMode()] if construction.size and MODE_COLUMN in recording.circumstances else []
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    found = adjust(recording, construction, effects=modes, **how)
+    found = adjust(recording, construction, effects=[*modes, *effects], **how)
     found.solution.require_success()
     require_result(found)
     if datum and not found.problem.free.shape[1]:

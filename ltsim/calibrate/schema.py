@@ -55,6 +55,8 @@ class FitEntry(Entry):
     """`converged`, or why not."""
     sentence: str = ""
     """The same for a person."""
+    chi2_sigma: Known = None
+    """Standard deviation of chi-square to expect, where that is not the root of 2 dof."""
 
 
 class ParameterEntry(Entry):
@@ -193,6 +195,36 @@ class CorrectionEntry(Entry):
     """The same for a person."""
 
 
+class FittedParameterEntry(Entry):
+    """A parameter of an effect, or a constant that the readings chose."""
+
+    name: str
+    """As `ltsim effects` lists it."""
+    value: Finite | str
+    """In its unit; a word for a constant that is one."""
+    sigma: Sigma = None
+    """Standard deviation."""
+    unit: str
+    """Unit of value and sigma."""
+
+
+class FittedEffectEntry(Entry):
+    """An effect that was estimated beside the calibration, on request."""
+
+    effect: str
+    """As `ltsim effects` lists it."""
+    where: str = ""
+    """Stations and targets to which it is confined; empty for all."""
+    parameters: tuple[FittedParameterEntry, ...] = ()
+    """Its parameters and constants."""
+    chi2_drop: NotNegative
+    """By how much chi-square falls."""
+    freedom: int
+    """Parameters that the recording can tell from the rest."""
+    tried: int
+    """Places and constants that were tried."""
+
+
 class CalibrationFile(ResultFile):
     """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
 
@@ -233,6 +265,8 @@ class CalibrationFile(ResultFile):
     """Targets that their readings do not determine."""
     correction: CorrectionEntry | None = None
     """What of the estimates is worth applying; null where that was not asked."""
+    effects: tuple[FittedEffectEntry, ...] = ()
+    """Effects that were estimated beside the parameters (`--with`)."""
     informed: bool = False
     """Earlier calibrations were the prior."""
     notes: tuple[str, ...] = ()

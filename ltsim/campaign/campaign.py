@@ -27,6 +27,7 @@ from ltsim.campaign.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
 from ltsim.simulate.fieldwork import fieldwork
 from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.simulator import idle_effects
 from ltsim.workers import parallel
 
 DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
@@ -105,7 +106,7 @@ def run_campaign(
         In one sentence, for a file that cannot be run, a folder that holds another campaign or cannot be written to.
     """
     campaign, scenarios = load_campaign(file)
-    _check(campaign, scenarios, file)
+    idle = _check(campaign, scenarios, file)
     store, mark = Store(folder), fingerprint(campaign, scenarios)
     sources = _sources(campaign, scenarios, file)
     taken = [] if store.begun or force else store.taken(sources)
@@ -113,7 +114,7 @@ def run_campaign(
         listed = ", ".join(taken)
         raise SetupError(f"{folder}: holds {listed} but no campaign; name another --out, or replace them with --force")
     with store.lock():
-        notes = []
+        notes = idle
         if force and not resume:
             store.clear()
         if store.begun:
@@ -144,16 +145,19 @@ def _sources(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) ->
     return kept | {SOURCE: file.read_bytes()}
 
 
-def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> None:
-    """What would stop every trial is said before the first: impossible scenarios, unknown effects."""
+def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> list[str]:
+    """What would stop every trial is said before the first; gives notes on effects that find nothing to act on."""
+    idle = []
     for method in campaign.methods:
         fitted_construction(method)
         fitted_effects(method)
     for number, (changes, scenario) in enumerate(zip(campaign.combinations(), scenarios, strict=True)):
+        where = f"cell {number + 1} ({label(changes)})"
         try:
-            fieldwork(scenario, campaign.seed, "campaign")
+            idle += [f"{where}: {note}" for note in idle_effects(fieldwork(scenario, campaign.seed, "campaign"))]
         except SetupError as problem:
-            raise SetupError(f"{file}: cell {number + 1} ({label(changes)}): {problem}") from None
+            raise SetupError(f"{file}: {where}: {problem}") from None
+    return idle
 
 
 def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> list[str]:

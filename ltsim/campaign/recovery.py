@@ -4,14 +4,16 @@ Each trial simulates a recording, calibrates it, and divides the errors of what 
 Which errors the instrument has is one of two modes:
 
 * `drawn`: every parameter from its prior. For a correct model and a correct covariance the z-scores are standard
-  normal, priors included: mean, standard deviation and coverage are checked on both sides.
+  normal, priors included.
 * `stated`: as the scenario states them (what it draws is drawn). A fixed truth is not what a prior speaks of: an
-  estimate leans to the prior's mean and scatters less than its sigma says. So the intervals have to hold the injected
-  value at least as often as they promise, and the z-scores may not scatter more.
+  estimate leans to the prior's mean and scatters less than its sigma says. Both follow from the covariance: with C in
+  prior sigmas and the truth t, an estimate errs by -C t on average, with covariance C - C C; so the errors less that
+  mean over that deviation are standard normal too. Besides, the stated intervals have to hold the injected value at
+  least as often as they promise.
 
-Chi-square, targets and stations are checked as a whole. Tolerances are those of the specification (mean within 0.1,
-standard deviation within 5 %, coverage within 1.5 %), or those of chance where few trials make chance wider: a correct
-model fails in one run of a hundred.
+Mean, standard deviation and coverage are checked on both sides. Chi-square, targets and stations are checked as a
+whole. Tolerances are those of the specification (mean within 0.1, standard deviation within 5 %, coverage within
+1.5 %), or those of chance where few trials make chance wider: a correct model fails in one run of a hundred.
 """
 
 from __future__ import annotations
@@ -24,13 +26,14 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Floats
 from ltsim.calibrate import Calibration, calibrate_distance, calibrate_network
 from ltsim.errors import ConvergenceError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording import Recording
 from ltsim.simulate.fieldwork import fieldwork
+from ltsim.simulate.physics import instrument_law
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.simulator import measure
 from ltsim.simulate.truth import Truth
@@ -42,6 +45,8 @@ COVERED = 0.95
 MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
 Errors = Literal["drawn", "stated"]
+NOISELESS = 1e-4
+"""Share of a stated variance under which the error is the prior's, not the noise's."""
 ONE_DEGREE = float(np.sqrt(2.0))
 """Standard deviation of a mean square over its mean where all that it averages is one number."""
 """Rounding to the resolution adds a little to the noise that the set-up states."""
@@ -62,8 +67,10 @@ class Trial:
         where levels or control points define the frame.
     chi2 : float
     dof : int
-    leaning : float
-        What a truth that was not drawn from the prior adds to the chi-square to expect.
+    standard : (p,) float
+        z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no part.
+    expected, spread : float
+        Mean and standard deviation of chi-square for that truth; NaN where they are not known.
     """
 
     z: Floats
@@ -72,7 +79,9 @@ class Trial:
     stations: float
     chi2: float
     dof: int
-    leaning: float = 0.0
+    standard: Floats
+    expected: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -131,15 +140,20 @@ class Recovery(Shown):
         found = [Check("convergence", "trials that did not converge", lost, 0, 0)]
         if len(self.converged) < 2:
             return found
-        level = FALSE_ALARM / (3 * len(self.names) + 3)
-        check = parameter_checks if self.errors == "drawn" else stated_checks
-        found += [c for i, name in enumerate(self.names) for c in check(name, self.z[:, i], level)]
-        found.append(chi_square_check(self.converged, level))
+        level = FALSE_ALARM / (4 * len(self.names) + 3)
+        standard = np.stack([trial.standard for trial in self.converged])
+        for i, name in enumerate(self.names):
+            if np.all(np.isfinite(standard[:, i])):
+                found += parameter_checks(name, standard[:, i], level)
+            if self.errors == "stated":
+                coverage = parameter_checks(name, self.z[:, i], level)[-1]
+                found.append(replace(coverage, statistic=f"{coverage.statistic}, as stated", high=1.0))
+        if all(np.isfinite(trial.expected) for trial in self.converged):
+            found.append(chi_square_check(self.converged, level))
         for what in ("targets", "stations"):
             squares = np.array([getattr(trial, what) for trial in self.converged])
             if np.all(np.isfinite(squares)):
-                whole = mean_check(what, "mean squared error over variance", squares, level)
-                found.append(whole if self.errors == "drawn" else replace(whole, low=0.0))
+                found.append(mean_check(what, "mean squared error over variance", squares, level))
         return found
 
     def failures(self) -> list[Check]:
@@ -173,19 +187,13 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
     ]
 
 
-def stated_checks(name: str, z: Floats, level: float) -> list[Check]:
-    """Spread and coverage of z-scores (N,) around a truth that was not drawn: at most, and at least."""
-    _, spread, coverage = parameter_checks(name, z, level)
-    return [replace(spread, low=0.0), replace(coverage, high=1.0)]
-
-
 def chi_square_check(trials: Sequence[Trial], level: float) -> Check:
-    """Chi-square of all trials together over what is to be expected of it."""
-    dof, leaning = sum(trial.dof for trial in trials), sum(trial.leaning for trial in trials)
-    tails = stats.chi2.ppf([level / 2, 1 - level / 2], dof) / dof
+    """Chi-square of all trials together over what is to be expected of it, as a scaled chi-square (Satterthwaite)."""
+    mean, variance = sum(trial.expected for trial in trials), sum(trial.spread**2 for trial in trials)
+    freedom = 2 * mean**2 / variance
+    tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
     low, high = min(1 - CHI2_WITHIN, float(tails[0])), max(1 + CHI2_WITHIN, float(tails[1]))
-    found = sum(trial.chi2 for trial in trials) / (dof + leaning)
-    return Check("chi-square", "chi2/dof of all trials", found, low, high)
+    return Check("chi-square", "chi2/dof of all trials", sum(trial.chi2 for trial in trials) / mean, low, high)
 
 
 def mean_check(what: str, statistic: str, values: Floats, level: float) -> Check:
@@ -235,8 +243,8 @@ def recover(
 
 
 def errors_of(scenario: Scenario) -> Errors:
-    """The mode that a scenario suggests: `stated` where it states an error of the instrument."""
-    return "stated" if set(scenario.instrument.errors) - {"draw"} else "drawn"
+    """The mode that a scenario suggests: `stated` where it states an error of an instrument."""
+    return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers.values()) else "drawn"
 
 
 def from_prior(scenario: Scenario) -> Scenario:
@@ -259,13 +267,9 @@ def run_trial(
         found = calibrated(recording, method, construction or work.construction)
     except ConvergenceError:
         return None
-    return score(found, truth, fixed_errors(work.scenario))
-
-
-def fixed_errors(scenario: Scenario) -> Callable[[str], bool]:
-    """Whether a parameter of the instrument is not drawn, by its name."""
-    stated, draws = set(scenario.instrument.errors), scenario.instrument.draws
-    return lambda name: not draws or name in stated
+    law = instrument_law(work.scenario, work.construction)
+    names = work.construction.names_of(tuple(work.scenario.trackers))
+    return score(found, truth, dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True)))
 
 
 def calibrated(recording: Recording, method: str, construction: Construction) -> Calibration:
@@ -275,8 +279,15 @@ def calibrated(recording: Recording, method: str, construction: Construction) ->
     return calibrate_distance(recording, construction, method=method, advise=False)
 
 
-def score(found: Calibration, truth: Truth, fixed: Callable[[str], bool] = lambda name: False) -> Trial:
-    """Errors of a calibration over their stated sigmas; parameters that are `fixed` were not drawn from their prior.
+def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
+    """Errors of a calibration over their stated sigmas.
+
+    Parameters
+    ----------
+    found : Calibration
+    truth : Truth
+    law : mapping of str to (float, float)
+        Mean and standard deviation [SI] from which each true parameter was drawn; 0 for a stated one.
 
     Raises
     ------
@@ -290,46 +301,61 @@ def score(found: Calibration, truth: Truth, fixed: Callable[[str], bool] = lambd
             f"({truth.construction}) has; recover with its own construction"
         )
     true = np.array([truth.instrument[name] for name in found.names])
-    targets, stations = _network_scores(found, truth)
+    prior = found.prior_sigma.ravel()
+    mean, drawn = (np.array([law[name][i] for name in found.names]) / prior for i in (0, 1))
+    error, stated = (found.values.ravel() - true) / prior, found.sigma.ravel() / prior
+    left = stated**2 - found.missed**2 @ (1.0 - drawn**2)
+    noisy = left > NOISELESS * stated**2
+    standard = np.where(noisy, (error + found.missed @ mean) / np.sqrt(np.where(noisy, left, 1.0)), np.nan)
+    targets, stations = _network_scores(found, truth, mean, drawn)
     return Trial(
-        z=(found.values.ravel() - true) / found.sigma.ravel(),
-        sigma=(found.sigma / found.prior_sigma).ravel(),
-        targets=targets,
-        stations=stations,
-        chi2=found.fit.chi2,
-        dof=found.fit.dof,
-        leaning=_leaning(found, true, np.array([fixed(name) for name in found.names])),
+        error / stated, stated, targets, stations, found.fit.chi2, found.fit.dof, standard, *_chi2(found, mean, drawn)
     )
 
 
-def _leaning(found: Calibration, true: Floats, fixed: Bools) -> float:
-    """Expected chi-square with parameters fixed at their true values (p,), less that with all drawn from the prior.
+def _chi2(found: Calibration, mean: Floats, drawn: Floats) -> tuple[float, float]:
+    """Mean and standard deviation of chi-square with truths of a mean and a spread (p,) [prior sigmas]."""
+    dof, sigma = found.fit.dof, found.fit.chi2_sigma
+    if found.method != "network":
+        return (dof, sigma) if _as_the_prior(mean, drawn) and sigma is not None else (np.nan, np.nan)
+    told = np.eye(len(mean)) - found.missed
+    lean = float(mean @ told @ mean)
+    return dof + lean - float(np.diag(told) @ (1.0 - drawn**2)), float(np.sqrt(2 * dof + 4 * lean))
 
-    With C the covariance in prior sigmas and u the fixed values: u' (1 - C) u less the trace of (1 - C) over them.
+
+def _as_the_prior(mean: Floats, drawn: Floats) -> bool:
+    """Whether truths of a mean and a spread (p,) [prior sigmas] are drawn from the prior."""
+    return not np.any(mean) and bool(np.all(drawn == 1.0))
+
+
+def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Floats) -> tuple[float, float]:
+    """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame.
+
+    Both as they are to be expected of truths of a mean and a spread (p,) [prior sigmas]; of stated ones for the network
+    method alone.
     """
-    if found.method != "network" or not fixed.any():
-        return 0.0
-    prior = found.prior_sigma[0]
-    told = (np.eye(len(prior)) - found.covariance / np.outer(prior, prior))[np.ix_(fixed, fixed)]
-    size = true[fixed] / prior[fixed]
-    return float(size @ told @ size - np.trace(told))
-
-
-def _network_scores(found: Calibration, truth: Truth) -> tuple[float, float]:
-    """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame."""
-    adjustment = found.adjustment
-    if adjustment is None or adjustment.problem.free.shape[1] < 6:
+    adjustment, plain = found.adjustment, _as_the_prior(mean, drawn)
+    unknown = found.method != "network" and not plain
+    if adjustment is None or unknown or adjustment.problem.free.shape[1] < 6:
         return float("nan"), float("nan")
     # The truth moved to where the first station is held.
     held, origin = adjustment.state, truth.position[0]
     turn = truth.rotation[0] @ held.rotation[0].T
+    layout, size = adjustment.problem.layout, np.zeros(adjustment.problem.layout.size)
+    bias, less = size.copy(), size.copy()
+    if not plain:
+        pick = np.zeros((len(size), len(mean)))
+        pick[layout.instrument.ravel(), np.arange(len(mean))] = 1.0 / found.prior_sigma.ravel()
+        missed = adjustment.factor.covariance_columns(pick)
+        bias, less = -missed @ mean, missed**2 @ (1.0 - drawn**2)
     points = (truth.points - origin) @ turn + held.position[0]
-    sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
-    targets = float(np.mean(((found.points - points) / sigma) ** 2))
+    variance = np.einsum("tii->ti", found.target_covariance) - less[layout.target]
+    targets = float(np.mean((found.points - points - bias[layout.target]) ** 2 / variance))
     squares = []
     for i, station in enumerate(found.stations[1:], start=1):
         there = (truth.position[i] - origin) @ turn + held.position[0]
-        moved = (station.position - there) / station.sigma_position
         apart = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
-        squares += [moved**2, (apart.as_rotvec() / station.sigma_rotation) ** 2]
+        error = np.concatenate([station.position - there, apart.as_rotvec()]) - bias[layout.pose[i]]
+        sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
+        squares.append(error**2 / (sigma**2 - less[layout.pose[i]]))
     return targets, float(np.mean(squares)) if squares else float("nan")

@@ -186,7 +186,7 @@ def _columns(
         if kind in wanted:
             columns[name] = column
     if "z-scores" in wanted:
-        columns |= _z_scores(truth, block, found, construction, names)
+        columns |= z_scores(truth, block, found, construction, names)
     if "estimates" in wanted:
         columns |= parameter_columns(construction, names, found.values, "estimate")
         spread = np.broadcast_to(_per_trial(found.sigma), found.values.shape)
@@ -204,7 +204,7 @@ def _per_trial(sigma: Floats) -> Floats:
     return sigma[:, :, None] if sigma.ndim == 2 else sigma
 
 
-def _z_scores(
+def z_scores(
     truth: Truth, block: Block, found: Calibrated, construction: Construction, names: tuple[str, ...]
 ) -> Columns:
     """(estimate - truth) / sigma of the parameters that the true instrument has under the same name."""

@@ -69,9 +69,11 @@ HoldList = Annotated[
     typer.Option("--hold", metavar="NAME=VALUE", help="A parameter to hold at a value, in its unit; can be repeated."),
 ]
 PriorFile = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
-        "--prior", metavar="FILE", help="What was known before, in place of the set-up: a calibration or a history."
+        "--prior",
+        metavar="FILE|none",
+        help="What was known before, in place of the set-up: a calibration, a history, or none at all.",
     ),
 ]
 Harmonics = Annotated[
@@ -83,6 +85,15 @@ Degree = Annotated[
 Box = Annotated[
     float | None,
     typer.Option("--box", metavar="N", help="With --method equation-9: no parameter beyond N prior sigmas."),
+]
+WithEffects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--with",
+        metavar="EFFECT[:WHERE,...]",
+        help="An effect of the catalogue to estimate too, at stations or targets, with constants as law=visit; what is "
+        "not said, the readings choose; can be repeated.",
+    ),
 ]
 
 
@@ -99,6 +110,7 @@ def calibrate(
     harmonics: Harmonics = None,
     degree: Degree = None,
     box: Box = None,
+    with_effects: WithEffects = None,
     out: Out = None,
     points: PointsFile = None,
     reading: FramedReading,
@@ -112,11 +124,12 @@ def calibrate(
     Example: ltsim calibrate my-recording --out my-calibration
     """
     options = treatment.as_options()
-    if method is not Method.NETWORK and any([*options.values(), prior]):
-        message = "--robust, --noise-from-data, --datum and --prior go with --method network"
+    if method is not Method.NETWORK and any([*options.values(), prior, with_effects]):
+        message = "--robust, --noise-from-data, --datum, --prior and --with go with --method network"
         raise SetupError(f"{message}, not {method.value}")
     options |= {"parameters": names_of(parameters), "without": names_of(without) or (), "hold": held_values(hold)}
     options |= {"prior": prior, "harmonics": harmonics, "degree": degree, "box": box}
+    options["with_effects"] = with_effects or ()
     claim_results(out, points, adjusted=False, force=force)
     recording = reading.open(source, terminal)
     built = construction.value if construction else None

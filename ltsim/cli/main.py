@@ -44,6 +44,7 @@ VERBS = {
     "report": "one page that opens offline, about any folder of results",
     "uncertainty": "what a task on a recording is worth: budget, verdict",
     "accept": "acceptance tests of a tracker: predicted, or judged",
+    "bench": "a reflector's range error against incidence from its bench test",
     "view": "show the workshop in 3D",
 }
 SETTINGS: dict[str, Any] = {

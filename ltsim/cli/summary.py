@@ -42,6 +42,8 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     if calibration.names:
         terminal.say()
         terminal.say(parameter_table(calibration))
+    for effect in calibration.effects:
+        terminal.say(effect.sentence)
     if calibration.correction is not None:
         terminal.say("\n".join([calibration.correction.line, *calibration.correction.sentences]))
     if calibration.undetermined:

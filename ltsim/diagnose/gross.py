@@ -82,9 +82,10 @@ def explain_gross(adjustment: Adjustment) -> tuple[Recording, Bools, list[GrossF
     return recording.replace(readings=readings, target=target), use, findings
 
 
-def _placed(adjustment: Adjustment, readings: Floats, station: Ints) -> Floats:
-    """Points (k, 3) in the network frame that readings (k, 3) of stations (k,) describe."""
-    local = adjustment.construction.point(readings, adjustment.state.instrument[0])
+def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+    """Points (k, 3) in the network frame that readings (k, 3) in place of those of some rows (k,) describe."""
+    station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
+    local = adjustment.construction.point(readings, adjustment.state.instrument[instrument])
     turned = np.einsum("nij,nj->ni", adjustment.state.rotation[station], local)
     placed: Floats = turned + adjustment.state.position[station]
     return placed
@@ -96,7 +97,7 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> list[tuple[GrossFinding, dict
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
         return []
-    placed = _placed(adjustment, recording.readings[at], recording.station[at])
+    placed = _placed(adjustment, recording.readings[at], at)
     gaps = np.linalg.norm(placed[:, None] - adjustment.state.points[None], axis=2)
     nearest = np.argmin(gaps, axis=1)
     lands = gaps[np.arange(len(at)), nearest] < CLOSE
@@ -122,7 +123,7 @@ def _mended_rows(adjustment: Adjustment, rows: Bools, readings: Floats) -> Ints:
     at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
     if not len(at):
         return at
-    placed = _placed(adjustment, readings[at], recording.station[at])
+    placed = _placed(adjustment, readings[at], at)
     miss = np.linalg.norm(placed - adjustment.state.points[recording.target[at]], axis=1)
     hit: Ints = at[miss < CLOSE]
     return hit
@@ -133,8 +134,7 @@ def _finding(adjustment: Adjustment, effect: str, rows: Ints, observables: tuple
     stations = tuple(sorted({recording.stations[s] for s in recording.station[rows]}))
     targets = tuple(sorted({recording.targets[t] for t in recording.target[rows]}))
     miss = np.linalg.norm(
-        _placed(adjustment, recording.readings[rows], recording.station[rows])
-        - adjustment.state.points[recording.target[rows]],
+        _placed(adjustment, recording.readings[rows], rows) - adjustment.state.points[recording.target[rows]],
         axis=1,
     )
     sentence = f"{len(rows)} pointings at station {', '.join(stations)} to {', '.join(targets[:6])} hold {cause}."
@@ -174,7 +174,8 @@ def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:
             adjustment.state.rotation[station],
             adjustment.state.points[target] - adjustment.state.position[station],
         )
-        expected = adjustment.construction.readings(local, recording.face[[row]], adjustment.state.instrument[0])[0]
+        own = adjustment.state.instrument[recording.instrument[row]]
+        expected = adjustment.construction.readings(local, recording.face[[row]], own)[0]
         gap = recording.readings[row] - expected
         gap[1:] = wrap(gap[1:])
         length = np.abs(gap * [1.0, expected[0] * np.cos(expected[2]), expected[0]])

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from ltsim.recording.result_file import Entry, Known, ResultFile
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.recording.result_table import ResultTable, numbers, texts
 
 NOMINAL = ResultTable(
     "nominal.csv",
     "points of a measuring machine, which `verify` compares with",
     (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
+BENCH = ResultTable(
+    "bench.csv",
+    "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
+    numbers(
+        ".4f",
+        angle_deg="turn of the table, 0 where the reflector looks at the interferometer",
+        length_um="length by the interferometer, from any zero",
+        probe_um="displacement of the sphere's surface at the probe, outward",
+    ),
 )
 
 
@@ -46,3 +56,47 @@ class CriteriaFile(ResultFile):
     """Deviations of coordinates after a rigid fit (eq. 12)."""
     distance_to_first: CriterionEntry | None = None
     """Deviations of distances from the first station's (eq. 11)."""
+
+
+class EstimateEntry(Entry):
+    """A length with its standard deviation."""
+
+    value_um: Finite
+    """Estimate."""
+    sigma_um: Finite
+    """Standard deviation."""
+
+
+class BenchRow(Entry):
+    """The reflector at one angle of incidence; all less the value nearest 0 deg."""
+
+    angle_deg: Finite
+    """Turn of the table."""
+    as_read_um: Finite
+    """Length with the eccentricity still in it."""
+    error_um: Finite
+    """The reflector's own range error, reading minus truth."""
+    sigma_um: Finite
+    """Standard deviation of the error."""
+
+
+class BenchFile(ResultFile):
+    """`bench.json`: from `bench`."""
+
+    FILE: ClassVar[str] = "bench.json"
+    format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
+    """Which format and version this file is in."""
+    eccentricity_forward: EstimateEntry
+    """Sphere's centre off the table's axis at 0 deg, towards the interferometer."""
+    eccentricity_side: EstimateEntry
+    """The same to the side."""
+    run_out_um: Finite
+    """Largest less smallest displacement that the probe saw."""
+    table: tuple[BenchRow, ...]
+    """Range error against incidence."""
+    vertex_axial: EstimateEntry
+    """Vertex of the mirrors off the sphere's centre, out of the open face, if an offset is the cause."""
+    vertex_side: EstimateEntry
+    """The same to the side."""
+    remainder_um: Finite
+    """Root mean square of what no offset of the vertex explains: optics."""

@@ -19,7 +19,7 @@ from ltsim.campaign.schema import SUMMARY, ManifestFile, RecoveryFile, trials_ta
 from ltsim.campaign.spec import Campaign
 from ltsim.check import files as checks
 from ltsim.diagnose import schema as diagnosis
-from ltsim.evaluate.schema import NOMINAL, CriteriaFile
+from ltsim.evaluate.schema import BENCH, NOMINAL, BenchFile, CriteriaFile
 from ltsim.plan import schema as plan
 from ltsim.plan.spec import PlanFile
 from ltsim.recording.files import write_texts
@@ -49,6 +49,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
 
 FILES: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULTS},
+    BenchFile.FILE: BenchFile,
     "truth.json": TruthFile,
     "setup.toml": Setup,
     "scenario.toml": Scenario,
@@ -61,6 +62,7 @@ FILES: dict[str, type[BaseModel]] = {
 
 TABLES: dict[str, tuple[ResultTable, ...]] = {
     CalibrationFile.FILE: (TARGETS, RESIDUALS),
+    BenchFile.FILE: (BENCH,),
     "truth.json": (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     plan.PlanResult.FILE: plan.TABLES,

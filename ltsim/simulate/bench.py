@@ -19,6 +19,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.errors import SetupError
+from ltsim.evaluate.bench import BenchRecord, along_beam
 from ltsim.randomness import stream
 from ltsim.units import DEGREE, MICROMETRE
 
@@ -55,58 +56,9 @@ class BenchTest:
             raise SetupError(f"the probe is read at {len(self.probe_angles)} angles; the eccentricity needs 3 or more")
 
 
-@dataclass(frozen=True)
-class BenchRecord:
-    """What is written down on the bench: angles [rad], lengths (a,) [m], displacements of the surface (k,) [m]."""
-
-    angles: Floats
-    lengths: Floats
-    probe_angles: Floats
-    probe_direction: float
-    displacements: Floats
-    length_sigma: float
-
-
-@dataclass(frozen=True)
-class BenchResult:
-    """What the record says; SI."""
-
-    eccentricity: Floats
-    """(2,) [m]."""
-    eccentricity_covariance: Floats
-    """(2, 2) [m^2]."""
-    run_out: float
-    """[m]: largest less smallest displacement that the probe saw."""
-    uncorrected: Floats
-    """(a,) [m]: lengths less that nearest 0 deg: the error with the eccentricity still in it."""
-    table: Floats
-    """(a,) [m]: the reflector's own error, less that nearest 0 deg."""
-    sigma: Floats
-    """(a,) [m]: standard deviation of `table`."""
-
-
-@dataclass(frozen=True)
-class Vertex:
-    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left."""
-
-    axial: float
-    side: float
-    """[m]: vertex off the centre, out of the open face and to the side."""
-    axial_sigma: float
-    side_sigma: float
-    """[m] each."""
-    remainder: float
-    """[m]: rms of what no offset explains: optics."""
-
-
-def _along_beam(angles: Floats) -> Floats:
-    """(a, 2): change of the length per unit of a point off the table's axis, when the table is turned."""
-    return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
-
-
 def vertex_table(axial: float, side: float, angles: Floats = TABLE_ANGLES) -> Floats:
     """Range error (a,) [m] at `angles` of a vertex off the sphere's centre by `axial` and `side` [m]."""
-    return _along_beam(angles) @ np.array([axial, side])
+    return along_beam(angles) @ np.array([axial, side])
 
 
 def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchRecord:
@@ -115,7 +67,7 @@ def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchRecord:
     def noise(what: str, count: int) -> Floats:
         return stream(seed, *key, "bench", what).standard_normal(count)
 
-    lengths = bench.table + _along_beam(bench.angles) @ bench.eccentricity
+    lengths = bench.table + along_beam(bench.angles) @ bench.eccentricity
     turned = bench.probe_angles - bench.probe_direction
     surface = np.stack([np.cos(turned), -np.sin(turned)], axis=1) @ bench.eccentricity
     phase = 2 * np.pi * stream(seed, *key, "bench", "lobes").random(len(LOBES))
@@ -129,37 +81,3 @@ def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchRecord:
         displacements=surface + bench.probe_sigma * noise("probe", len(surface)),
         length_sigma=bench.length_sigma,
     )
-
-
-def evaluate_bench(record: BenchRecord) -> BenchResult:
-    """Take the eccentricity, as the probe tells it, off the lengths.
-
-    The scatter of the probe about its first harmonic, roundness included, gives the eccentricity's uncertainty.
-    """
-    turned = record.probe_angles - record.probe_direction
-    design = np.stack([np.ones_like(turned), np.cos(turned), -np.sin(turned)], axis=1)
-    found = np.linalg.lstsq(design, record.displacements, rcond=None)[0]
-    left = record.displacements - design @ found
-    variance = float(left @ left) / max(len(turned) - 3, 1)
-    covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
-    middle = int(np.argmin(np.abs(record.angles)))
-    uncorrected = record.lengths - record.lengths[middle]
-    change = _along_beam(record.angles) - _along_beam(record.angles)[middle]
-    own = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
-    return BenchResult(
-        eccentricity=found[1:],
-        eccentricity_covariance=covariance,
-        run_out=float(np.ptp(record.displacements)),
-        uncorrected=uncorrected,
-        table=uncorrected - change @ found[1:],
-        sigma=np.sqrt(own + np.einsum("ai,ij,aj->a", change, covariance, change)),
-    )
-
-
-def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
-    """Explain a table (a,) [m] at `angles` by an offset of the vertex; `sigma` [m] of one entry."""
-    design = np.concatenate([np.ones((len(angles), 1)), _along_beam(angles)], axis=1)
-    found = np.linalg.lstsq(design, table, rcond=None)[0]
-    spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    remainder = float(np.sqrt(np.mean((table - design @ found) ** 2)))
-    return Vertex(float(found[1]), float(found[2]), float(spread[1]), float(spread[2]), remainder)

@@ -114,6 +114,8 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
     """A scenario with some values changed, by dotted key, and checked again; `file` and `where` are named in errors.
 
+    A tracker's `preset` brings its noise and prior with it.
+
     Raises
     ------
     SetupError
@@ -121,7 +123,9 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     """
     # Checked twice: as tables with the changes, and as what a file of it would say.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    for key, value in changes.items():
+    of_presets = sorted({section for sections in PRESETS.values() for section in sections})
+    brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
+    for key, value in [*((key, NONE) for key in brought), *changes.items()]:
         _set(table, key, value, where or str(file))
     return scenario_from(table, file)
 

@@ -133,11 +133,11 @@ def _recording(work: Fieldwork, readings: Floats, values: tuple[Floats, ...], se
         time=s.time,
         readings=readings,
         covariates=s.covariates,
-        notes=(*work.notes, *_idle_effects(work)),
+        notes=(*work.notes, *idle_effects(work)),
     )
 
 
-def _idle_effects(work: Fieldwork) -> Iterator[str]:
+def idle_effects(work: Fieldwork) -> Iterator[str]:
     """A note on every effect that finds nothing to act on: a column, a time, a nest that is not there."""
     frame = frame_of(work.scenario.gauge) if work.scenario.gauge is not None else None
     for effect in work.effects:

@@ -29,20 +29,13 @@ def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
     return gradient / (np.linalg.norm(rows.by_unknown, axis=0) * np.linalg.norm(rows.residual))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(100))
 def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
     problem = problem_of(seed)
     found = solve_equation_9(problem, "squares")
     assert found.converged
     assert np.max(np.abs(slope(problem, found.unknowns))) < 1e-7
     assert found.objective < solve_distances(problem, "squares").objective
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", range(100))
-def test_the_gradient_of_the_squares_vanishes_for_many_seeds(seed: int) -> None:
-    problem = problem_of(seed)
-    assert np.max(np.abs(slope(problem, solve_equation_9(problem, "squares").unknowns))) < 1e-7
 
 
 def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
@@ -59,14 +52,25 @@ def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
     return float(linprog(cost, A_ub=matrix, b_ub=np.concatenate([-pull, pull]), bounds=bounds).fun)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_zero_is_a_subgradient_of_the_absolute_values(seed: int) -> None:
+def check_absolute(seed: int) -> None:
     problem = problem_of(seed)
     found = solve_equation_9(problem, "absolute")
     truncated = solve_distances(problem, "absolute")
+    assert found.converged
     assert least_subgradient(problem, found.unknowns) < 1e-6
     assert least_subgradient(problem, truncated.unknowns) > 1e-4
     assert found.objective < truncated.objective
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_zero_is_a_subgradient_of_the_absolute_values(seed: int) -> None:
+    check_absolute(seed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(10, 100))
+def test_zero_is_a_subgradient_of_the_absolute_values_for_many_seeds(seed: int) -> None:
+    check_absolute(seed)
 
 
 @pytest.mark.parametrize("norm", ["squares", "absolute"])

@@ -89,6 +89,17 @@ def test_a_changed_parameter_is_found_and_named():
     assert history.constancy(6).p_value > 1e-3
 
 
+def test_three_calibrations_do_not_look_more_alike_than_they_are():
+    """The restricted likelihood: the spread about a mean that is found from the same calibrations, unbiased."""
+    rng, ratios = stream(9, "few"), []
+    for _ in range(40):
+        mean, (design,) = rng.standard_normal(SIZE) * PRIOR, designs(rng, 1, strength=40.0)
+        few = [estimate(mean + 0.5 * PRIOR * rng.standard_normal(SIZE), design, rng) for _ in range(3)]
+        population = History.of([(str(k), c) for k, c in enumerate(few)]).population
+        ratios.append((population.spread[SILENT:-2] / (0.5 * PRIOR[SILENT:-2])) ** 2)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
+
+
 def test_the_population_is_recovered_and_improves_a_new_calibration():
     rng = stream(4, "population")
     mean, spread = 0.5 * PRIOR * rng.standard_normal(SIZE), PRIOR * np.where(np.arange(SIZE) % 2, 0.5, 0.02)

@@ -21,4 +21,5 @@ def test_the_workflow_runs_a_check_that_passes(root: Path, tmp_path: Path, monke
     monkeypatch.chdir(tmp_path)
     few = re.sub(r"--trials \d+", "--trials 8", re.sub(r"--jobs \d+", "--jobs 1", commands[0]))
     assert run(shlex.split(few)[1:]) == 0
-    assert (tmp_path / kept[0] / "recovery.json").exists()
+    folder, junit = kept[0].split()
+    assert (tmp_path / folder / "recovery.json").exists() and (tmp_path / junit).exists()

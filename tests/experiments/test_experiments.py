@@ -127,6 +127,23 @@ def test_the_bench_gives_the_table_back(run: Run) -> None:
     assert float(arc["rms_corrected_um"]) > float(row["rms_corrected_um"])
 
 
+def test_a_wrong_prior_does_no_harm(run: Run) -> None:
+    out = run("23_wrong_priors", 2)
+    rows = table(out / "priors.csv")
+    assert len(rows) == 4 * 8
+    for row in table(out / "priors.csv", cell="as specified"):
+        assert float(row["ratio"]) < 0.6
+    assert float(one(out / "priors.csv", cell="as specified", prior="1000 x")["says_prior_contradicted_percent"]) == 100
+
+
+def test_intervals_hold(run: Run) -> None:
+    out = run("24_intervals_hold", 6)
+    rows = table(out / "intervals.csv")
+    assert [row["parameters"] for row in rows[-3:]] == ["126", "252", "378"]
+    assert all(88 < float(row["inside_percent"]) < 100 for row in rows)
+    assert all(float(row["apart_from_full_solver_sigma"]) < 1e-3 for row in rows)
+
+
 def test_more_noise_more_error(run: Run) -> None:
     out = run("08_noise_smr_faces", 4)
     cells = ("noise 0.5 x", "noise 1 x, one face, re-aimed", "noise 2 x", "noise 4 x")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from ltsim.campaign.recovery import (
 from ltsim.evaluate.share_removed import target_error
 from ltsim.model.construction import Construction, misalignment
 from ltsim.simulate.fieldwork import fieldwork
-from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.simulate.scenario import Scenario, changed, load_scenario
 from ltsim.simulate.simulator import measure
 
 
@@ -121,6 +122,24 @@ def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
     assert any("coverage" in failure.statistic for failure in failures)
 
 
+def test_a_scatter_smaller_than_stated_fails_with_stated_errors_too() -> None:
+    """Readings half as noisy as stated: the errors less what the prior makes of them scatter too little."""
+    scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, draw=False)
+    quiet = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 0.5})})
+    low = [f for f in lt.recover(quiet, trials=20, seed=4).failures() if f.value < f.low]
+    assert {"chi-square", "targets", "stations"} <= {f.what for f in low}
+    assert any("standard deviation" in f.statistic for f in low)
+
+
+@pytest.mark.parametrize("method", ["network", "distance"])
+def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> None:
+    errors = {"instruments.B.errors": {"draw": True, "beam-tilt": 30.0, "vertical-index": -25.0}}
+    scenario = changed(load_scenario("two-trackers"), errors, Path("hall.toml"))
+    result = lt.recover(scenario, trials=10, seed=2, method=method)
+    assert result.errors == "stated"
+    assert [c.sentence() for c in result.failures()] == []
+
+
 def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
     values = 1.0 + 0.3 * np.random.default_rng(0).standard_normal(40)
     right = mean_check("targets", "mean", values, 1e-3)
@@ -156,7 +175,7 @@ def test_chance_alone_fails_one_run_in_a_hundred() -> None:
 
 
 def test_a_trial_that_does_not_converge_fails() -> None:
-    good = Trial(np.zeros(1), np.ones(1), 1.0, 1.0, 10.0, 10)
+    good = Trial(np.zeros(1), np.ones(1), 1.0, 1.0, 10.0, 10, np.zeros(1), 10.0, 4.5)
     failures = Recovery(("a",), (good, good, None)).failures()
     assert failures[0].what == "convergence"
     assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed

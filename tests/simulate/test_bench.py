@@ -7,7 +7,8 @@ import pytest
 
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.errors import SetupError
-from ltsim.simulate.bench import FULL_TURN, MIDDLE, BenchTest, as_vertex, evaluate_bench, measure_bench, vertex_table
+from ltsim.evaluate.bench import as_vertex, evaluate_bench
+from ltsim.simulate.bench import FULL_TURN, MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.units import MICROMETRE
 
 PAPER = np.array(PAPER_TABLE) - PAPER_TABLE[MIDDLE]

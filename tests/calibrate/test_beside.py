@@ -1,0 +1,85 @@
+"""Effects that a person asks for, estimated beside the calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import ltsim as lt
+from ltsim.calibrate.files import read_calibration, write_calibration
+from ltsim.cli.main import run
+from ltsim.errors import ModelError
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.recording import Recording
+from tests.networks import drawn, network
+
+RATE = 40e-6 / 3600
+"""[rad/s] of the vertical index while the tracker stands at S3."""
+
+
+@pytest.fixture(scope="module")
+def drifting() -> Recording:
+    recording = network(faces=2, seed=5, values=drawn(misalignment(), 5))[0]
+    readings = recording.readings + recording.sigma() * stream(5, "beside").standard_normal(recording.readings.shape)
+    there = recording.station == 2
+    clock = recording.time - recording.time[there].min()
+    readings[there, 2] -= RATE * clock[there]
+    return recording.with_readings(readings)
+
+
+@pytest.mark.parametrize("wanted", ["index-drift", "index-drift:S3", "index-drift:S3,law=visit"])
+def test_an_effect_is_found_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
+    plain, found = lt.calibrate(drifting, advise=False), lt.calibrate(drifting, with_effects=[wanted], advise=False)
+    (effect,) = found.effects
+    assert (effect.effect, effect.where, effect.freedom) == ("index-drift", "S3", 1)
+    rate, law = effect.parameters
+    assert rate.unit == "urad/h" and law.value == "visit"
+    assert isinstance(rate.value, float) and rate.sigma is not None
+    assert abs(rate.value - 1e6 * 3600 * RATE) < 4 * rate.sigma < 0.5 * rate.value
+    assert effect.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
+    assert effect.p_value < 1e-6
+    assert effect.tried == (1 if "law" in wanted else effect.tried)
+    assert "chi-square falls by" in str(found)
+
+
+def test_it_is_kept_in_the_file(drifting: Recording, tmp_path: Path) -> None:
+    found = lt.calibrate(drifting, with_effects=["index-drift:S3", "range-cyclic"], advise=False)
+    write_calibration(found, tmp_path / "cal")
+    assert read_calibration(tmp_path / "cal").effects == found.effects
+    wavelength = found.effects[1].parameters[-1]
+    assert (wavelength.name, wavelength.unit) == ("wavelength", "mm") and wavelength.sigma is not None
+
+
+def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
+    unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
+    assert unaimed.effects[0].freedom == 0
+    assert "cannot tell it" in unaimed.effects[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ("beam-tilt", "estimated anyway"),
+        ("noise-level", "scatter"),
+        ("target-swap", "slip"),
+        ("index-drift:S9", "no station"),
+        ("index-drift:law=sometimes", "expected one of"),
+        ("index-drift:pace=3", "no constant"),
+        ("no-such-effect", "no effect"),
+    ],
+)
+def test_what_cannot_be_fitted_is_said_in_a_sentence(drifting: Recording, wanted: str, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        lt.calibrate(drifting, with_effects=[wanted])
+
+
+def test_the_command_line_says_it_and_refuses_it_elsewhere(
+    drifting: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lt.write(drifting, tmp_path / "rec")
+    assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift:S3"]) == 0
+    assert "index-drift at S3" in capsys.readouterr().out
+    assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift", "--method", "distance"]) == 2
+    assert "--with go with --method network" in capsys.readouterr().err
