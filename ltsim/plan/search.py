@@ -7,6 +7,7 @@ single station improves.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +23,13 @@ from ltsim.randomness import stream
 CHUNK = 64
 SWEEPS = 12
 TRIES = 200
+PACE = 0.985
+"""What a step leaves of the way to the end, for somebody who watches: how many steps it takes is not known before."""
 DRAWS = 24
+
+
+def unheard(_share: float) -> None:
+    """Say nothing."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,13 @@ class Searcher:
     yaws: int = 6
     heights: int = 2
     """Turns and heights tried at each place of the grid."""
+    tell: Callable[[float], None] = unheard
+    """Hears the share of a start that is done."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
         self._tables: dict[int, Pool] = {}
+        self._steps = 0
 
     @property
     def stations(self) -> int:
@@ -134,6 +144,12 @@ class Searcher:
         ]
         return np.concatenate(found) if found else np.zeros(0)
 
+    def _best(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
+        """As `best_replacement`, and a word to whoever watches."""
+        self._steps += 1
+        self.tell(1.0 - PACE**self._steps)
+        return self.best_replacement(layout, slot, candidates)
+
     def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
         """The candidate that serves best as station `slot`, and the value; -1 and infinite where none may."""
         count = len(candidates.position)
@@ -168,7 +184,7 @@ class Searcher:
             before = value
             for slot in self._free:
                 table = self.table(slot)
-                which, best = self.best_replacement(layout, slot, table)
+                which, best = self._best(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
             if not value < before * (1 - LEAST_IMPROVEMENT):
@@ -184,7 +200,7 @@ class Searcher:
                 candidates = self._around(layout, slot, reach, rng)
                 if candidates is None:
                     continue
-                which, best = self.best_replacement(layout, slot, candidates)
+                which, best = self._best(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
             if not value < before * (1 - LEAST_IMPROVEMENT):
