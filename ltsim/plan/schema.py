@@ -259,7 +259,7 @@ class ChangeEntry(Entry):
     quality: Finite
     """Factor on the plan's objective; smaller is better."""
     serves: str = ""
-    """The parameter that gains most."""
+    """The parameter, or the target, that gains most, or loses most where a reflector is left out."""
     serves_factor: Finite = 1.0
     """Factor on that one's standard deviation."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.plan.changes import TRIED
 from ltsim.plan.floor import Floor
 from ltsim.plan.schema import LayoutEntry, OptionEntry, PlanResult
 from ltsim.recording.result_file import companion, read_result
@@ -39,7 +40,7 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     blocks += _pictures(folder, content, detail)
     if content.reasons:
         blocks.append(Points("Why this plan", content.reasons))
-    blocks += _tolerances(content)
+    blocks += _tolerances(content) + _changes(folder, content)
     blocks += _curve(content) + _parameters(content) + _expected(content)
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
@@ -77,6 +78,33 @@ def _tolerances(content: PlanResult) -> list[Block]:
     ]  # fmt: skip
     header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
     return [*blocks, Table("When a station or a sight is lost", header, lost, 3)]
+
+
+DEEDS = {"move": "move {0} to {1}", "add": "add one at {1}", "remove": "leave out {0}"}
+
+
+def _changes(folder: Path, content: PlanResult) -> list[Block]:
+    """Which reflector to move, to add, to leave out."""
+    changes = content.reflector_changes
+    if not changes:
+        return []
+    rows = [
+        [str(i), DEEDS[c.do].format(c.reflector, c.place), *(style.fixed(v, 0) for v in c.position_mm or ()),
+         *[""] * (0 if c.position_mm else 3), f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
+         f"{c.serves} (σ {100 * (c.serves_factor - 1):+.1f} %)"]
+        for i, c in enumerate(changes, 1)
+    ]  # fmt: skip
+    header = ["", "one reflector", "x [mm]", "y [mm]", "z [mm]", "gain of the others [µm]", "better", "changes most"]
+    tried = [reason for reason in content.reasons if reason.startswith(TRIED)]
+    note = "Gain: by how much the point error of all other points falls, root mean square. " + " ".join(tried)
+    blocks: list[Block] = [Table("Reflectors to move, to add, to leave out", header, rows, 2, note)]
+    file = companion(folder, "scenario.toml", content)
+    if file is not None:
+        ground = Floor.model_validate(content.settings.get("floor", {}))
+        figure = figures.reflector_changes(from_scenario(load_scenario(file)), changes, ground)
+        text = "Numbers are those of the table: an arrow moves a reflector, a ring adds one, a cross leaves one out."
+        blocks.append(picture("Reflectors to move, to add, to leave out", figure, text))
+    return blocks
 
 
 def _facts(content: PlanResult) -> list[Fact]:

@@ -1,0 +1,34 @@
+"""Single reflectors moved, added or left out, on the floor seen from above."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from ltsim.plan.floor import Floor
+from ltsim.plan.schema import ChangeEntry
+from ltsim.report.figures.floor_plan import floor_plan
+from ltsim.report.style import PURPLE, RED, styled
+from ltsim.report.workshop import Workshop
+from ltsim.units import MILLIMETRE
+
+
+@styled
+def reflector_changes(workshop: Workshop, changes: Sequence[ChangeEntry], ground: Floor | None = None) -> Figure:
+    """The floor plan with each change and its number: moves as arrows, further places as rings, crosses left out."""
+    figure = floor_plan(workshop, ground=ground)
+    ax = figure.axes[0]
+    place = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
+    for number, change in enumerate(changes, 1):
+        if change.position_mm is None:
+            x, y = place[change.reflector]
+            ax.scatter(x, y, marker="x", s=60, color=RED, linewidths=1.6, zorder=9)
+            continue
+        x, y = (v * MILLIMETRE for v in change.position_mm[:2])
+        ax.scatter(x, y, s=110, facecolors="white", edgecolors=PURPLE, linewidths=1.4, zorder=10)
+        ax.text(x, y, str(number), fontsize=7, ha="center", va="center", color=PURPLE, zorder=11)
+        if change.reflector:
+            arrow = {"arrowstyle": "-|>", "color": PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 6}
+            ax.annotate("", (x, y), xytext=place[change.reflector], arrowprops=arrow, zorder=9)
+    return figure
