@@ -76,9 +76,10 @@ def _parallel(
 
 @dataclass(frozen=True)
 class Notes:
-    """How far pieces of work are, each written by the process that does it: shares in a file."""
+    """How far pieces of work are, each written by the process that does it."""
 
     path: Path
+    """A file of shares."""
 
     def write(self, piece: int, share: float) -> None:
         """Note the share of a piece that is done."""

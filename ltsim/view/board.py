@@ -43,35 +43,20 @@ FAR = 1e6
 
 @dataclass(frozen=True)
 class Board:
-    """A hall whose stations are moved by hand.
-
-    Attributes
-    ----------
-    file : PlanFile
-    scenario : Scenario
-        With the stations to begin from.
-    site : Site
-        Its survey has the scenario's way of working.
-    construction : Construction
-    demands : Demands
-        Tolerances of points.
-    """
+    """A hall whose stations are moved by hand."""
 
     file: PlanFile
     scenario: Scenario
+    """With the stations to begin from."""
     site: Site
+    """Its survey has the scenario's way of working."""
     construction: Construction
     demands: Demands
+    """Tolerances of points."""
 
     @classmethod
     def of(cls, source: str | Path) -> Board:
-        """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote.
-
-        Raises
-        ------
-        SetupError, RecordError
-            In one sentence, for a plan that cannot be read.
-        """
+        """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
         folder = Path(source)
         if folder.is_dir():
             file = PlanFile.model_validate(read_result(folder, PlanResult).settings)
@@ -119,13 +104,7 @@ class Board:
         }  # fmt: skip
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
-        """The survey with its stations elsewhere; `stations` have `mm` (3) and `yaw` [deg], in the survey's order.
-
-        Raises
-        ------
-        SetupError
-            For another number of stations, or a place that is none.
-        """
+        """The survey with its stations elsewhere: `mm` (3) and `yaw` [deg] of each, in its order; raises SetupError."""
         survey = self.site.survey
         try:
             place = np.array([s["mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
