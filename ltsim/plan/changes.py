@@ -17,8 +17,8 @@ from ltsim.units import MICROMETRE
 
 MATERIAL = 0.002
 """Least improvement of the quality, relative, that a change is told for."""
-TRIED = "Tried one at a time"
-"""How the sentence begins that says what was tried and did not help."""
+NOTHING = 5e-4
+"""Change of the quality, relative, that is none."""
 SHOWN = 3
 """Changes of each sort that are told."""
 
@@ -64,6 +64,8 @@ class Change:
     @property
     def words(self) -> str:
         """What to do and what it brings, as a sentence without a stop."""
+        if abs(1 - self.quality) < NOTHING:
+            return f"{self.deed}: makes no difference"
         better = f"{100 * abs(1 - self.quality):.1f} % {'better' if self.quality <= 1 else 'worse'}"
         other = f"{abs(self.gain_um):.2f} um {'less' if self.gain_um >= 0 else 'more'} error of the other points"
         sigma = 100 * (self.serves_factor - 1)
@@ -82,21 +84,19 @@ class Changes:
     helped: dict[str, int]
     """How many of each made the quality better by more than `MATERIAL`."""
 
-    def sentences(self) -> list[str]:
-        """The changes, and what was tried and did not help."""
-        said = [f"{change.words[0].upper()}{change.words[1:]}." for change in self.told]
+    @property
+    def summary(self) -> str:
+        """What was tried, and how much of it helps, as a sentence."""
         if not self.tried["move"] + self.tried["add"]:
-            said.append(
+            return (
                 "No other place for a reflector was tried: give candidates as reflectors.on, reflectors.places or "
                 "reflectors.surfaces, and say which points of a list may go elsewhere as reflectors.movable."
             )
-        else:
-            said.append(
-                f"{TRIED}: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
-                f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
-                f"{100 * MATERIAL:.1f} %."
-            )
-        return said
+        return (
+            f"Tried one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
+            f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
+            f"{100 * MATERIAL:.1f} %."
+        )
 
 
 def reflector_changes(

@@ -82,17 +82,13 @@ class Searcher:
 
     def pool(self, position: Floats, yaw: Floats, slot: int) -> Pool:
         """Set-ups that stand for station `slot`."""
-        seen = self.site.seen(position)
-        parts = [
-            self.reducer.blocks(position[a : a + CHUNK], yaw[a : a + CHUNK], self._slots(position[a : a + CHUNK], slot),
-                                seen[a : a + CHUNK])
-            for a in range(0, len(position), CHUNK)
-        ]  # fmt: skip
+        seen, parts = self.site.seen(position), []
+        for a in range(0, len(position), CHUNK):
+            some = slice(a, a + CHUNK)
+            slots = np.full(len(position[some]), slot, dtype=np.int64)
+            parts.append(self.reducer.blocks(position[some], yaw[some], slots, seen[some]))
+            self._step()
         return Pool(position, yaw, seen, StationBlocks.joined(parts))
-
-    @staticmethod
-    def _slots(position: Floats, slot: int) -> Ints:
-        return np.full(len(position), slot, dtype=np.int64)
 
     def table(self, slot: int) -> Pool:
         """The grid of candidate set-ups; it depends on the slot only where effects know the time."""
@@ -144,14 +140,14 @@ class Searcher:
         ]
         return np.concatenate(found) if found else np.zeros(0)
 
-    def _best(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
-        """As `best_replacement`, and a word to whoever watches."""
+    def _step(self) -> None:
+        """A word to whoever watches."""
         self._steps += 1
         self.tell(1.0 - PACE**self._steps)
-        return self.best_replacement(layout, slot, candidates)
 
     def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
         """The candidate that serves best as station `slot`, and the value; -1 and infinite where none may."""
+        self._step()
         count = len(candidates.position)
         position = np.broadcast_to(layout.position, (count, *layout.position.shape)).copy()
         seen = np.broadcast_to(layout.seen, (count, *layout.seen.shape)).copy()
@@ -184,7 +180,7 @@ class Searcher:
             before = value
             for slot in self._free:
                 table = self.table(slot)
-                which, best = self._best(layout, slot, table)
+                which, best = self.best_replacement(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
             if not value < before * (1 - LEAST_IMPROVEMENT):
@@ -200,7 +196,7 @@ class Searcher:
                 candidates = self._around(layout, slot, reach, rng)
                 if candidates is None:
                     continue
-                which, best = self._best(layout, slot, candidates)
+                which, best = self.best_replacement(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
             if not value < before * (1 - LEAST_IMPROVEMENT):

@@ -102,7 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def serve(door: Door, tell: Callable[[str], None], port: int = 0) -> None:
-    """Answer the page until somebody presses Ctrl-C; `tell` is given the address. Raises SetupError: the port is taken."""
+    """Answer the page until Ctrl-C; `tell` is given the address; raises SetupError for a port that is taken."""
     work: SimpleQueue[tuple[Future[Answer | None], str, bytes]] = SimpleQueue()
     try:
         server = ThreadingHTTPServer((HERE, port), type("Handler", (_Handler,), {"work": work}))

@@ -71,10 +71,10 @@ def test_what_was_tried_and_did_not_help_is_said() -> None:
     found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment())
     assert found.helped["move"] == 0, "the exchange has made every move that helps"
     assert found.tried["move"] > 300
-    assert f"{found.tried['move']} moves of a reflector (0 help)" in found.sentences()[-1]
+    assert f"{found.tried['move']} moves of a reflector (0 help)" in found.summary
     alone = reflector_changes(site(), site().survey, STAYS, Objective(), misalignment())
     assert alone.tried == {"move": 0, "add": 0, "remove": 24}
-    assert "give candidates" in alone.sentences()[-1]
+    assert "give candidates" in alone.summary
 
 
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:
