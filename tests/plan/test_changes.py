@@ -99,7 +99,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         )
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         file, scenario = load_plan(tmp_path / "hall.toml")
-        where = site_of(file, scenario, stations=4, faces=1)
+        where = site_of(file, scenario, stations=4, faces=1).replace(least=1)
         survey = where.survey.replace(seen=where.seen(where.survey.position))
         stays = fixed_of(file, scenario, survey)
         found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment())
