@@ -20,7 +20,7 @@ ONE_MARK = 0.04
 
 @styled
 def reflector_changes(workshop: Workshop, changes: Sequence[ChangeEntry], ground: Floor | None = None) -> Figure:
-    """The floor plan with each change and its number: moves as arrows, further places as rings, crosses left out."""
+    """The floor plan with each change and its number: moves as arrows, crosses are left out."""
     figure = floor_plan(workshop, ground=ground)
     ax = figure.axes[0]
     place = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
@@ -34,7 +34,7 @@ def reflector_changes(workshop: Workshop, changes: Sequence[ChangeEntry], ground
         near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
         numbers.setdefault(near, []).append(number)
         if change.reflector:
-            arrow = {"arrowstyle": "-|>", "color": PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 6}
+            arrow = {"arrowstyle": "-|>", "color": PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 9}
             ax.annotate("", near, xytext=place[change.reflector], arrowprops=arrow, zorder=9)
     for (x, y), own in numbers.items():
         ring = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": PURPLE, "linewidth": 1.2}

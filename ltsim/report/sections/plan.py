@@ -102,7 +102,7 @@ def _changes(folder: Path, content: PlanResult) -> list[Block]:
     if file is not None:
         ground = Floor.model_validate(content.settings.get("floor", {}))
         figure = figures.reflector_changes(from_scenario(load_scenario(file)), changes, ground)
-        text = "Numbers are those of the table: an arrow moves a reflector, a ring adds one, a cross leaves one out."
+        text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
         blocks.append(picture("Where these reflectors are", figure, text))
     return blocks
 
