@@ -44,6 +44,7 @@ SAVES = {
     "openpyxl": "readings from workbooks",
     "dask": "campaigns on a cluster",
     "distributed": "campaigns on a cluster",
+    "cascadio": "STEP and IGES files as obstacles",
 }
 MODULE = {"trame-vtk": "trame_vtk.modules.vtk.serializers", "scipy": "scipy.stats", "matplotlib": "matplotlib.figure"}
 """What is loaded, where it is not the name itself: as ltsim loads it."""

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import os
+import struct
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, TypeVar
 
 from ltsim.errors import WorkerError
 
 MOST = 256
 """Processes at once."""
+LOOK = 0.3
+"""[s] between two looks how far the work is."""
 WATCH = 1.0
 """[s] between two looks whether the parent is there."""
 Result = TypeVar("Result")
@@ -65,6 +72,47 @@ def _parallel(
         raise WorkerError(
             "a worker process was ended from outside, perhaps for want of memory; take fewer --jobs"
         ) from None
+
+
+@dataclass(frozen=True)
+class Notes:
+    """How far pieces of work are, each written by the process that does it."""
+
+    path: Path
+    """A file of shares."""
+
+    def write(self, piece: int, share: float) -> None:
+        """Note the share of a piece that is done."""
+        with self.path.open("r+b") as file:
+            file.seek(8 * piece)
+            file.write(struct.pack("d", share))
+
+    def mean(self) -> float:
+        """Share of the whole."""
+        shares = [share for (share,) in struct.iter_unpack("d", self.path.read_bytes())]
+        return sum(shares) / max(len(shares), 1)
+
+
+@contextmanager
+def followed(count: int, tell: Callable[[float], None]) -> Iterator[Notes]:
+    """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own."""
+    done = threading.Event()
+    with tempfile.TemporaryDirectory() as folder:
+        notes = Notes(Path(folder) / "shares")
+        notes.path.write_bytes(bytes(8 * count))
+
+        def look() -> None:
+            while not done.wait(LOOK):
+                tell(notes.mean())
+
+        thread = threading.Thread(target=look, daemon=True)
+        thread.start()
+        try:
+            yield notes
+        finally:
+            done.set()
+            thread.join()
+        tell(notes.mean())
 
 
 def _watched(parent: int, function: Callable[..., Result], *arguments: Any) -> Result:

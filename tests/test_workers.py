@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.errors import WorkerError
-from ltsim.workers import parallel
+from ltsim.workers import Notes, followed, parallel
 
 SLEEPERS = """
 import os, sys, time
@@ -26,6 +26,22 @@ def sleep(name):
 if __name__ == "__main__":
     list(parallel(sleep, [("a",), ("b",)], 2))
 """
+
+
+def note(notes: Notes, piece: int) -> None:
+    notes.write(piece, 1.0)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_whoever_watches_hears_how_far_each_piece_is(jobs: int) -> None:
+    heard: list[float] = []
+    with followed(4, heard.append) as notes:
+        notes.write(0, 0.5)
+        assert notes.mean() == 0.125
+        list(parallel(note, [(notes, k) for k in range(3)], jobs))
+        assert notes.mean() == 0.75
+    assert heard[-1] == 0.75
+    assert heard == sorted(heard)
 
 
 def test_results_come_in_order_and_as_they_come() -> None:

@@ -63,7 +63,7 @@ def view(
     source : Recording, Scenario, str or Path
         A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
     cad : str or Path, optional
-        STL, OBJ, PLY or GLB to stand in the room, in `cad_unit` (`mm` or `m`).
+        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room, in `cad_unit` (`mm` or `m`).
     colour : str
         What colours the lines of sight of a recording: `incidence` or `residual`.
 

@@ -133,13 +133,19 @@ def show_plan(terminal: Terminal, content: PlanResult) -> None:
     terminal.say("\nWhy:")
     for sentence in content.reasons:
         terminal.say(f"- {sentence}")
+    terminal.say("\nReflectors, one at a time:")
+    for sentence in (*(f"{c.words}." for c in content.reflector_changes), content.changes_tried):
+        terminal.say(f"- {sentence}")
+    factor, unit = content.value_unit
     rows = [
-        [str(o.stations), str(o.faces), str(o.repeats), f"{o.hours:.1f}", f"{o.value:.4g}"]
+        [str(o.stations), str(o.faces), str(o.repeats), f"{o.hours:.1f}", f"{factor * (o.value or 0.0):.4g}"]
         for o in content.tradeoff
         if o.efficient
     ]
     terminal.say("\nCost against quality (each the best for its time; smaller is better):")
-    terminal.say(table(["stations", "faces", "rounds", "hours", "quality"], rows, left=0))
+    terminal.say(
+        table(["stations", "faces", "rounds", "hours", f"quality [{unit}]" if unit else "quality"], rows, left=0)
+    )
 
 
 def pictures_of(made: Plan) -> dict[str, bytes]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import webbrowser
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +15,7 @@ import ltsim as lt
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
-from ltsim.errors import RecordError
+from ltsim.errors import RecordError, SetupError
 
 
 class Colour(StrEnum):
@@ -32,19 +33,32 @@ class CadUnit(StrEnum):
 
 
 Place = Annotated[
-    str, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
+    str | None, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
 ]
+Plan = Annotated[
+    str | None,
+    typer.Option(
+        "--plan", metavar="FILE", help="Move the stations of a plan file, or of a plan's folder, in the browser."
+    ),
+]
+Out = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="With --plan: folder that its page saves to; NAME-moved.")
+]
+Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="With --plan: of the page's address; 0: any free.")]
 Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture instead of a window.")]
 Html = Annotated[
     Path | None, typer.Option("--html", metavar="FILE", help="Write one page to turn in a browser, offline.")
 ]
-Cad = Annotated[Path | None, typer.Option("--cad", metavar="FILE", help="STL, OBJ, PLY or GLB to stand in the room.")]
+Cad = Annotated[
+    Path | None, typer.Option("--cad", metavar="FILE", help="CAD file (STL, OBJ, GLB, STEP) to stand in the room.")
+]
 Unit = Annotated[CadUnit, typer.Option(help="Unit of the coordinates in --cad.")]
 By = Annotated[Colour, typer.Option("--colour", help="What colours the lines of sight of a recording.")]
 
 
 def view(
-    place: Place,
+    place: Place = None,
+    plan: Plan = None,
     png: Png = None,
     html: Html = None,
     cad: Cad = None,
@@ -53,9 +67,14 @@ def view(
     *,
     reading: FramedReading,
     force: Force = False,
+    out: Out = None,
+    port: Port = 0,
     quiet: Quiet = False,
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
+
+    With --plan, a page in the browser where stations are moved by hand and the accuracy of every point follows; it
+    answers this machine alone, until Ctrl-C.
 
     Opens a window, unless --png or --html name a file. A recording is adjusted first; ellipsoids and arrows are
     enlarged as the picture says.
@@ -63,6 +82,11 @@ def view(
     Example: ltsim view paper-workshop --html workshop.html
     """
     terminal = Terminal(quiet)
+    if plan is not None and place is None:
+        _by_hand(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)
+        return
+    if place is None or plan is not None:
+        raise SetupError("ltsim view takes either a scenario or a recording, or --plan FILE")
     if png is None and html is None and not _has_screen():
         raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
     for file in (png, html):
@@ -79,6 +103,25 @@ def view(
             terminal.say(f"written to {file}")
     if png is None and html is None:
         shown.show()
+
+
+def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
+    """Serve the page of a plan until somebody presses Ctrl-C."""
+    from ltsim.view.board import PLAN, SCENARIO, Board
+    from ltsim.view.server import Door, serve
+
+    for name in (SCENARIO, PLAN):
+        claim_file(out / name, force=force)
+    with terminal.busy("reading the plan"):
+        door = Door(Board.of(plan), out)
+
+    def tell(address: str) -> None:
+        print(address, flush=True)
+        terminal.say("drag the stations there; Ctrl-C here ends it")
+        if _has_screen():
+            webbrowser.open(address)
+
+    serve(door, tell, port)
 
 
 def _has_screen() -> bool:

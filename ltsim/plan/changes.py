@@ -17,10 +17,14 @@ from ltsim.units import MICROMETRE
 
 MATERIAL = 0.002
 """Least improvement of the quality, relative, that a change is told for."""
+NOTHING = 5e-4
+"""Change of the quality, relative, that is none."""
 SHOWN = 3
 """Changes of each sort that are told."""
 
 What = Literal["move", "add", "remove"]
+Tried = tuple[float, int | None, int | None, Floats]
+"""Factor on the quality, which reflector leaves, which place is taken, the normal matrix then."""
 
 
 @dataclass(frozen=True)
@@ -42,22 +46,31 @@ class Change:
     better.
     """
     serves: str
-    """The instrument parameter that profits most, or suffers least, and the factor on its sigma."""
+    """What profits most, or suffers most from leaving a reflector out: an instrument parameter, or one of the other
+    targets where the goal is targets alone; and the factor on its sigma.
+    """
     serves_factor: float
+
+    @property
+    def deed(self) -> str:
+        """What to do, with the place in metres."""
+        place = "" if self.position is None else f"{self.place} ({', '.join(f'{v:.2f}' for v in self.position)}) m"
+        return {
+            "move": f"move {self.reflector} to {place}",
+            "add": f"add a reflector at {place}",
+            "remove": f"leave out {self.reflector}",
+        }[self.what]
 
     @property
     def words(self) -> str:
         """What to do and what it brings, as a sentence without a stop."""
-        do = {
-            "move": f"move {self.reflector} to {self.place}",
-            "add": f"add a reflector at {self.place}",
-            "remove": f"leave out {self.reflector}",
-        }[self.what]
+        if abs(1 - self.quality) < NOTHING:
+            return f"{self.deed}: makes no difference"
         better = f"{100 * abs(1 - self.quality):.1f} % {'better' if self.quality <= 1 else 'worse'}"
         other = f"{abs(self.gain_um):.2f} um {'less' if self.gain_um >= 0 else 'more'} error of the other points"
         sigma = 100 * (self.serves_factor - 1)
         most = "hardest on" if self.what == "remove" else "most for"
-        return f"{do}: quality {better}, {other}, {most} {self.serves} (sigma {sigma:+.1f} %)"
+        return f"{self.deed}: quality {better}, {other}, {most} {self.serves} (sigma {sigma:+.1f} %)"
 
 
 @dataclass(frozen=True)
@@ -71,20 +84,19 @@ class Changes:
     helped: dict[str, int]
     """How many of each made the quality better by more than `MATERIAL`."""
 
-    def sentences(self) -> list[str]:
-        """The changes, and what was tried and did not help."""
-        said = [f"{change.words[0].upper()}{change.words[1:]}." for change in self.told]
+    @property
+    def summary(self) -> str:
+        """What was tried, and how much of it helps, as a sentence."""
         if not self.tried["move"] + self.tried["add"]:
-            said.append(
-                "No other place for a reflector was tried: give candidates as reflectors.places or reflectors.surfaces."
+            return (
+                "No other place for a reflector was tried: give candidates as reflectors.on, reflectors.places or "
+                "reflectors.surfaces, and say which points of a list may go elsewhere as reflectors.movable."
             )
-        else:
-            said.append(
-                f"Tried one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
-                f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
-                f"{100 * MATERIAL:.1f} %."
-            )
-        return said
+        return (
+            f"Tried one at a time: {self.tried['move']} moves of a reflector ({self.helped['move']} help), "
+            f"{self.tried['add']} further places ({self.helped['add']} help); the others gain less than "
+            f"{100 * MATERIAL:.1f} %."
+        )
 
 
 def reflector_changes(
@@ -99,7 +111,7 @@ def reflector_changes(
     stays : (T,) bool
         Targets that stay: no change of theirs is tried.
     """
-    if stays.all():
+    if stays.all() and site.places is None:
         return Changes((), dict.fromkeys(("move", "add", "remove"), 0), dict.fromkeys(("move", "add", "remove"), 0))
     return _Trial(Choice.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
 
@@ -116,11 +128,16 @@ class _Trial:
         gap = np.linalg.norm(choice.places[:, None] - choice.places[None], axis=2)
         self.near = gap < spacing
 
+    @property
+    def _of_targets(self) -> bool:
+        """The goal is targets alone."""
+        return not any(weight > 0 for name, weight in self.objective.weights.items() if name != TARGETS)
+
     def _worth(self, totals: Floats, sets: Ints, common: Ints) -> Floats:
         """Factor (B,) on the objective; with a goal of targets alone on the point error of those that stay."""
-        if any(weight > 0 for name, weight in self.objective.weights.items() if name != TARGETS):
-            return self.table.values(totals, sets, self.objective) / self.now
-        return self.table.target_rms(totals, common) / self.table.target_rms(self.total[None], common)
+        if self._of_targets:
+            return self.table.target_rms(totals, common) / self.table.target_rms(self.total[None], common)
+        return self.table.values(totals, sets, self.objective) / self.now
 
     def _sigma(self, total: Floats) -> Floats:
         """Standard deviations of the instrument's parameters in prior sigmas."""
@@ -137,7 +154,7 @@ class _Trial:
     def changes(self) -> Changes:
         """All single changes."""
         terms, chosen = self.table.terms, self.chosen
-        found: dict[What, list[tuple[float, int | None, int | None, Floats]]] = {"move": [], "add": [], "remove": []}
+        found: dict[What, list[Tried]] = {"move": [], "add": [], "remove": []}
         tried = {"move": 0, "add": 0, "remove": 0}
         helped = dict(tried)
 
@@ -164,15 +181,20 @@ class _Trial:
         note("add", None, self._free(chosen))
         told: list[Change] = []
         for what, made in found.items():
-            best = sorted(made, key=lambda pair: pair[0])[:SHOWN]
+            best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:SHOWN]
             told += [self._change(what, *one) for one in best if what == "remove" or one[0] < 1 - MATERIAL]
         return Changes(tuple(told), tried, helped)
 
     def _change(self, what: What, value: float, taken: int | None, place: int | None, total: Floats) -> Change:
         common = self.chosen if taken is None else np.delete(self.chosen, taken)
         before, after = self.table.target_rms(np.stack([self.total, total]), common)
-        ratio = self._sigma(total) / self.sigma
-        best = int(np.argmin(ratio) if what != "remove" else np.argmax(ratio))
+        if self._of_targets:
+            now = self.table.target_sigma(self.total, common)
+            ratios = {name: s / now[name] for name, s in self.table.target_sigma(total, common).items()}
+        else:
+            ratio = self._sigma(total) / self.sigma
+            ratios = dict(zip(self.table.reducer.construction.names, ratio.tolist(), strict=True))
+        serves = (min if what != "remove" else max)(ratios, key=lambda name: ratios[name])
         names = self.choice.names
         return Change(
             what=what,
@@ -181,6 +203,16 @@ class _Trial:
             position=None if place is None else self.choice.places[place],
             gain_um=float(before - after) / MICROMETRE,
             quality=value,
-            serves=self.table.reducer.construction.names[best],
-            serves_factor=float(ratio[best]),
+            serves=serves,
+            serves_factor=float(ratios[serves]),
         )
+
+
+def _at_different_places(best: list[Tried]) -> list[Tried]:
+    """The first for each place; all that take none."""
+    kept, places = [], set()
+    for one in best:
+        if one[2] is None or one[2] not in places:
+            kept.append(one)
+        places.add(one[2])
+    return kept

@@ -296,7 +296,18 @@ class Reducer:
         return rows / DATUM_SIGMA[: rows.shape[1], None] * POSE_SCALE
 
     def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
-        """Point error (B,) [m] with inner constraints, root mean square, weighted as the survey says.
+        """Point error (B,) [m], root mean square, weighted as the survey says; parameters as of `target_variance`."""
+        own = self.target_variance(schur, inverse, weights, mesh)
+        weight = self._weight[self.asked(mesh)]
+        return np.sqrt(np.sum(weight * own, axis=1) / np.sum(weight * np.ones_like(own), axis=1))
+
+    def asked(self, mesh: Ints) -> Ints:
+        """(1 or B, E + gauge): targets of the survey that `target_variance` tells of."""
+        at = np.atleast_2d(mesh)
+        return np.concatenate([at, np.broadcast_to(self._gauge, (len(at), len(self._gauge)))], axis=1)
+
+    def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
+        """Squared point error (B, E + gauge) [m^2] of targets with inner constraints over them.
 
         Effects are not estimated here, only the instrument's parameters.
 
@@ -316,10 +327,9 @@ class Reducer:
         first = size - len(self.prior_sigma) - 3 * gauge
         for g in range(gauge):
             carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
-        at = np.atleast_2d(mesh)
-        at = np.concatenate([at, np.broadcast_to(self._gauge, (len(at), gauge))], axis=1)
         motion = np.broadcast_to(
-            self._motion.reshape(-1, 3, self._rank_free)[at], (layouts, count + gauge, 3, self._rank_free)
+            self._motion.reshape(-1, 3, self._rank_free)[self.asked(mesh)],
+            (layouts, count + gauge, 3, self._rank_free),
         )
         # Inner constraints: what is left of each target's errors without the rigid motion of all of them.
         axes = 3 * (count + gauge)
@@ -333,5 +343,4 @@ class Reducer:
         own = ((left @ covariance) * left).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
         own += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
         own[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum("beif,beif->be", motion[:, :count], moved)
-        weight = np.broadcast_to(self._weight[at], own.shape)
-        return POSE_SCALE * np.sqrt(np.sum(weight * own, axis=1) / weight.sum(axis=1))
+        return POSE_SCALE**2 * own

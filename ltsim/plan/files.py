@@ -52,9 +52,15 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "fewest_stations": None if few is None else _option_json(few),
         "tradeoff": [_option_json(option) for option in plan.options],
         "reflector_changes": [
-            {**vars(c), "do": c.what, "position_mm": None if c.position is None else _millimetres(c.position)}
+            {
+                **vars(c),
+                "do": c.what,
+                "words": c.words,
+                "position_mm": None if c.position is None else _millimetres(c.position),
+            }
             for c in plan.changes.told
         ],
+        "changes_tried": plan.changes.summary,
         "starts": plan.spread,
         "tolerances_kept": None if plan.kept is None else plan.kept.good,
         "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],

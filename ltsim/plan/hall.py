@@ -26,6 +26,8 @@ TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may hold itself."""
 USUAL_HEIGHT_MM = (1400.0, 1800.0)
 """Centre of the head on a usual stand."""
+SAME_MM = 0.1
+"""Within which a point of a list is the scenario's target of its name."""
 BEGIN = 4
 """Stations to begin from, where the plan does not say how many."""
 
@@ -60,12 +62,17 @@ def hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poin
 
 
 def with_points(scenario: Scenario, points: Sequence[Point], file: object) -> Scenario:
-    """A scenario with further targets."""
+    """A scenario with further targets; points that are its targets already stay what they are."""
     for point in points:
+        there = scenario.targets.get(point.name)
+        place = np.array([point.x_mm, point.y_mm, point.z_mm])
+        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_MM:
+            continue
         if point.name in scenario.target_names:
-            raise SetupError(f"{file}: points has the name '{point.name}', which is a target of the scenario too")
-    added = {p.name: Target(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points}
-    return scenario.model_copy(update={"targets": {**scenario.targets, **added}})
+            raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
+    own = scenario.targets
+    added = {p.name: Target(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in own}
+    return scenario.model_copy(update={"targets": {**own, **added}})
 
 
 def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:

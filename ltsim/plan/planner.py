@@ -217,7 +217,8 @@ def _fewest(
     for k, n in enumerate(counts):
 
         def tell(share: float, done: int = k) -> None:
-            progress("searching layouts", (done + share) / len(counts))
+            # Few stations are likely enough: each further number counts half of what is left.
+            progress("searching layouts", 1.0 - 0.5 ** (done + share))
 
         tasks = [(n, f, start) for f in faces for start in range(file.search.starts)]
         made = gathered(file, scenario, tasks, built, jobs, tell)

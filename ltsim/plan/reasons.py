@@ -22,7 +22,7 @@ CRITERION_WORDS = {
 def reasons(plan: Plan) -> list[str]:
     """The sentences, the answer first."""
     found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
-    found += [*_yaw(plan), *_limits(plan), *_curve(plan), *plan.changes.sentences()]
+    found += [*_yaw(plan), *_limits(plan), *_curve(plan)]
     found += [*_undetermined(plan), *_search(plan)]
     return found
 
@@ -182,11 +182,12 @@ def _limits(plan: Plan) -> list[str]:
         verb = "stands" if len(edge) == 1 else "stand"
         sentences.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
     if site.least < len(survey.position):
-        sentences.append(f"Every reflector is seen from at least {survey.seen.sum(axis=0).min()} stations.")
+        least = survey.seen.sum(axis=0).min()
+        sentences.append(f"Every reflector is seen from at least {least} station{'s' if least > 1 else ''}.")
     if not survey.seen.all():
         missing = int((~survey.seen).sum())
         lost = plan.chosen.table.lost(survey.station_names, survey.target_names)
-        more = " ..." if missing > 3 else ""
+        more = "; and more" if missing > 3 else ""
         sentences.append(f"{missing} pairs do not see each other: {'; '.join(lost[:3])}{more}.")
     return sentences
 

@@ -22,6 +22,8 @@ from ltsim.scene.visibility import aimed_normals
 
 SWEEPS = 8
 """Rounds of exchanges at most."""
+TAKEN = 1e-3
+"""[m] within which a place is a reflector's own."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,21 @@ class PlaceTable:
 
     def target_rms(self, totals: Floats, asked: Ints) -> Floats:
         """Point error (B,) [m] of the targets that stay and of reflectors at the places `asked` (n,) or (B, n)."""
-        stay = len(self.inverse) - len(self.terms)
-        asked = np.broadcast_to(asked, (len(totals), np.shape(asked)[-1]))
-        at = np.concatenate([np.broadcast_to(np.arange(stay), (len(totals), stay)), stay + asked], axis=1)
+        at = self._at(len(totals), asked)
         return self.reducer.target_rms(totals, self.inverse[at], self.weights[at], self.reducer.mesh[at])
+
+    def target_sigma(self, total: Floats, asked: Ints) -> dict[str, float]:
+        """Point error [m] of each of them by name, of one normal matrix (K, K)."""
+        at, reducer = self._at(1, asked), self.reducer
+        variance = reducer.target_variance(total[None], self.inverse[at], self.weights[at], reducer.mesh[at])[0]
+        names = [reducer.survey.target_names[t] for t in reducer.asked(reducer.mesh[at])[0]]
+        return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
+
+    def _at(self, layouts: int, asked: Ints) -> Ints:
+        """(B, staying + n): rows of `inverse` of the targets that stay and of those at the places `asked`."""
+        stay = len(self.inverse) - len(self.terms)
+        asked = np.broadcast_to(asked, (layouts, np.shape(asked)[-1]))
+        return np.concatenate([np.broadcast_to(np.arange(stay), (layouts, stay)), stay + asked], axis=1)
 
     def values(self, totals: Floats, chosen: Ints, objective: Objective) -> Floats:
         """Objective (B,) of normal matrices (B, K, K) with reflectors at the places `chosen` (B, n)."""
@@ -125,10 +138,14 @@ class Choice:
         places = np.concatenate([survey.points[~stays], offered])
         own = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
         good = _usable(site, survey, places)
-        good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], offered)]
+        good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], offered, TAKEN)]
+        good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[stays], offered, site.reflector_spacing)]
         names = tuple(n for n, g in zip((*own, *site.place_names), good, strict=True) if g)
         places = places[good]
         seen = site.seen(survey.position, np.concatenate([survey.points[stays], places]))
+        # What stands already is seen as it is, only new places must be seen with some play.
+        now = np.concatenate([survey.seen[:, stays], survey.seen[:, ~stays][:, good[: len(own)]]], axis=1)
+        seen[:, : now.shape[1]] = now
         wide = with_targets(survey, stays, places, names, np.ones_like(seen))
         table = PlaceTable.of(survey, stays, places, seen, Reducer(wide, construction, objective.effects))
         return cls(places, names, int(good[: len(own)].sum()), seen, table)
@@ -172,10 +189,10 @@ def _usable(site: Site, survey: Survey, places: Floats) -> Bools:
     return good
 
 
-def _taken(points: Floats, places: Floats) -> Bools:
-    """(P,): a place that is one of the points already."""
+def _taken(points: Floats, places: Floats, within: float) -> Bools:
+    """(P,): places within a distance [m] of a point."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
-    return np.asarray((gap < 1e-3).any(axis=1))
+    return np.asarray((gap < within).any(axis=1))
 
 
 def _start(places: Floats, own: Bools, wanted: int, spacing: float) -> Ints:

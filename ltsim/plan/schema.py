@@ -247,7 +247,9 @@ class ChangeEntry(Entry):
     """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
 
     do: str
-    """What to do, for a person."""
+    """`move`, `add` or `remove`."""
+    words: str = ""
+    """What to do and what it brings, for a person."""
     reflector: str = ""
     """Which is moved or left out."""
     place: str = ""
@@ -259,7 +261,7 @@ class ChangeEntry(Entry):
     quality: Finite
     """Factor on the plan's objective; smaller is better."""
     serves: str = ""
-    """The parameter that gains most."""
+    """The parameter, or the target, that gains most, or loses most where a reflector is left out."""
     serves_factor: Finite = 1.0
     """Factor on that one's standard deviation."""
 
@@ -303,6 +305,8 @@ class PlanResult(ResultFile, LayoutEntry):
     """Value that each independent search found."""
     reflector_changes: tuple[ChangeEntry, ...] = ()
     """One reflector moved, added or left out, the best first."""
+    changes_tried: str = ""
+    """How many such changes were tried, and how many help."""
     tolerances_kept: bool | None = None
     """All points keep their tolerances; null without any."""
     losses: tuple[LossEntry, ...] = ()
@@ -317,6 +321,11 @@ class PlanResult(ResultFile, LayoutEntry):
     """Pairs that it could not tell apart."""
     silent: tuple[str, ...] = ()
     """Effects that leave no trace."""
+
+    @property
+    def value_unit(self) -> tuple[float, str]:
+        """Factor and unit in which a person reads the objective: lengths where targets alone are its goal."""
+        return (1e6, "µm") if set(self.quality) == {"targets"} else (1.0, "")
 
 
 class ProposalEntry(Entry):

@@ -7,6 +7,7 @@ single station improves.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +23,13 @@ from ltsim.randomness import stream
 CHUNK = 64
 SWEEPS = 12
 TRIES = 200
+PACE = 0.985
+"""What a step leaves of the way to the end, for somebody who watches: how many steps it takes is not known before."""
 DRAWS = 24
+
+
+def unheard(_share: float) -> None:
+    """Say nothing."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,13 @@ class Searcher:
     yaws: int = 6
     heights: int = 2
     """Turns and heights tried at each place of the grid."""
+    tell: Callable[[float], None] = unheard
+    """Hears the share of a start that is done."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
         self._tables: dict[int, Pool] = {}
+        self._steps = 0
 
     @property
     def stations(self) -> int:
@@ -72,17 +82,13 @@ class Searcher:
 
     def pool(self, position: Floats, yaw: Floats, slot: int) -> Pool:
         """Set-ups that stand for station `slot`."""
-        seen = self.site.seen(position)
-        parts = [
-            self.reducer.blocks(position[a : a + CHUNK], yaw[a : a + CHUNK], self._slots(position[a : a + CHUNK], slot),
-                                seen[a : a + CHUNK])
-            for a in range(0, len(position), CHUNK)
-        ]  # fmt: skip
+        seen, parts = self.site.seen(position), []
+        for a in range(0, len(position), CHUNK):
+            some = slice(a, a + CHUNK)
+            slots = np.full(len(position[some]), slot, dtype=np.int64)
+            parts.append(self.reducer.blocks(position[some], yaw[some], slots, seen[some]))
+            self._step()
         return Pool(position, yaw, seen, StationBlocks.joined(parts))
-
-    @staticmethod
-    def _slots(position: Floats, slot: int) -> Ints:
-        return np.full(len(position), slot, dtype=np.int64)
 
     def table(self, slot: int) -> Pool:
         """The grid of candidate set-ups; it depends on the slot only where effects know the time."""
@@ -134,8 +140,14 @@ class Searcher:
         ]
         return np.concatenate(found) if found else np.zeros(0)
 
+    def _step(self) -> None:
+        """A word to whoever watches."""
+        self._steps += 1
+        self.tell(1.0 - PACE**self._steps)
+
     def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
         """The candidate that serves best as station `slot`, and the value; -1 and infinite where none may."""
+        self._step()
         count = len(candidates.position)
         position = np.broadcast_to(layout.position, (count, *layout.position.shape)).copy()
         seen = np.broadcast_to(layout.seen, (count, *layout.seen.shape)).copy()

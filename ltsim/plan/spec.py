@@ -22,6 +22,8 @@ from ltsim.simulate.scenario import Scenario, load_scenario
 from ltsim.simulate.sections import Instrument, Smr, Work, Workshop
 
 FORMAT = "ltsim-plan/1"
+WALLS = "walls"
+"""Names the walls of the room among the bodies that can hold nests."""
 Few = Annotated[int, Field(ge=2, le=40)]
 
 
@@ -80,6 +82,15 @@ class Reflectors(Section):
     """Tables `[[reflectors.surfaces]]`."""
     places: tuple[Place, ...] = ()
     """Tables `[[reflectors.places]]`."""
+    on: tuple[str, ...] = ()
+    """Names of obstacles whose surfaces can hold a nest, and `walls`: places are found on them."""
+    apart_mm: Positive = 1000.0
+    """Least distance between places on them."""
+    reach_mm: Positive = 40.0
+    """Height of a reflector's centre over such a surface."""
+    movable: tuple[str, ...] = ()
+    """Points of the list, or groups of them, that may go elsewhere: the search leaves them where they are, and what a
+    move of each would bring is told."""
     keep: tuple[str, ...] = ()
     """Reflectors of the scenario that stay; the points of a list do in any case."""
     spacing_mm: NonNegative = 300.0
@@ -295,9 +306,11 @@ def _check(made: PlanFile, scenario: Scenario, file: object) -> None:
                 raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
 
     known("stations.fixed", made.stations.fixed, tuple(scenario.stations))
+    known("reflectors.on", made.reflectors.on, (WALLS, *(o.name for o in scenario.workshop.obstacles if o.name)))
     known("reflectors.keep", made.reflectors.keep, scenario.target_names)
     known("goal.effects", made.goal.effects, tuple(effect.name for effect in CATALOGUE))
     groups = {point.group for point in made.listed if point.group}
+    known("reflectors.movable", made.reflectors.movable, (*sorted(groups), *(point.name for point in made.listed)))
     known("goal.tolerances", tuple(t.group for t in made.goal.tolerances if t.group), tuple(sorted(groups)))
     if made.goal.tolerances and not made.listed:
         raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")

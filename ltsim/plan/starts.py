@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
 from ltsim.plan.reflectors import choose_reflectors
-from ltsim.plan.search import Layout, Searcher
+from ltsim.plan.search import Layout, Searcher, unheard
 from ltsim.plan.site import Site
 from ltsim.plan.spec import PlanFile
 from ltsim.plan.survey import Survey
 from ltsim.plan.workshop import objective_of, site_of, staying
 from ltsim.simulate.physics import planned_construction
 from ltsim.simulate.scenario import Scenario
-from ltsim.workers import parallel
+from ltsim.workers import Notes, followed, parallel
 
 ROUNDS = 2
 """Times stations and reflectors are chosen in turn."""
@@ -36,35 +37,43 @@ def gathered(
 ) -> Layouts:
     """The layouts that searches found, by number of stations and of faces."""
     found: Layouts = {}
-    for done, (n, f, start, layout) in enumerate(_searched(file, scenario, tasks, built, jobs), 1):
-        tell(done / len(tasks))
-        if layout is not None:
-            found.setdefault((n, f), []).append((layout[0], start, layout[1]))
+    # A construction holds functions that cannot travel; workers build the scenario's own.
+    own = built if jobs == 1 else None
+    with followed(len(tasks), tell) as notes:
+        work = ((file, scenario, task, own, notes, number) for number, task in enumerate(tasks))
+        for n, f, start, layout in parallel(_task, work, min(jobs, len(tasks)), ordered=False):
+            if layout is not None:
+                found.setdefault((n, f), []).append((layout[0], start, layout[1]))
     return found
 
 
-def _searched(
-    file: PlanFile, scenario: Scenario, tasks: Sequence[tuple[int, int, int]], built: Construction, jobs: int
-) -> Iterator[Found]:
-    """Each task's layout as it comes; None where the rules allow none."""
-    if jobs == 1:
-        yield from (_task(file, scenario, task, built) for task in tasks)
-        return
-    # A construction holds functions that cannot travel; workers build the scenario's own.
-    work = ((file, scenario, task, None) for task in tasks)
-    yield from parallel(_task, work, min(jobs, len(tasks)), ordered=False)
-
-
-def _task(file: PlanFile, scenario: Scenario, task: tuple[int, int, int], built: Construction | None) -> Found:
+def _task(
+    file: PlanFile,
+    scenario: Scenario,
+    task: tuple[int, int, int],
+    built: Construction | None,
+    notes: Notes,
+    number: int,
+) -> Found:
+    """One start's layout; None where the rules allow none."""
     n, f, start = task
+    made = built or planned_construction(scenario)
     try:
-        return n, f, start, search_one(file, scenario, n, f, start, built or planned_construction(scenario))
+        return n, f, start, search_one(file, scenario, n, f, start, made, partial(notes.write, number))
     except SetupError:
         return n, f, start, None
+    finally:
+        notes.write(number, 1.0)
 
 
 def search_one(
-    file: PlanFile, scenario: Scenario, stations: int, faces: int, start: int, built: Construction
+    file: PlanFile,
+    scenario: Scenario,
+    stations: int,
+    faces: int,
+    start: int,
+    built: Construction,
+    tell: Callable[[float], None] = unheard,
 ) -> tuple[float, Survey]:
     """One start: stations, then reflectors where they are free, and stations again."""
     site = site_of(file, scenario, stations=stations, faces=faces)
@@ -72,17 +81,22 @@ def search_one(
     settings = file.search
     stays = staying(file, scenario)
 
-    def searcher(where: Site) -> Searcher:
-        return Searcher(where, objective, built, settings.grid_mm * 1e-3, settings.yaws, settings.heights)
+    rounds = 1 if stays.all() else 1 + ROUNDS
+
+    def searcher(where: Site, number: int = 0) -> Searcher:
+        return Searcher(
+            where, objective, built, settings.grid_mm * 1e-3, settings.yaws, settings.heights,
+            lambda share: tell((number + share) / rounds),
+        )  # fmt: skip
 
     found = searcher(site).from_start(settings.seed, start)
     survey = _moved(site, found)
-    for _ in range(0 if stays.all() else ROUNDS):
+    for number in range(1, rounds):
         survey = choose_reflectors(site, survey, stays, objective, built)
         count = int(stays.sum())
         stays = np.arange(len(survey.points)) < count
         site = site.replace(survey=survey, aimed=np.full(len(survey.points), bool(site.aimed.any())))
-        again = searcher(site).from_start(settings.seed, 0)
+        again = searcher(site, number).from_start(settings.seed, 0)
         survey, found = _moved(site, again), again
     return found.value, survey
 

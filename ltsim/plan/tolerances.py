@@ -99,7 +99,7 @@ def judged(survey: Survey, demands: Demands, built: Construction, lost: str = ""
     seen: Bools = np.asarray(survey.seen.any(axis=0))
     unseen = tuple(n for n, s in zip(survey.target_names, seen, strict=True) if not s and n in demands.tolerance)
     try:
-        information = LayoutInformation.of(_with(survey, seen), built)
+        information = LayoutInformation.of(only(survey, seen), built)
     except NetworkError:
         return Kept(lost, {}, np.inf, "", tuple(demands.tolerance))
     names = information.survey.target_names
@@ -110,7 +110,7 @@ def judged(survey: Survey, demands: Demands, built: Construction, lost: str = ""
     return Kept(lost, found, np.inf if unseen or not ratios else ratios[worst], unseen[0] if unseen else worst, unseen)
 
 
-def _with(survey: Survey, targets: Bools) -> Survey:
+def only(survey: Survey, targets: Bools) -> Survey:
     """The survey with some of its targets only."""
     if targets.all():
         return survey

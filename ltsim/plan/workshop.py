@@ -15,14 +15,16 @@ from ltsim.model.measurement import sightings_of
 from ltsim.plan.floor import ground_of
 from ltsim.plan.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.plan.site import Site
-from ltsim.plan.spec import PlanFile, Surface
+from ltsim.plan.spec import WALLS, PlanFile, Surface
 from ltsim.plan.survey import Survey
 from ltsim.plan.tolerances import importance
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.scene.meshes import walls
+from ltsim.scene.nests import nest_places
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import Placing
 from ltsim.simulate.simulator import simulate
-from ltsim.simulate.workshop import Layout, obstacles_of, planned, sight_limits, visibility_of
+from ltsim.simulate.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
 from ltsim.units import MILLIMETRE
 
 LEANING = 1e-3
@@ -88,7 +90,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
     levels = survey.position[:, 2]
     layout = planned(scenario)
     areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
-    places, names = candidate_places(plan)
+    places, names = candidate_places(plan, scenario)
     wanted = plan.stations.seen_from
     return Site(
         survey=with_stations(survey, stations).replace(
@@ -133,16 +135,30 @@ def with_stations(survey: Survey, count: int) -> Survey:
     )
 
 
-def candidate_places(plan: PlanFile) -> tuple[Floats | None, tuple[str, ...]]:
+def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
     """Candidate places (P, 3) [m] of reflectors and their names; None where they stay."""
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
+    for body in plan.reflectors.on:
+        points.append(_on_body(plan, scenario, body))
+        names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
     for surface in plan.reflectors.surfaces:
         points.append(_on_surface(surface))
         names += [f"{surface.name}-{r + 1}-{c + 1}" for r in range(surface.rows) for c in range(surface.columns)]
     if not points:
         return None, ()
     return np.concatenate(points) * MILLIMETRE, tuple(names)
+
+
+def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
+    """Places (P, 3) [mm], to the millimetre, on the surfaces of an obstacle or on the walls."""
+    if body == WALLS:
+        triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
+    else:
+        triangles = np.concatenate([part for name, part in bodies_of(scenario) if name == body])
+    reach, apart = plan.reflectors.reach_mm * MILLIMETRE, plan.reflectors.apart_mm * MILLIMETRE
+    found = nest_places(triangles, reach, apart, obstacles_of(scenario), closed=body != WALLS)
+    return np.asarray(np.round(found / MILLIMETRE))
 
 
 def _on_surface(surface: Surface) -> Floats:
@@ -153,24 +169,22 @@ def _on_surface(surface: Surface) -> Floats:
 
 
 def staying(plan: PlanFile, scenario: Scenario) -> Bools:
-    """(T,): targets that stay: all without candidate places; else those of the gauge and those to keep."""
-    names = scenario.target_names
-    if not (plan.reflectors.surfaces or plan.reflectors.places):
+    """(T,): targets that the search leaves where they are: all without candidate places; else what must stay."""
+    names, given = scenario.target_names, plan.reflectors
+    if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
-    return _kept(plan, scenario, names)
+    return _kept(plan, scenario, names, [point.name for point in plan.listed])
 
 
 def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
-    """(T,): targets of a survey that are no matter of choice: those of the gauge and those to keep."""
-    return _kept(plan, scenario, survey.target_names)
+    """(T,): targets of a survey whose places are no matter of choice: all that is not free or called movable."""
+    free = plan.reflectors.movable
+    demanded = [point.name for point in plan.listed if point.name not in free and point.group not in free]
+    return _kept(plan, scenario, survey.target_names, demanded)
 
 
-def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str]) -> Bools:
-    kept = {
-        *plan.reflectors.keep,
-        *(point.name for point in plan.listed),
-        *(scenario.gauge.targets if scenario.gauge else ()),
-    }
+def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
+    kept = {*plan.reflectors.keep, *listed, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in kept for name in names], dtype=bool)
 
 

@@ -191,9 +191,9 @@ def _table_lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
         heading = ".".join(_key(part) for part in here)
         if isinstance(value, dict):
             inner = _table_lines(value, here)
-            bare = not value or any(not isinstance(v, dict) for v in value.values())
             is_group = len(path) == 0 and key in ("stations", "targets", "instruments")
-            lines += (["", f"[{heading}]"] if bare and not is_group else []) + inner
+            bare = any(not isinstance(v, dict) for v in value.values()) or not (value or is_group)
+            lines += (["", f"[{heading}]"] if bare else []) + inner
         else:
             for entry in value:
                 lines += ["", f"[[{heading}]]", *_table_lines(entry, here)]

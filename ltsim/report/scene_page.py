@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -34,9 +35,15 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta name="generator" content="ltsim">'
 
 
-def scene_page(workshop: Workshop) -> str:
+Camera = Sequence[Sequence[float]]
+"""Where it stands, where it looks to, and what is up there [m]."""
+
+
+def scene_page(workshop: Workshop, camera: Camera | None = None) -> str:
     """One self-contained HTML page with the scene to turn; it asks nothing of any server."""
     plotter, legend = scene3d.build(workshop)
+    if camera is not None:
+        plotter.camera_position = [tuple(v) for v in camera]
     _solid_labels(plotter, workshop)
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
@@ -99,7 +106,7 @@ def _letters(name: str, place: np.ndarray, direction: np.ndarray, height: float)
     text = shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     out = direction / np.linalg.norm(direction)
-    right = np.cross([0.0, 0.0, 1.0], out)
+    right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
     right /= np.linalg.norm(right)
     nearer = place + 0.25 * out  # clear of the wall that the target may stand on
     mesh.points = mesh.points @ np.stack([right, np.cross(out, right), out]) + nearer

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,10 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z
+from ltsim.scene import exact
 from ltsim.units import FACTOR
 
 SUFFIXES = (".stl", ".obj", ".glb", ".ply")
-EXACT = (".step", ".stp", ".iges", ".igs")
-"""CAD files that hold no triangles."""
 MAX_BYTES = 512 * 1024 * 1024
 GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
@@ -73,20 +73,20 @@ class Obstacles:
         hit[ray] = way < length[ray] - GRAZE
         return hit
 
-    def encloses(self, points: Floats) -> Bools:
-        """(n,): head inside a closed body, or the tripod under it through something (points (n, 3), [m]).
-
-        The head lies inside when a ray to the sky leaves through an odd number of surfaces.
-        """
-        if not len(self.triangles) or not len(points):
-            return np.zeros(len(points), dtype=bool)
+    def holds(self, points: Floats) -> Bools:
+        """(n,): points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces."""
         # Slightly off the vertical, so that edges of upright boxes are not met all along.
         sky = np.array([0.01234567, 0.02345678, 1.0])
         sky = np.broadcast_to(sky / np.linalg.norm(sky), points.shape)
-        inside = native_hits(self.triangles, points, sky, np.full(len(points), np.inf)) % 2 == 1
+        return native_hits(self.triangles, points, sky, np.full(len(points), np.inf)) % 2 == 1
+
+    def encloses(self, points: Floats) -> Bools:
+        """(n,): head inside a closed body, or the tripod under it through something (points (n, 3), [m])."""
+        if not len(self.triangles) or not len(points):
+            return np.zeros(len(points), dtype=bool)
         feet = points.copy()
         feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
-        return inside | self.blocked(points, feet)
+        return self.holds(points) | self.blocked(points, feet)
 
 
 def _bundle(beam: Floats) -> list[Floats]:
@@ -147,25 +147,36 @@ def cylinder(diameter: float, height: float) -> Floats:
 
 
 def read_mesh(path: Path, unit: str) -> Floats:
-    """Triangles (m, 3, 3) [m] of a CAD file whose coordinates are in `unit`; raises SetupError."""
-    if path.suffix.lower() not in SUFFIXES:
-        if path.suffix.lower() in EXACT:
-            raise SetupError(f"{path}: holds exact surfaces; export it from the CAD system as STL, OBJ or GLB")
-        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
+    """Triangles (m, 3, 3) [m] of a CAD file in `unit`, STEP and IGES in their own; raises SetupError."""
+    suffix, known = path.suffix.lower(), SUFFIXES + exact.SUFFIXES
+    if suffix not in known:
+        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(known)}")
     try:
         if path.stat().st_size > MAX_BYTES:
             raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
-        with path.open("rb") as stream:
-            loaded: Any = trimesh.load(stream, file_type=path.suffix.lower()[1:], force="mesh", skip_materials=True)
-        triangles: Floats = np.array(loaded.triangles, dtype=np.float64) * FACTOR[unit]
+        content = path.read_bytes()
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    except SetupError:
-        raise
-    except Exception as problem:  # readers of four formats raise whatever they meet
+    if suffix in exact.SUFFIXES:
+        try:
+            content, suffix, unit = exact.as_glb(content, suffix), ".glb", "m"
+        except SetupError as problem:
+            raise SetupError(f"{path}: {problem}") from None
+    try:
+        loaded: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
+        triangles: Floats = np.array(loaded.triangles, dtype=np.float64) * FACTOR[unit]
+    except Exception as problem:  # readers of all these formats raise whatever they meet
         raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
     if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+    return triangles
+
+
+def walls(size: Floats) -> Floats:
+    """Triangles (8, 3, 3) of the walls of a room of `size` (3,) [m] with a corner at the origin; normals inward."""
+    mesh = trimesh.creation.box(extents=size)
+    upright = np.abs(mesh.face_normals[:, 2]) < 0.5
+    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)[upright][:, ::-1] + 0.5 * size
     return triangles
 
 

@@ -54,9 +54,9 @@ class Obstacle(Section):
     name: str = ""
     """What messages and pictures call it."""
     file: str | None = None
-    """STL, OBJ, PLY or GLB file, named from the scenario's folder."""
+    """STL, OBJ, PLY, GLB, STEP or IGES file, named from the scenario's folder."""
     unit: Literal["mm", "m"] = "mm"
-    """Unit of the file's coordinates."""
+    """Unit of the file's coordinates; STEP and IGES state their own."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box, in place of a file."""
     cylinder_mm: tuple[Positive, Positive] | None = None

@@ -100,6 +100,12 @@ def sight_limits(scenario: Scenario, tracker: Instrument) -> SightLimits:
 
 def obstacles_of(scenario: Scenario) -> Obstacles | None:
     """What stands in the way, or None in an empty workshop; raises SetupError."""
+    parts = bodies_of(scenario)
+    return together(triangles for _, triangles in parts) if parts else None
+
+
+def bodies_of(scenario: Scenario) -> list[tuple[str, Floats]]:
+    """Name and triangles (m, 3, 3) [m] of each obstacle in its place; raises SetupError as `obstacles_of`."""
     parts = []
     for entry in scenario.workshop.obstacles:
         if entry.file is not None:
@@ -111,8 +117,9 @@ def obstacles_of(scenario: Scenario) -> Obstacles | None:
             triangles = cylinder(float(diameter), float(height))
         else:
             raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
-        parts.append(placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE))
-    return together(parts) if parts else None
+        there = placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+        parts.append((entry.name, there))
+    return parts
 
 
 def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibility:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
+from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
 from ltsim.plan.changes import Change, reflector_changes
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.objective import INSTRUMENT, TARGETS, Objective
 from ltsim.plan.planner import measure
 from ltsim.plan.reflectors import choose_reflectors
+from ltsim.plan.spec import load_plan
 from ltsim.plan.survey import Survey
+from ltsim.plan.workshop import fixed_of, site_of, staying
+from tests.plan.test_hall import HALL, points_csv
 from tests.plan.test_search import site
 
 STAYS = np.arange(28) >= 24
@@ -71,10 +77,10 @@ def test_what_was_tried_and_did_not_help_is_said() -> None:
     found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment())
     assert found.helped["move"] == 0, "the exchange has made every move that helps"
     assert found.tried["move"] > 300
-    assert f"{found.tried['move']} moves of a reflector (0 help)" in found.sentences()[-1]
+    assert f"{found.tried['move']} moves of a reflector (0 help)" in found.summary
     alone = reflector_changes(site(), site().survey, STAYS, Objective(), misalignment())
     assert alone.tried == {"move": 0, "add": 0, "remove": 24}
-    assert "give candidates" in alone.sentences()[-1]
+    assert "give candidates" in alone.summary
 
 
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:
@@ -82,3 +88,38 @@ def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     where = site(places=places, place_names=names, reflector_spacing=0.5)
     made = choose_reflectors(where, where.survey, STAYS, Objective({TARGETS: 1.0}), misalignment())
     assert LayoutInformation.of(made).target_rms < 0.9 * LayoutInformation.of(where.survey).target_rms
+
+
+def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    ways = {"none": "", "walls": 'on = ["walls", "machine"]', "both": 'on = ["machine"]\nmovable = ["wall"]'}
+    for name, given in ways.items():
+        text = HALL.replace("box_mm", 'name = "machine"\nbox_mm').replace(
+            "[search]", f"[reflectors]\n{given}\n[search]"
+        )
+        (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
+        file, scenario = load_plan(tmp_path / "hall.toml")
+        where = site_of(file, scenario, stations=4, faces=1).replace(least=1)
+        survey = where.survey.replace(seen=where.seen(where.survey.position))
+        stays = fixed_of(file, scenario, survey)
+        found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment())
+        assert staying(file, scenario).all(), "the search leaves the points of a list where they are"
+        assert {what for what, count in found.tried.items() if count} == {
+            "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},
+        }[name]  # fmt: skip
+        for change in found.told:
+            assert change.reflector == "" or change.reflector.startswith("W")
+            assert change.serves in survey.target_names
+            if change.position is not None:
+                assert np.linalg.norm(survey.points - change.position, axis=1).min() >= where.reflector_spacing
+    places = [change.place for change in found.told if change.what == "move"]
+    assert len(places) == len(set(places)), "each place is told once"
+
+
+def test_bodies_and_groups_that_are_not_there_are_told(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    for given, sentence in (('on = ["wals"]', "did you mean walls"), ('movable = ["wal"]', "did you mean wall")):
+        text = HALL.replace("[search]", f"[reflectors]\n{given}\n[search]")
+        (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(SetupError, match=sentence):
+            load_plan(tmp_path / "hall.toml")

@@ -18,7 +18,7 @@ from ltsim.plan.site import may_stand
 from ltsim.plan.spec import load_plan
 from ltsim.plan.tolerances import radius
 from ltsim.plan.work_order import settings_of
-from ltsim.scene.meshes import cylinder, read_mesh, together
+from ltsim.scene.meshes import cylinder, together
 from ltsim.scene.visibility import visibility
 from ltsim.simulate.workshop import planned, sight_limits
 
@@ -167,11 +167,6 @@ def test_a_cylinder_hides_what_its_diameter_covers() -> None:
     origins[3, 2] = ends[3, 2] = 2.1
     assert there.blocked(origins, ends).tolist() == [True, True, False, False]
     assert there.encloses(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
-
-
-def test_exact_cad_is_refused_with_what_would_be_right(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match="export it from the CAD system as STL, OBJ or GLB"):
-        read_mesh(tmp_path / "machine.step", "mm")
 
 
 def test_a_radius_holds_the_stated_share_of_errors() -> None:

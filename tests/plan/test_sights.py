@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from ltsim.errors import SetupError
 from ltsim.plan.sights import most_sights, with_reachable_sights
 from ltsim.plan.site import Site
-from ltsim.plan.spec import PlanFile, Stations
+from ltsim.plan.spec import PlanFile, Stations, load_plan
+from ltsim.plan.workshop import site_of
 from ltsim.scene.visibility import SightLimits
+from tests.plan.test_hall import HALL, points_csv
 from tests.plan.test_search import site
 
 
@@ -41,3 +45,13 @@ def test_the_default_is_found() -> None:
     settled = with_reachable_sights(PlanFile(), short_sighted(3))
     assert settled.stations.seen_from == found
     assert with_reachable_sights(PlanFile(), site()).stations.seen_from == "all"
+
+
+def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> None:
+    """A machine in the middle: three stations see every point twice, but not when the first takes the best place."""
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    (tmp_path / "hall.toml").write_text(HALL.replace("grid_mm = 1500", "grid_mm = 1000"), encoding="utf-8")
+    file, scenario = load_plan(tmp_path / "hall.toml")
+    where = site_of(file, scenario, stations=3, faces=1)
+    assert most_sights(where, 1.0, 1)[0] == 2
+    assert with_reachable_sights(file, where).stations.seen_from == 2

@@ -133,6 +133,16 @@ def _rows(cell: int, method: str, trials: int) -> pa.Table:
     return pa.table(columns)
 
 
+REFLECTOR_CHANGES = [
+    {"do": "move", "reflector": "T01", "place": "walls-17", "position_mm": [40, 3100, 2600], "gain_um": 0.412,
+     "quality": 0.953, "serves": "elevation-eccentricity-cos", "serves_factor": 0.81},
+    {"do": "add", "place": "milling machine-8", "position_mm": [2800, 900, 1100], "gain_um": 0.31, "quality": 0.97,
+     "serves": "T09", "serves_factor": 0.9},
+    {"do": "remove", "reflector": "T05", "gain_um": -0.004, "quality": 1.001,
+     "serves": "beam-tilt", "serves_factor": 1.02},
+]  # fmt: skip
+
+
 def plan_folder(folder: Path) -> Path:
     """A plan in the form of the planner's files, own-made, with the paper's workshop as its scenario."""
     scenario = load_scenario("paper-workshop")
@@ -156,7 +166,7 @@ def plan_folder(folder: Path) -> Path:
              "quality": {"instrument": q}, "efficient": best}
             for n, f, h, q, best in ways
         ],
-        "silent": ["dead-path"], "settings": {}, "seed": 5,
+        "silent": ["dead-path"], "settings": {}, "seed": 5, "reflector_changes": REFLECTOR_CHANGES,
     }  # fmt: skip
     folder.mkdir(parents=True)
     (folder / "plan.json").write_text(json.dumps(content))

@@ -15,12 +15,15 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.specification import SHEETS
 from ltsim.calibrate.schema import ChiSquareEntry, CourseEntry
 from ltsim.check.check import check as check_of
+from ltsim.plan.schema import ChangeEntry
 from ltsim.randomness import stream
 from ltsim.report import figures, style
 from ltsim.report.figures.acceptance import shares_of_limits
 from ltsim.report.figures.history import history_figure, told_apart
+from ltsim.report.planned import from_scenario
 from ltsim.report.residuals import Residuals
 from ltsim.report.workshop import from_adjustment
+from ltsim.simulate.scenario import load_scenario
 from tests.report import samples
 
 MARKUP = "<b>$x_1$&</b>"
@@ -121,6 +124,11 @@ def parameters() -> Figure:
     return figures.parameters(rows)
 
 
+def reflector_changes() -> Figure:
+    changes = [ChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
+    return figures.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
+
+
 def residuals_by_covariate() -> Figure:
     first, second = residuals()
     return figures.residuals_by_covariate(second, first)
@@ -190,7 +198,7 @@ DRAWINGS = {
     for f in (
         acceptance, budget, by_setting, check, correlation, coverage, criteria, displacements, distributions,
         driver_curve, evidence,
-        floor_plan, history, parameters,
+        floor_plan, history, parameters, reflector_changes,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
     )
 }  # fmt: skip

@@ -11,6 +11,7 @@ from ltsim.report.figures.driver_curve import driver_curve as driver_curve
 from ltsim.report.figures.evidence import Candidate as Candidate, evidence as evidence
 from ltsim.report.figures.floor_plan import floor_plan as floor_plan
 from ltsim.report.figures.parameters import ParameterRow as ParameterRow, parameters as parameters
+from ltsim.report.figures.reflector_changes import reflector_changes as reflector_changes
 from ltsim.report.figures.residuals_by_covariate import residuals_by_covariate as residuals_by_covariate
 from ltsim.report.figures.residuals_by_station import residuals_by_station as residuals_by_station
 from ltsim.report.figures.sigmas import SigmaRow as SigmaRow, sigmas as sigmas

@@ -11,7 +11,7 @@ from ltsim.plan.floor import Floor
 from ltsim.plan.schema import LayoutEntry, OptionEntry, PlanResult
 from ltsim.recording.result_file import companion, read_result
 from ltsim.report import figures, style
-from ltsim.report.document import Block, Detail, Fact, Listing, Points, Section, Table, mood, picture
+from ltsim.report.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture
 from ltsim.report.planned import from_scenario
 from ltsim.report.sections.network import scene, undetermined
 from ltsim.report.words import count, duration
@@ -39,7 +39,7 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     blocks += _pictures(folder, content, detail)
     if content.reasons:
         blocks.append(Points("Why this plan", content.reasons))
-    blocks += _tolerances(content)
+    blocks += _tolerances(content) + _changes(folder, content)
     blocks += _curve(content) + _parameters(content) + _expected(content)
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
@@ -79,6 +79,34 @@ def _tolerances(content: PlanResult) -> list[Block]:
     return [*blocks, Table("When a station or a sight is lost", header, lost, 3)]
 
 
+DEEDS = {"move": "move {0} to {1}", "add": "add one at {1}", "remove": "leave out {0}"}
+
+
+def _changes(folder: Path, content: PlanResult) -> list[Block]:
+    """Which reflector to move, to add, to leave out."""
+    changes = content.reflector_changes
+    if not changes:
+        return (
+            [Note("Reflectors to move, to add, to leave out", content.changes_tried)] if content.changes_tried else []
+        )
+    rows = [
+        [f"{i}: {DEEDS[c.do].format(c.reflector, c.place)}", *(style.fixed(v, 0) for v in c.position_mm or ()),
+         *[""] * (0 if c.position_mm else 3), f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
+         f"{c.serves} (σ {100 * (c.serves_factor - 1):+.1f} %)"]
+        for i, c in enumerate(changes, 1)
+    ]  # fmt: skip
+    header = ["one reflector", "x [mm]", "y [mm]", "z [mm]", "gain of the others [µm]", "better", "changes most"]
+    note = f"Gain: by how much the point error of all other points falls, root mean square. {content.changes_tried}"
+    blocks: list[Block] = [Table("Reflectors to move, to add, to leave out", header, rows, 1, note)]
+    file = companion(folder, "scenario.toml", content)
+    if file is not None:
+        ground = Floor.model_validate(content.settings.get("floor", {}))
+        figure = figures.reflector_changes(from_scenario(load_scenario(file)), changes, ground)
+        text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
+        blocks.append(picture("Where these reflectors are", figure, text))
+    return blocks
+
+
 def _facts(content: PlanResult) -> list[Fact]:
     """Figures at a glance."""
     facts = [
@@ -89,11 +117,11 @@ def _facts(content: PlanResult) -> list[Fact]:
     ]
     for name, value in content.quality.items():
         if value is not None:
-            _, factor = QUALITY.get(name, (name, 1.0))
+            label, factor = QUALITY.get(name, (name, 1.0))
             other = content.reference.quality.get(name) if content.reference else None
             better = "plain" if other is None else mood(value <= other)
             text = style.number(factor * value) + (f" (was {style.number(factor * other)})" if other else "")
-            facts.append(Fact(name, text, better))
+            facts.append(Fact(label, text, better))
     return facts
 
 
@@ -155,13 +183,15 @@ def _curve(content: PlanResult) -> list[Block]:
         figure = figures.trade_off(layouts, cost="time on the floor [h]", quality=label)
         text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
         blocks.append(picture(f"Cost against quality: {name}", figure, text))
+    factor, unit = content.value_unit
     rows = [
         [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
-         style.number(o.value), "yes" if o.efficient else ""]
+         style.number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
         for o in content.tradeoff
     ]  # fmt: skip
     if rows:
-        header = ["layout", "faces", "rounds", "pointings", "hours", "objective", "best at its cost"]
+        header = ["layout", "faces", "rounds", "pointings", "hours", f"objective [{unit}]" if unit else "objective",
+                  "best at its cost"]  # fmt: skip
         blocks.append(Table("Ways of working", header, rows, note="A smaller objective is better."))
     return blocks
 

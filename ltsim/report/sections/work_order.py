@@ -51,9 +51,19 @@ def _blocks(plan: Plan) -> list[Block]:
         head = f"{len(s.order)} points {faces}, {rounds}, {duration(60 * s.minutes)}"
         text = f"{head}: {', '.join(s.order)}. Again: {again}."
         blocks.append(Note(f"{s.name}: order of work", text))
+    blocks += _before(plan)
     text = (
         "nominals.csv holds the points for the tracker's software, work-order.csv every pointing with the readings to "
         "expect, scenario.toml the same work to simulate. "
     )
     blocks.append(Note("Files", f"{text}A move is taken to last {duration(survey.seconds_per_move)}."))
     return blocks
+
+
+def _before(plan: Plan) -> list[Block]:
+    """Reflectors worth another place, while there is time for it."""
+    worth = [change for change in plan.changes.told if change.what != "remove"]
+    if not worth:
+        return []
+    said = [f"{c.deed}: the other points become {c.gain_um:.2f} µm better, most {c.serves}" for c in worth]
+    return [Points("Worth doing before, one of these (z from the floor); then plan again", said)]

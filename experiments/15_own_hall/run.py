@@ -1,0 +1,84 @@
+"""Does a hall get better by what its plan says of single reflectors? Every change told, simulated many times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
+from ltsim.arrays import Floats
+from ltsim.campaign.calibrators import calibrator_of
+from ltsim.campaign.cell import truth_of
+from ltsim.campaign.cloud_kernels import rigid_fit
+from ltsim.campaign.spec import Method
+from ltsim.plan.changes import Change
+from ltsim.plan.files import plan_file, planned_scenario
+from ltsim.plan.planner import make_plan
+from ltsim.plan.spec import load_plan
+from ltsim.report.figures.reflector_changes import reflector_changes
+from ltsim.report.planned import from_scenario
+from ltsim.simulate.scenario import Scenario
+from ltsim.simulate.sections import Target
+from ltsim.units import MICROMETRE, MILLIMETRE
+
+HERE = Path(__file__).resolve().parent
+TRIALS, SEED = 100_000, 15
+
+
+def changed(scenario: Scenario, change: Change) -> Scenario:
+    """The scenario with a reflector moved (under its own name), added or left out."""
+    targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
+    if change.position is not None:
+        x, y, z = (change.position / MILLIMETRE).tolist()
+        targets[change.reflector or change.place] = Target(position_mm=(x, y, z))
+    return scenario.model_copy(update={"targets": targets})
+
+
+def squares(scenario: Scenario, weights: dict[str, float], number: int, width: int) -> Floats:
+    """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
+    truth = truth_of(scenario, SEED, "campaign")
+    block = truth.draw(SEED, number, width)
+    found = calibrator_of(Method(), truth).calibrate(block, np.arange(width))
+    weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])
+    true = np.ascontiguousarray(np.broadcast_to(truth.state.points[:, :, None], found.points.shape))
+    moved = np.empty_like(true)
+    rigid_fit(true + found.points, true, weight > 0, moved)
+    return np.einsum("t,tkb->b", weight / weight.sum(), ((moved - true) / MICROMETRE) ** 2)
+
+
+def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials: int, jobs: int) -> Row:
+    """How much smaller the error of the other targets is after the change, with its interval over batches."""
+    tasks = [(scenario, weights, *batch) for scenario in scenarios for batch in batches(trials, 1000)]
+    parts = spread_out(squares, tasks, jobs)
+    half = len(parts) // 2
+    before, after = np.concatenate(parts[:half]), np.concatenate(parts[half:])
+    value = np.sqrt(before.mean()) - np.sqrt(after.mean())
+    # The variance of a root of a mean, and of the difference of two independent ones, to first order.
+    error = np.sqrt(sum(x.var(ddof=1) / len(x) / (4 * x.mean()) for x in (before, after)))
+    low, high = value - 1.96 * error, value + 1.96 * error
+    return {
+        "error_before_um": np.sqrt(before.mean()), "error_after_um": np.sqrt(after.mean()),
+        "gain_um": value, "gain_low_um": low, "gain_high_um": high,
+    }  # fmt: skip
+
+
+def run(given: Options) -> Made:
+    """Plan, then a campaign of the plan's layout and of each change of it that is told."""
+    trials = given.trials or TRIALS
+    file, hall = load_plan(HERE / "hall.toml")
+    plan = make_plan(file, hall, jobs=given.jobs)
+    scenario, survey = planned_scenario(plan), plan.chosen.survey
+    own = dict(zip(survey.target_names, survey.weight.tolist(), strict=True))
+    rows: list[Row] = []
+    for change in plan.changes.told:
+        weights = {name: weight for name, weight in own.items() if name != change.reflector}
+        found = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
+        held = found["gain_low_um"] <= change.gain_um <= found["gain_high_um"]
+        row: Row = {"do": change.deed, "promised_um": change.gain_um, **found}
+        rows.append({k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()} | {"held": bool(held)})
+        tell(str(rows[-1]))
+    write_table(given.out / "changes.csv", rows)
+    figure = reflector_changes(from_scenario(scenario), plan_file(plan).reflector_changes, file.floor)
+    write_figure(given.out / "changes.svg", figure)
+    return Made(SEED, trials, {"summary": plan_file(plan).summary, "reasons": plan_file(plan).reasons})
