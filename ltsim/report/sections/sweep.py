@@ -12,15 +12,14 @@ from ltsim.campaign.design import Factor
 from ltsim.campaign.statistics import Results, Spread
 from ltsim.report import figures
 from ltsim.report.figures.by_factor import MOST_LINES, MOST_PANELS
-from ltsim.units import unit_of_key
+from ltsim.units import BY_ENDING
 
 Key = tuple[Any, ...]
 
 
 def title(factor: Factor) -> str:
     """A factor as an axis calls it: `angle noise [arcsec]`."""
-    ending = unit_of_key(factor.name)
-    plain = factor.name.rpartition("_")[0] if ending and factor.name.endswith(ending.lower()) else factor.name
+    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
     unit = {"um": "µm"}.get(factor.unit, factor.unit)
     return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
 
