@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.stats import qmc
 
 from ltsim.arrays import Floats
 from ltsim.randomness import stream
@@ -73,6 +72,8 @@ class Design(Section):
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
         """The value of every range at each point, drawn by the campaign's seed; `keys` says what each range sets."""
+        from scipy.stats import qmc  # a second to load, and few campaigns have a design
+
         draw = stream(seed, "campaign", "design", self.kind)
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
         shares = sampler(len(self.ranges), seed=draw).random(self.cells)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
-from scipy import stats
+from scipy import special
 
 from ltsim.arrays import Floats
 from ltsim.campaign.spec import Campaign
@@ -58,7 +58,7 @@ class Mean:
         if self.count < 2:
             return math.inf
         variance = max(self.squares - self.total**2 / self.count, 0.0) / (self.count - 1)
-        return float(stats.t.isf(0.5 * level, self.count - 1)) * math.sqrt(variance / self.count)
+        return -float(special.stdtrit(self.count - 1, 0.5 * level)) * math.sqrt(variance / self.count)
 
 
 @dataclass
