@@ -29,7 +29,7 @@ def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys:
     with (tmp_path / "noise" / "summary.csv").open(newline="") as stream:
         lines = list(csv.DictReader(stream))
     share = [float(line["mean"]) for line in lines if line["column"] == "share_removed"]
-    assert [line["noise_factor"] for line in lines if line["column"] == "share_removed"] == ["1.0", "2.0"]
+    assert [line["noise_factor"] for line in lines if line["column"] == "share_removed"] == ["1", "2"]
     assert len(share) == 2 and 0.5 < share[1] < share[0] < 1.0
     assert run(["campaign", str(file)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
