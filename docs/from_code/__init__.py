@@ -26,6 +26,7 @@ def formats() -> str:
 Maker = Callable[..., str]
 MAKERS: dict[str, Maker] = {
     "keys": keys.tables,
+    "dotted-keys": keys.dotted,
     "results": results.files,
     "formats": formats,
     "command-line": command_line.verbs,

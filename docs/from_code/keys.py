@@ -6,15 +6,12 @@ from typing import Any
 
 from pydantic import BaseModel
 
-UNITS = {
-    "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "µm", "_deg": "deg", "_arcsec": "arcsec", "_ppm": "ppm",
-    "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
-}  # fmt: skip
-"""Units by the ending of a key."""
-WORDS = {"seconds": "s", "minutes": "min", "hours": "h"}
-"""Units by a word at the beginning of a key."""
+from ltsim.units import unit_of_key
+
 HUGE = 1e8
 """Bounds beyond it only keep nonsense out."""
+FIXED = ("`format`", "`title`")
+"""Keys that nothing varies."""
 KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false", "null": "nothing"}
 
 
@@ -28,6 +25,33 @@ def tables(model: str) -> str:
     """
     module, _, name = model.partition(":")
     return sections(getattr(import_module(module), name), _toml, "##", defaults=True)
+
+
+def dotted(model: str) -> str:
+    """Markdown: one table of every dotted key of a file, as what varies it takes them; lists of tables by number N."""
+    module, _, name = model.partition(":")
+    schema = getattr(import_module(module), name).model_json_schema()
+    rows: list[list[str]] = []
+    known: dict[str, str] = {}
+
+    def add(path: str, table: dict[str, Any]) -> None:
+        if table["title"] in known:
+            rows.append([f"`{path}*`", "", "", f"As `{known[table['title']]}*`."])
+            return
+        known[table["title"]] = path
+        for key, entry in table["properties"].items():
+            inner = _inner(key, entry, schema)
+            where = f"{path}{key}"
+            if inner is not None:
+                add(f"{where}{ {'one': '', 'named': '.NAME', 'several': '.N'}[inner[1]] }.", inner[2])
+                continue
+            named = ".NAME" if entry.get("type") == "object" else ""
+            taken = entry.get("additionalProperties") if named else entry
+            said = values(taken if isinstance(taken, dict) else entry, schema)
+            rows.append([f"`{where}{named}`", said, unit(key), meaning(entry)])
+
+    add("", schema)
+    return "\n".join(markdown(["key", "value", "unit", "meaning"], [row for row in rows if row[0] not in FIXED]))
 
 
 def sections(
@@ -97,10 +121,7 @@ def meaning(entry: dict[str, Any]) -> str:
 
 def unit(key: str) -> str:
     """The unit that a key carries in its name."""
-    for ending, name in UNITS.items():
-        if key.endswith(ending):
-            return name
-    return WORDS.get(key.partition("_")[0], "")
+    return unit_of_key(key).replace("um", "µm")
 
 
 def default(key: str, entry: dict[str, Any], table: dict[str, Any]) -> str:

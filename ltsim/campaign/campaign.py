@@ -11,7 +11,7 @@ import platform
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,11 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaign.cell import fitted_construction, fitted_effects
+from ltsim.campaign.design import label
 from ltsim.campaign.rows import Task, rows_of, run_task, task_of
-from ltsim.campaign.schema import CellEntry, ManifestFile
-from ltsim.campaign.spec import Campaign, cad_files, fingerprint, label, load_campaign, read_cad, scenario_file
+from ltsim.campaign.schema import CellEntry, FactorEntry, ManifestFile
+from ltsim.campaign.spec import Campaign, cad_files, cells_of, fingerprint, load_campaign, read_cad, scenario_file
+from ltsim.campaign.stopping import Shard, neighbours, rounds
 from ltsim.campaign.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
 from ltsim.simulate.fieldwork import fieldwork
@@ -46,7 +48,8 @@ class Workers:
     backend : str
         `local` or `dask`.
     scheduler : str
-        Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``.
+        Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that it wrote
+        (``dask scheduler --scheduler-file cluster.json``).
     """
 
     jobs: int = 1
@@ -106,7 +109,8 @@ def run_campaign(
         In one sentence, for a file that cannot be run, a folder that holds another campaign or cannot be written to.
     """
     campaign, scenarios = load_campaign(file)
-    idle = _check(campaign, scenarios, file)
+    factors, levels = cells_of(campaign, scenarios)
+    idle = _check(campaign, scenarios, [label(factors, own) for own in levels], file)
     store, mark = Store(folder), fingerprint(campaign, scenarios)
     sources = _sources(campaign, scenarios, file)
     taken = [] if store.begun or force else store.taken(sources)
@@ -122,15 +126,22 @@ def run_campaign(
         else:
             store.begin(_manifest(campaign, scenarios, mark), sources)
         store.sweep()
-        waiting, damaged = _waiting(store, campaign, scenarios, mark, progress)
-        try:
-            for task, content in _results(waiting, workers or Workers()):
-                store.write_shard(task.cell, task.shard, content)
-                progress(rows_of(campaign, task.shard))
-        except WorkerError as problem:
-            raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
-    total = len(scenarios) * campaign.shards
-    return Outcome(folder, len(waiting), total - len(waiting), (*notes, *damaged))
+        done, kept = 0, 0
+        for wanted in rounds(campaign, len(scenarios), neighbours(levels), store.rows):
+            waiting, damaged = _waiting(store, campaign, scenarios, mark, wanted, progress)
+            notes += damaged
+            done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
+            try:
+                for task, content in _results(waiting, workers or Workers()):
+                    store.write_shard(task.cell, task.shard, content)
+                    progress(rows_of(campaign, task.shard))
+            except WorkerError as problem:
+                raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
+    spared = len(scenarios) * campaign.shards - done - kept
+    if spared:
+        share = 100 * spared / (len(scenarios) * campaign.shards)
+        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed, since their cells stopped")
+    return Outcome(folder, done, kept, tuple(notes))
 
 
 def _sources(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> dict[str, bytes]:
@@ -145,14 +156,14 @@ def _sources(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) ->
     return kept | {SOURCE: file.read_bytes()}
 
 
-def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> list[str]:
+def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], labels: list[str], file: Path) -> list[str]:
     """What would stop every trial is said before the first; gives notes on effects that find nothing to act on."""
     idle = []
     for method in campaign.methods:
         fitted_construction(method)
         fitted_effects(method)
-    for number, (changes, scenario) in enumerate(zip(campaign.combinations(), scenarios, strict=True)):
-        where = f"cell {number + 1} ({label(changes)})"
+    for number, (words, scenario) in enumerate(zip(labels, scenarios, strict=True), start=1):
+        where = f"cell {number} ({words})"
         try:
             idle += [f"{where}: {note}" for note in idle_effects(fieldwork(scenario, campaign.seed, "campaign"))]
         except SetupError as problem:
@@ -168,9 +179,14 @@ def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resu
             "or begin anew with --force"
         )
     manifest = store.manifest()
+    now = campaign.model_dump(mode="json", by_alias=True)
+    if manifest.settings and not now.keys() <= manifest.settings.keys():
+        raise SetupError(
+            f"{store.folder}: begun by an earlier version of ltsim; its rows can be read and reported, for "
+            "further trials begin anew with another --out"
+        )
     if manifest.fingerprint != mark:
         before = manifest.settings
-        now = campaign.model_dump(mode="json", by_alias=True)
         changed = [key for key in now if before.get(key) != now[key]] or ["the scenario"]
         raise SetupError(
             f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
@@ -225,6 +241,7 @@ def commit() -> str | None:
 
 
 def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) -> ManifestFile:
+    factors, levels = cells_of(campaign, scenarios)
     return ManifestFile(
         title=campaign.title,
         fingerprint=mark,
@@ -232,9 +249,10 @@ def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) ->
         trials=campaign.trials,
         shard=campaign.shard,
         methods=tuple(method.title for method in campaign.methods),
+        factors=tuple(FactorEntry(name=f.name, keys=f.keys, unit=f.unit, kind=f.kind) for f in factors),
         cells=tuple(
-            CellEntry(cell=i, label=label(changes), settings=changes)
-            for i, changes in enumerate(campaign.combinations())
+            CellEntry(cell=i, label=label(factors, own), settings=changes, levels=own)
+            for i, (changes, own) in enumerate(zip(campaign.combinations(), levels, strict=True))
         ),
         versions=_versions(),
         processor=processor(),
@@ -245,22 +263,26 @@ def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) ->
 
 
 def _waiting(
-    store: Store, campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str, progress: Progress
+    store: Store,
+    campaign: Campaign,
+    scenarios: tuple[Scenario, ...],
+    mark: str,
+    wanted: list[Shard],
+    progress: Progress,
 ) -> tuple[list[Task], list[str]]:
-    """Shards to be done; those that are damaged are set aside and done again."""
+    """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
     waiting, notes, known = [], [], store.digests()
-    for cell, scenario in enumerate(scenarios):
-        first = task_of(campaign, scenario, mark, cell, 0)
-        for shard in range(campaign.shards):
-            task = Task(first.campaign, first.scenario, mark, cell, shard)
-            state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
-            if state == "whole":
-                progress(rows_of(campaign, shard))
-                continue
-            if state == "damaged":
-                aside = store.set_aside(cell, shard)
-                notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
-            waiting.append(task)
+    first = {cell: task_of(campaign, scenarios[cell], mark, cell, 0) for cell in dict.fromkeys(c for c, _ in wanted)}
+    for cell, shard in wanted:
+        task = replace(first[cell], shard=shard)
+        state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
+        if state == "whole":
+            progress(rows_of(campaign, shard))
+            continue
+        if state == "damaged":
+            aside = store.set_aside(cell, shard)
+            notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
+        waiting.append(task)
     return waiting, notes
 
 
@@ -284,15 +306,19 @@ def _labelled(task: Task) -> tuple[Task, bytes]:
 def _cluster(workers: Workers) -> Iterator[None]:
     """Joblib's dask backend on the scheduler's workers."""
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
     except ImportError:
         raise SetupError("the dask backend needs the extra 'cluster': pip install ltsim[cluster]") from None
     if not workers.scheduler:
-        raise SetupError("--backend dask needs --scheduler ADDRESS, such as tcp://127.0.0.1:8786")
+        raise SetupError("--backend dask needs --scheduler, an address such as tcp://127.0.0.1:8786 or a cluster file")
     try:
         connect: Any = Client
-        client = connect(workers.scheduler, timeout=30)
+        place = "scheduler_file" if Path(workers.scheduler).is_file() else "address"
+        client = connect(**{place: workers.scheduler}, timeout=30)
     except (OSError, ValueError) as problem:
         raise SetupError(f"no dask scheduler answers at {workers.scheduler} ({problem})") from None
     with client, parallel_config(backend="dask", wait_for_workers_timeout=60):
-        yield
+        try:
+            yield
+        except KilledWorker:
+            raise WorkerError("several workers ended at the same shard, perhaps for want of memory") from None

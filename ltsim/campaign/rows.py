@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,15 +16,18 @@ from threadpoolctl import threadpool_limits
 from ltsim.arrays import Floats, Ints
 from ltsim.campaign.calibrators import Calibrator, calibrator_of
 from ltsim.campaign.cell import truth_of
+from ltsim.campaign.columns import parameter_units, with_settings
+from ltsim.campaign.design import Factor
 from ltsim.campaign.engine import FAILED, STATUSES, Bench, Calibrated, parameter_columns, trials_of
 from ltsim.campaign.judge import Columns
-from ltsim.campaign.spec import Campaign
+from ltsim.campaign.spec import Campaign, group_of
 from ltsim.campaign.stack import StackCalibrator, stacks
 from ltsim.campaign.store import encoded
 from ltsim.campaign.truth import BLOCK, Block, Truth
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
+from ltsim.simulate.physics import construction_of, effects_of
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.workshop import Layout, planned
 
@@ -78,6 +82,22 @@ class Prepared:
         """The geometry that all trials share, with the calibrators in the order of the file's methods."""
         truth = truth_of(self.scenario, self.campaign.seed, "campaign")
         return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
+
+    @cached_property
+    def factors(self) -> tuple[Factor, ...]:
+        """What differs between the cells of the campaign."""
+        return self.campaign.factors(self.scenario)
+
+    @cached_property
+    def levels(self) -> dict[str, Any]:
+        """What the factors are in this cell, by name."""
+        tables = self.scenario.model_dump(mode="json", by_alias=True)
+        return {factor.name: factor.level(tables) for factor in self.factors}
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Units of the parameters in the rows."""
+        return parameter_units(self.campaign, construction_of(self.scenario), effects_of(self.scenario))
 
     @cached_property
     def _plan(self) -> Layout:
@@ -141,7 +161,8 @@ def shard_rows(task: Task) -> pa.Table:
         for part in parts:
             part.append({"trial": np.array(sorted(missing))} | _failed(len(missing)))
     tables = [_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
-    return pa.concat_tables(tables, promote_options="default").combine_chunks()
+    whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
+    return with_settings(whole, cell.factors, cell.levels, cell.units)
 
 
 def _by_method(
@@ -181,10 +202,7 @@ def _columns(
     names = truth.recording.instruments
     columns: Columns = {"status": found.status, "chi2": found.chi2}
     judged = shared | bench.after(block, found, construction, shared)
-    for name, column in judged.items():
-        kind = "criteria" if name.startswith(("distance_", "coordinate_")) else "errors"
-        if kind in wanted:
-            columns[name] = column
+    columns |= {name: column for name, column in judged.items() if group_of(name) in wanted}
     if "z-scores" in wanted:
         columns |= z_scores(truth, block, found, construction, names)
     if "estimates" in wanted:

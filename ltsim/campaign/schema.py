@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -13,18 +14,30 @@ Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Of the quantiles."""
 
-SUMMARY = ResultTable(
-    "summary.csv",
-    "every statistic over the trials of a cell and method",
-    (
-        *numbers(cell="number"),
-        *texts(method="name", column="of the rows"),
-        *numbers(trials="that have it"),
-        *numbers("r", mean="over them", deviation="standard deviation", low="95 % bound of the mean", high="as low"),
-        *numbers("r", least="of all", largest="of all"),
-        *numbers("r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in LEVELS}),
-    ),
-)
+SUMMARY = "summary.csv"
+
+
+def summary_table(factors: Mapping[str, str]) -> ResultTable:
+    """`summary.csv` of a campaign: one row a cell, method and column of the rows; factors are names with kinds."""
+    about = "setting of the cell, in the unit that manifest.json says"
+    settings = [
+        column
+        for name, kind in factors.items()
+        for column in (numbers if kind in ("number", "integer") else texts)(**{name: about})
+    ]
+    return ResultTable(
+        SUMMARY,
+        "every statistic over the trials of a cell and method, with the settings of the cell",
+        (
+            *numbers(cell="number"),
+            *settings,
+            *texts(method="name", column="of the rows", unit="of all that follows but trials"),
+            *numbers(trials="that have it"),
+            *numbers("r", mean="over them", deviation="standard deviation"),
+            *numbers("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),
+            *numbers("r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in LEVELS}),
+        ),
+    )
 
 
 def trials_table(parameters: tuple[str, ...]) -> ResultTable:
@@ -41,13 +54,28 @@ def trials_table(parameters: tuple[str, ...]) -> ResultTable:
     )
 
 
+class FactorEntry(Entry):
+    """Something that differs between cells."""
+
+    name: str
+    """Its column in rows and summary."""
+    keys: tuple[str, ...]
+    """Dotted keys of the scenario that take its value."""
+    unit: str = ""
+    """Of its values."""
+    kind: Literal["number", "integer", "boolean", "string", "table"] = "number"
+    """Of values; tables stand as JSON."""
+
+
 class CellEntry(Entry):
     """One cell of the grid."""
 
     cell: Whole
     """Its number."""
     label: str
-    """What it changes, in a line."""
+    """What it is, in a line."""
+    levels: dict[str, Any] = Field(default_factory=dict)
+    """Value of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """What it changes, by dotted key."""
 
@@ -65,13 +93,15 @@ class ManifestFile(ResultFile):
     seed: Whole = 0
     """Root of the random draws."""
     trials: Whole
-    """Of each cell."""
+    """Of each cell, at most."""
     shard: Whole | None = None
     """Trials a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibrators."""
+    factors: tuple[FactorEntry, ...] = ()
+    """What differs between cells; rows of a manifest without it hold no settings, readers take them from the cells."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
-    """Of the grid."""
+    """Of grid and design."""
     versions: dict[str, str] = Field(default_factory=dict)
     """Of what made the rows."""
     processor: str = "unknown"

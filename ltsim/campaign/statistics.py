@@ -10,16 +10,23 @@ from typing import Any
 
 import duckdb
 import pyarrow as pa
+import pyarrow.parquet as pq
 
+from ltsim.campaign.columns import TYPES
+from ltsim.campaign.design import Factor, factors_of_settings
 from ltsim.campaign.engine import FAILED
 from ltsim.campaign.rows import CHECKED
-from ltsim.campaign.schema import LEVELS, SUMMARY
+from ltsim.campaign.schema import LEVELS, ManifestFile, summary_table
 from ltsim.campaign.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.notebook import Columns, Shown, by_row
+from ltsim.recording.result_table import ResultTable
+from ltsim.units import unit_of_key
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
+MOST_EXACT = 50_000_000
+"""Rows whose quantiles are exact: these take all values of a column at once."""
 IMPROVEMENTS = ("distance", "coordinate")
 
 
@@ -81,15 +88,28 @@ class Results(Shown):
     SetupError
         When there is no campaign, none of its shards is finished yet, or one is damaged.
 
+    Attributes
+    ----------
+    manifest : ManifestFile
+    factors : tuple of Factor
+        What differs between cells: the columns of settings.
+    levels : list of dict
+        Their values in each cell, by name.
+    columns : tuple of str
+        The columns that hold results.
+    units : dict
+        Units of columns that have one, by name.
+
     Notes
     -----
-    Table `rows` holds one row a trial and method, with two columns added: ``distance_improvement_percent`` and
-    ``coordinate_improvement_percent``. Table `cells` says what each cell is.
+    Table `rows` holds one row a trial and method with the settings of its cell, and two columns added:
+    ``distance_improvement_percent`` and ``coordinate_improvement_percent``. Table `cells` says what each cell is.
     """
 
     def __init__(self, folder: Path) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
+        self.factors, self.levels = _factors(self.manifest)
         shards = store.shards()
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
@@ -98,17 +118,28 @@ class Results(Shown):
         source = f"read_parquet([{', '.join(map(_literal, shards))}], union_by_name = true)"
         try:
             store.verify(self.manifest.fingerprint)
+            self._base.register("cells", self._cells())
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+            if not {factor.name for factor in self.factors} <= set(names):  # rows of an earlier version
+                source += " JOIN (SELECT * EXCLUDE label FROM cells) USING (cell)"
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
             self.columns: tuple[str, ...] = tuple(
                 row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"
             )
+            self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
-        self._base.execute("CREATE TABLE cells (cell INTEGER, label VARCHAR)")
-        listed = [(entry.cell, entry.label) for entry in self.manifest.cells]
-        self._base.executemany("INSERT INTO cells VALUES (?, ?)", listed)
         self._folder = folder
+
+    def _cells(self) -> pa.Table:
+        """What each cell is, as columns: number, line of words, settings."""
+        listed = self.manifest.cells
+        plain = {"cell": pa.array([c.cell for c in listed], pa.int32()), "label": pa.array([c.label for c in listed])}
+        own = {
+            f.name: pa.array([level[f.name] for level in self.levels], TYPES.get(f.kind, pa.string()))
+            for f in self.factors
+        }
+        return pa.table(plain | own)
 
     def _lines(self) -> list[str]:
         manifest = self.manifest
@@ -122,10 +153,10 @@ class Results(Shown):
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:
         summary = self.summary
         return {
-            "ends": lambda: by_row(summary()["ends"]),
-            "cells": lambda: by_row([{"cell": c.cell, "label": c.label} for c in self.manifest.cells]),
-            "columns": lambda: by_row(summary()["columns"]),
-            "z_scores": lambda: by_row(summary()["z_scores"]),
+            "summary": lambda: _tidy(summary())[1],
+            "cells": self._cells().to_pydict,
+            "ends": lambda: self._with_settings(summary()["ends"]),
+            "z_scores": lambda: self._with_settings(summary()["z_scores"]),
             "rows": self._rows,
         }
 
@@ -133,6 +164,10 @@ class Results(Shown):
         rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
         names = [column[0] for column in rows.description]
         return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
+
+    def _with_settings(self, entries: list[dict[str, Any]]) -> Columns:
+        """Entries of cells as columns, the settings behind the cell's number."""
+        return by_row([{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries])
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Rows of any query over `rows` and `cells`.
@@ -156,12 +191,18 @@ class Results(Shown):
             raise unknown_name("column of these rows", column, self.columns)
         return f'"{column}"'
 
+    def _quantiles(self, value: str) -> str:
+        """SQL of the quantiles; those of very many rows would not fit into memory and come from a t-digest."""
+        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
+        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
+        return f"{kind}({value}, [{', '.join(str(level) for level in LEVELS)}])"
+
     def spread(self, column: str) -> list[Spread]:
         """Mean, spread and quantiles of a column in every cell and for every method."""
-        name, levels = self._known(column), ", ".join(str(level) for level in LEVELS)
+        name = self._known(column)
         found = self.query(
             f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
-            f"quantile_cont({name}, [{levels}]) FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
+            f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
             "ORDER BY cell, method"
         )
         return [_spread(column, row) for row in found]
@@ -194,13 +235,12 @@ class Results(Shown):
     def paired(self, column: str, first: str, second: str) -> list[Spread]:
         """`first` less `second` method on the same draws, trial by trial."""
         name = self._known(column)
-        levels = ", ".join(str(level) for level in LEVELS)
         words = [method.replace("'", "''") for method in (first, second)]
         found = self.query(
             f"WITH gap AS (SELECT a.cell AS cell, a.{name} - b.{name} AS d FROM rows a JOIN rows b "
             f"ON a.cell = b.cell AND a.trial = b.trial AND a.method = '{words[0]}' AND b.method = '{words[1]}') "
             "SELECT cell, '', count(d), avg(d), stddev_samp(d), min(d), max(d), "
-            f"quantile_cont(d, [{levels}]) FROM gap WHERE d IS NOT NULL GROUP BY cell ORDER BY cell"
+            f"{self._quantiles('d')} FROM gap WHERE d IS NOT NULL GROUP BY cell ORDER BY cell"
         )
         return [_spread(f"{column}: {first} less {second}", row) for row in found]
 
@@ -211,18 +251,52 @@ class Results(Shown):
             "format": "ltsim-campaign-summary/1",
             "title": self.manifest.title,
             "trials": self.manifest.trials,
-            "cells": [cell.model_dump() for cell in self.manifest.cells],
+            "factors": [asdict(factor) for factor in self.factors],
+            "cells": [
+                cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
+            ],
             "ends": [asdict(entry) for entry in self.checked()],
             "levels": LEVELS,
-            "columns": [asdict(entry) for column in wanted for entry in self.spread(column)],
+            "columns": [
+                asdict(entry) | {"unit": self.units.get(column, "")}
+                for column in wanted
+                for entry in self.spread(column)
+            ],
             "z_scores": [asdict(entry) for entry in self.z_scores()],
         }
 
 
 def summary_csv(summary: Mapping[str, Any]) -> str:
     """The content of `summary.csv`: one line a cell, method and column."""
-    fixed = SUMMARY.header[: -len(LEVELS)]
-    return SUMMARY.text([*(entry[name] for name in fixed), *entry["quantiles"]] for entry in summary["columns"])
+    table, columns = _tidy(summary)
+    return table.text(zip(*columns.values(), strict=True))
+
+
+def _tidy(summary: Mapping[str, Any]) -> tuple[ResultTable, Columns]:
+    """The statistics with the settings of their cells, column by column, and how they are written."""
+    table = summary_table({factor["name"]: factor["kind"] for factor in summary["factors"]})
+    levels = {cell["cell"]: cell["levels"] for cell in summary["cells"]}
+    rows = [entry | levels[entry["cell"]] for entry in summary["columns"]]
+    fixed = {name: [row[name] for row in rows] for name in table.header[: -len(LEVELS)]}
+    quantiles = {name: [row["quantiles"][k] for row in rows] for k, name in enumerate(table.header[-len(LEVELS) :])}
+    return table, fixed | quantiles
+
+
+def _factors(manifest: ManifestFile) -> tuple[tuple[Factor, ...], list[dict[str, Any]]]:
+    """What differs between cells, and its values in each; of an earlier version's folder by its settings."""
+    if manifest.factors:
+        return tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in manifest.factors), [
+            cell.levels for cell in manifest.cells
+        ]
+    found = factors_of_settings([cell.settings for cell in manifest.cells])
+    return found, [{f.name: cell.settings.get(f.keys[0]) for f in found} for cell in manifest.cells]
+
+
+def _units(schema: pa.Schema) -> dict[str, str]:
+    """Units in the metadata of a shard's columns; the added improvements are in percent."""
+    said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() or unit_of_key(f.name) for f in schema}
+    added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
+    return {name: unit for name, unit in (said | added).items() if unit}
 
 
 def _literal(path: Path) -> str:

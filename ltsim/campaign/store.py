@@ -32,7 +32,7 @@ from ltsim.errors import RecordError, SetupError
 from ltsim.recording.result_file import read_result
 
 MANIFEST, SOURCE, ROWS, LOCK = ManifestFile.FILE, "campaign.toml", "rows", ".lock"
-DIGESTS, SUMMED = "rows.sha256", SUMMARY.file
+DIGESTS, SUMMED = "rows.sha256", SUMMARY
 
 
 def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
@@ -84,6 +84,20 @@ class Store:
     def shards(self) -> list[Path]:
         """Where the finished shards lie, in their order."""
         return sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
+
+    def rows(self, cell: int, shard: int) -> pa.Table:
+        """The rows of a finished shard.
+
+        Raises
+        ------
+        SetupError
+            When it is damaged.
+        """
+        path = self.shard_path(cell, shard)
+        try:
+            return table_of(path)
+        except (pa.ArrowException, OSError) as problem:
+            raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
 
     def verify(self, fingerprint: str) -> None:
         """Make sure that every finished shard is as it was written, for the campaign of a fingerprint.

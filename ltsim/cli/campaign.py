@@ -18,6 +18,7 @@ from ltsim.recording.files import write_text
 
 if TYPE_CHECKING:
     from ltsim.campaign.campaign import Outcome
+    from ltsim.campaign.statistics import Results
 
 AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
@@ -50,7 +51,8 @@ def campaign(
         Backend.LOCAL
     ),
     scheduler: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786.")
+        str,
+        typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file."),
     ] = "",
     force: Force = False,
     *,
@@ -59,8 +61,9 @@ def campaign(
     """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
 
     The rows are the same bytes for any number of jobs, any interruption and either backend, on processors of one type
-    (the manifest names it). A cluster needs two
-    commands: `dask scheduler` on one machine, `dask worker tcp://HOST:8786` on each that works.
+    (the manifest names it). A cluster needs two commands: `dask scheduler --scheduler-file cluster.json` on one
+    machine, `dask worker --scheduler-file cluster.json` on each that works; then --backend dask
+    --scheduler cluster.json.
 
     Exit status 1: the fast solver was more than 0.001 sigma from the full one on a trial that was verified.
 
@@ -92,7 +95,7 @@ def campaign(
     summary = results.summary()
     write_text(folder / "summary.csv", summary_csv(summary))
     terminal.answer(plain(summary))
-    show(terminal, outcome, summary)
+    show(terminal, outcome, results, summary)
     worst = max((e["largest_difference_sigma"] or 0.0 for e in summary["ends"]), default=0.0)
     return 1 if worst > AGREED else 0
 
@@ -108,18 +111,18 @@ def plain(content: Any) -> Any:
     return content
 
 
-def show(terminal: Terminal, outcome: Outcome, summary: dict[str, Any]) -> None:
+def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[str, Any]) -> None:
     """The answer in tables for a person."""
     for note in outcome.notes:
         terminal.note(note)
     again = f", {outcome.kept} were finished before" if outcome.kept else ""
     terminal.say(f"{outcome.shards} shards written to {outcome.folder}{again}")
-    for cell in summary["cells"]:
-        terminal.say(f"cell {cell['cell']}: {cell['label']}")
     terminal.say()
+    settings = [[f.words(level[f.name]) for f in results.factors] for level in results.levels]
+    names = [f.name for f in results.factors]
     ends = [
         [
-            str(e["cell"]),
+            *settings[e["cell"]],
             e["method"],
             str(e["trials"]),
             str(e["failed"]),
@@ -129,16 +132,16 @@ def show(terminal: Terminal, outcome: Outcome, summary: dict[str, Any]) -> None:
         ]
         for e in summary["ends"]
     ]
-    header = ["cell", "method", "trials", "failed", "full solver", "verified", "largest difference [sigma]"]
-    terminal.say(table(header, ends, left=2))
+    header = [*names, "method", "trials", "failed", "full solver", "verified", "largest difference [sigma]"]
+    terminal.say(table(header, ends, left=len(names) + 1))
     rows = [
-        [str(c["cell"]), c["method"], c["column"], f"{c['mean']:.3f}", f"{c['low']:.3f} to {c['high']:.3f}",
+        [*settings[c["cell"]], c["method"], c["column"], f"{c['mean']:.3f}", f"{c['low']:.3f} to {c['high']:.3f}",
          f"{c['quantiles'][1]:.2f}", f"{c['quantiles'][3]:.2f}", f"{c['quantiles'][5]:.2f}"]
         for c in summary["columns"]
         if c["column"] in SHOWN
     ]  # fmt: skip
     if rows:
         terminal.say()
-        heads = ["cell", "method", "statistic", "mean", "95 % confidence", "5 %", "50 %", "95 %"]
-        terminal.say(table(heads, rows, left=3))
+        heads = [*names, "method", "statistic", "mean", "95 % confidence", "5 %", "50 %", "95 %"]
+        terminal.say(table(heads, rows, left=len(names) + 2))
     terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")

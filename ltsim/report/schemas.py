@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
 from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile, HistoryFile
-from ltsim.campaign.schema import SUMMARY, ManifestFile, RecoveryFile, trials_table
+from ltsim.campaign.schema import ManifestFile, RecoveryFile, summary_table, trials_table
 from ltsim.campaign.spec import Campaign
 from ltsim.check import files as checks
 from ltsim.diagnose import schema as diagnosis
@@ -67,7 +67,7 @@ TABLES: dict[str, tuple[ResultTable, ...]] = {
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
-    ManifestFile.FILE: (SUMMARY,),
+    ManifestFile.FILE: (summary_table({"FACTOR": "number"}),),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),

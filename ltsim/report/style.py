@@ -17,6 +17,7 @@ from typing import Any, Literal, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
@@ -26,7 +27,9 @@ from ltsim.arrays import Floats
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, PALE, INK = "#56B4E9", "#CC79A7", "#8A8F94", "#E8ECEF", "#22272B"
-CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", "#B8A200")
+CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK)
+MARKERS = "osD^vP*X"
+"""Beside the colours: what a grey print still tells apart."""
 BEFORE, AFTER = GREY, BLUE
 SEQUENTIAL, DIVERGING = "viridis", "RdBu_r"
 
@@ -43,6 +46,7 @@ READABLE = {"um": "µm", "urad": "µrad", "arcsec": '"', "deg": "°", "": ""}
 _SETTINGS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
+    "axes.prop_cycle": cycler(color=CYCLE),
     "axes.titlesize": 9.0,
     "axes.titlelocation": "left",
     "axes.titleweight": "bold",

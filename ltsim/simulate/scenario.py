@@ -27,6 +27,7 @@ from ltsim.simulate.sections import (
     Work,
     Workshop,
 )
+from ltsim.simulate.subset import in_use
 
 FORMAT = "ltsim-scenario/1"
 NONE = "none"
@@ -108,7 +109,7 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     except RecordError as problem:
         raise SetupError(str(problem)) from None
     _check(scenario, file)
-    return _with_files_beside(scenario, file)
+    return _with_files_beside(in_use(scenario, file), file)
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
@@ -131,16 +132,22 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
 
 
 def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
-    """Set one dotted key of nested tables; the value `NONE` removes it."""
+    """Set one dotted key of nested tables, entries of lists by number from 1; the value `NONE` removes it."""
     *parents, last = key.split(".")
+    inner: Any = table
     for name in parents:
-        table = table.setdefault(name, {})
-        if not isinstance(table, dict):
+        if isinstance(inner, list) and name.isdecimal() and 1 <= int(name) <= len(inner):
+            inner = inner[int(name) - 1]
+        else:
+            inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
+        if not isinstance(inner, (dict, list)):
             raise SetupError(f"{where}: {shown(key)} goes through {shown(name)}, which is no table of the scenario")
+    if not isinstance(inner, dict):
+        raise SetupError(f"{where}: {shown(key)} is no key of a table; entries of a list are numbered from 1")
     if value == NONE:
-        table.pop(last, None)
+        inner.pop(last, None)
     else:
-        table[last] = value
+        inner[last] = value
 
 
 def _with_presets(data: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -218,7 +218,13 @@ class Cmm(Section):
 
 
 class Work(Section):
-    """The order and the clock of the measurements."""
+    """How many stations and reflectors are used of those below, the order and the clock of the measurements."""
+
+    stations: Annotated[int, Field(ge=1)] | None = None
+    """How many of the stations are set up, the first of the file; all where it is not given."""
+    targets: Annotated[int, Field(ge=0)] | None = None
+    """How many of the reflectors are measured besides the gauge's, spread as widely as they can be and the same for
+    every larger number; all where it is not given."""
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
     """In which order each station points at the reflectors; levels go from the highest to the lowest."""

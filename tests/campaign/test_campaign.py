@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltsim.campaign import single, store
+from ltsim.campaign import single, statistics, store
 from ltsim.campaign.campaign import Workers, run_campaign
 from ltsim.campaign.rows import CHECKED, shard_rows, task_of
 from ltsim.campaign.spec import load_campaign
@@ -52,6 +52,50 @@ def test_rows_hold_what_the_file_asks_for(reference: dict[str, bytes], tmp_path:
     checked = table[CHECKED].drop_null().to_pylist()
     assert len(checked) == 1 and 0 < checked[0] < 1e-3
     assert "z:beam-tilt" in table.column_names and "estimate:beam-tilt" not in table.column_names
+
+
+def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, bytes], tmp_path: Path) -> None:
+    path = tmp_path / "shard.parquet"
+    path.write_bytes(reference["rows/cell-0001/shard-000002.parquet"])
+    schema = pq.read_schema(path)
+    assert schema.names[:3] == ["cell", "noise_factor", "method"]
+    assert schema.field("noise_factor").metadata == {b"unit": b"", b"keys": b"instrument.noise_factor"}
+    assert schema.field("target_error_um").metadata == {b"unit": b"um"}
+    assert set(table_of(path)["noise_factor"].to_pylist()) == {2.0}
+
+
+def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> None:
+    text = FILE.replace("trials = 600", 'trials = 2\nstatistics = ["estimates", "truth", "z-scores"]')
+    file.write_text(text + '[settings]\neffects = [{name = "range-cyclic", draw = true}]\n')
+    campaign, scenarios = load_campaign(file)
+    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    units = {field.name: (field.metadata or {})[b"unit"].decode() for field in rows.schema}
+    assert units["estimate:beam-tilt"] == units["sigma:beam-tilt"] == units["true:beam-tilt"] == "urad"
+    assert units["z:beam-tilt"] == units["chi2"] == ""
+    assert {unit for name, unit in units.items() if name.startswith("true:range-cyclic")} == {"um"}
+
+
+def test_folder_of_an_earlier_version_is_read_with_its_settings_and_not_continued(file: Path, tmp_path: Path) -> None:
+    """Its rows hold no settings, its manifest no factors: they come from the cells."""
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    now = Results(out).to_pandas()
+    manifest = json.loads((out / "manifest.json").read_text())
+    del manifest["factors"], manifest["settings"]["link"]
+    for cell in manifest["cells"]:
+        del cell["levels"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    (out / "rows.sha256").unlink()
+    for path in out.glob("rows/*/*.parquet"):
+        rows = pq.read_table(path)
+        pq.write_table(rows.drop_columns(["noise_factor"]), path)
+    results = Results(out)
+    assert [f.name for f in results.factors] == ["noise_factor"]
+    assert results.to_pandas().equals(now)
+    query = "SELECT noise_factor, count(*) FROM rows GROUP BY ALL ORDER BY 1"
+    assert results.query(query) == [(1.0, 600), (2.0, 600)]
+    with pytest.raises(SetupError, match="begun by an earlier version"):
+        run_campaign(file, out, resume=True)
 
 
 def test_two_workers_give_the_same_bytes(file: Path, tmp_path: Path, reference: dict[str, bytes]) -> None:
@@ -304,6 +348,18 @@ def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     assert [c.checked for c in results.checked()] == [3, 3]
     assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.checked())
     assert json.dumps(results.summary(), allow_nan=False)
+
+
+def test_quantiles_of_very_many_rows_come_from_a_digest(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_campaign(file, tmp_path / "out")
+    results = Results(tmp_path / "out")
+    exact = results.spread("target_error_um")[0]
+    monkeypatch.setattr(statistics, "MOST_EXACT", 1000)
+    rough = results.spread("target_error_um")[0]
+    assert rough.mean == exact.mean and rough.quantiles != exact.quantiles
+    assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.deviation
 
 
 def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:

@@ -1,17 +1,17 @@
-"""The dask backend with a real scheduler and two worker processes, one of which is killed midway."""
+"""The dask backend: a real scheduler and two worker processes, found by a cluster file, one of them killed midway."""
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
 
+from ltsim.campaign import campaign
 from ltsim.campaign.campaign import Workers, run_campaign
 from ltsim.errors import SetupError
 
@@ -44,32 +44,20 @@ def process(*arguments: str, folder: Path, root: Path) -> Iterator[subprocess.Po
         log.close()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def answers(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
 @pytest.mark.long
 def test_killed_worker_changes_nothing(tmp_path: Path, root: Path) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     file = tmp_path / "many.toml"
     file.write_text(FILE)
     run_campaign(file, tmp_path / "one")
-    port = free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    scheduler = ("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
-    worker = ("worker", address, "--nworkers", "1", "--nthreads", "1", "--no-dashboard", "--no-nanny")
+    cluster = tmp_path / "cluster.json"
+    found = ("--scheduler-file", str(cluster), "--no-dashboard")
+    scheduler = ("scheduler", "--host", "127.0.0.1", "--port", "0", *found)
+    worker = ("worker", "--nworkers", "1", "--nthreads", "1", "--no-nanny", *found)
     settings = {"folder": tmp_path, "root": root}
     with process(*scheduler, **settings):
         deadline = time.monotonic() + 60
-        while not answers(port) and time.monotonic() < deadline:
+        while not cluster.exists() and time.monotonic() < deadline:
             time.sleep(0.1)
         with process(*worker, **settings) as doomed, process(*worker, **settings) as survivor:
             finished: list[int] = []
@@ -79,12 +67,31 @@ def test_killed_worker_changes_nothing(tmp_path: Path, root: Path) -> None:
                 if len(finished) == 3:
                     doomed.kill()
 
-            workers = Workers(backend="dask", scheduler=address)
+            workers = Workers(backend="dask", scheduler=str(cluster))
             outcome = run_campaign(file, tmp_path / "cluster", workers=workers, progress=kill_one)
             assert doomed.wait(timeout=30) != 0
             assert survivor.poll() is None
     assert outcome.shards == 12
     assert contents(tmp_path / "cluster") == contents(tmp_path / "one")
+
+
+def test_workers_that_end_at_the_same_shard_are_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+
+    @contextmanager
+    def client(**_: object) -> Iterator[None]:
+        yield
+
+    def ended(**_: object) -> object:
+        raise distributed.KilledWorker("shard", None, 3)
+
+    monkeypatch.setattr(distributed, "Client", client)
+    monkeypatch.setattr(campaign, "parallel_config", lambda **_: nullcontext())
+    monkeypatch.setattr(campaign, "Parallel", ended)
+    file = tmp_path / "many.toml"
+    file.write_text(FILE)
+    with pytest.raises(SetupError, match=r"several workers ended at the same shard.*kept: go on with --resume"):
+        run_campaign(file, tmp_path / "out", workers=Workers(backend="dask", scheduler="tcp://127.0.0.1:1"))
 
 
 def test_scheduler_that_does_not_answer_is_a_sentence(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -100,11 +101,11 @@ DIAGNOSIS: dict[str, Any] = {
 
 
 def campaign_folder(folder: Path, trials: int = 60) -> Path:
-    """A campaign of two settings and two methods, own-made rows in the form of the campaign's files."""
+    """A campaign of two settings and two methods, own-made rows in the form of the first version: without settings."""
     manifest = {
         "format": "ltsim-campaign-rows/1", "title": "Own-made", "seed": 11, "trials": trials,
         "methods": ["network", "distance"],
-        "cells": [{"cell": c, "label": f"noise_factor = {c + 1}", "settings": {}} for c in range(2)],
+        "cells": [{"cell": c, "label": "", "settings": {"instrument.noise_factor": c + 1}} for c in range(2)],
         "versions": {"numpy": "2.0"}, "commit": None, "settings": {"scenario": "paper-workshop"}, "scenarios": [],
     }  # fmt: skip
     folder.mkdir(parents=True)
@@ -114,6 +115,35 @@ def campaign_folder(folder: Path, trials: int = 60) -> Path:
         place = folder / "rows" / f"cell-{cell:04d}"
         place.mkdir(parents=True)
         pq.write_table(pa.concat_tables(parts), place / "shard-000000.parquet")
+    return folder
+
+
+def sweep_folder(folder: Path, trials: int = 20) -> Path:
+    """A campaign of three by three by three settings, own-made rows in the form of the campaign's files."""
+    noise = "instrument.noise.azimuth_arcsec"
+    factors = [
+        {"name": "targets", "keys": ["work.targets"], "unit": "", "kind": "integer"},
+        {"name": "angle_noise_arcsec", "keys": [noise], "unit": "arcsec", "kind": "number"},
+        {"name": "repeats", "keys": ["work.repeats"], "unit": "", "kind": "integer"},
+    ]
+    names = [factor["name"] for factor in factors]
+    levels = [dict(zip(names, own, strict=True)) for own in product((8, 14, 24), (0.2, 0.4, 0.8), (1, 2, 4))]
+    manifest = {
+        "format": "ltsim-campaign-rows/1", "title": "Swept", "seed": 11, "trials": trials, "methods": ["network"],
+        "factors": factors, "cells": [{"cell": c, "label": "", "levels": own} for c, own in enumerate(levels)],
+        "settings": {"scenario": "paper-workshop"},
+    }  # fmt: skip
+    for cell, own in enumerate(levels):
+        rows = _rows(cell, "network", trials)
+        size = own["angle_noise_arcsec"] * 100 / np.sqrt(own["targets"] * own["repeats"])
+        error = size * (1 + 0.1 * stream(3, "sweep", cell).standard_normal(trials))
+        rows = rows.append_column("target_error_um", pa.array(error, pa.float32()))
+        for name, value in own.items():
+            rows = rows.append_column(name, pa.array([value] * trials))
+        place = folder / "rows" / f"cell-{cell:04d}"
+        place.mkdir(parents=True)
+        pq.write_table(rows, place / "shard-000000.parquet")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import io
+import itertools
 import pkgutil
+import re
 from collections.abc import Callable
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib import image
@@ -22,10 +26,13 @@ from ltsim.report.figures.acceptance import shares_of_limits
 from ltsim.report.figures.history import history_figure, told_apart
 from ltsim.report.planned import from_scenario
 from ltsim.report.residuals import Residuals
+from ltsim.report.sections.campaign import coverage_words
 from ltsim.report.workshop import from_adjustment
 from ltsim.simulate.scenario import load_scenario
 from tests.report import samples
 
+DEFAULT = {colour.lower() for colour in mpl.colors.TABLEAU_COLORS.values()}
+"""What matplotlib takes by itself: a red and a green among them that one man in twelve cannot tell apart."""
 MARKUP = "<b>$x_1$&</b>"
 
 
@@ -46,6 +53,16 @@ def by_setting() -> Figure:
         for method in ("network", "distance")
     ]
     return figures.by_setting(rows, label="improvement [%]", published=40.1)
+
+
+def by_factor() -> Figure:
+    rows = [
+        figures.Swept(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
+        for x in (1.0, 2.0, 4.0, 10.0)
+        for m, method in enumerate(("network", "distance"))
+        for panel in (1, 2)
+    ]
+    return figures.by_factor(rows, label="error [µm]", axis="noise factor", published=3.0)
 
 
 def sigmas() -> Figure:
@@ -196,7 +213,7 @@ def coverage() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        acceptance, budget, by_setting, check, correlation, coverage, criteria, displacements, distributions,
+        acceptance, budget, by_factor, by_setting, check, correlation, coverage, criteria, displacements, distributions,
         driver_curve, evidence,
         floor_plan, history, parameters, reflector_changes,
         residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
@@ -241,6 +258,7 @@ def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]
     assert first == second
     assert "<b>" not in first
     assert "<script" not in first
+    assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", first))
 
 
 def test_axes_carry_units() -> None:
@@ -266,8 +284,6 @@ def test_labels_lose_what_they_share() -> None:
 
 
 def test_drawing_changes_no_global_setting() -> None:
-    import matplotlib as mpl
-
     kept = dict(mpl.rcParams)
     criteria()
     assert dict(mpl.rcParams) == kept
@@ -284,3 +300,63 @@ def test_coverage_interval_is_wilsons() -> None:
     share, low, high = figures.ZScores("a", np.r_[np.zeros(95), np.full(5, 9.0)]).covered()
     assert share == pytest.approx(0.95)
     assert (low, high) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
+
+
+def test_coverage_is_red_exactly_where_its_caption_says() -> None:
+    z = stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
+    rows = [figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(z)]
+    colours = figures.coverage(rows).axes[0].collections[-1].get_facecolor()
+    red = [mpl.colors.to_hex(c).upper() == style.RED for c in colours]
+    assert red == figures.uncovered(rows) == [False, True, False, True, False, False]
+    words = coverage_words(rows)
+    assert words.endswith("Red, since that lies outside the allowed band of 93.5 to 96.5 %: parameter-1, parameter-3.")
+    assert "None is red" in coverage_words(rows[:1])
+
+
+def test_factors_with_words_and_designs_have_axes_that_read() -> None:
+    rows = [figures.Swept(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
+    ax = figures.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
+    spread = [figures.Swept(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
+    ax = figures.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
+    assert ax.get_xlabel() == "noise"
+
+
+def lightness_and_hue(colour: str, sight: np.ndarray) -> np.ndarray:
+    """CIE Lab of a colour as an eye with a deficiency sees it."""
+    rgb = np.array(mpl.colors.to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = np.array([[0.4125, 0.3576, 0.1805], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
+    white = np.array([0.95047, 1.0, 1.08883])
+    f = np.cbrt(np.maximum(xyz @ np.clip(sight @ linear, 0, 1) / white, 0.008856))
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+SIGHTS = {
+    "full": np.eye(3),
+    "no red cones": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no green cones": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "no blue cones": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+"""Machado, Oliveira and Fernandes 2009, whole deficiency."""
+
+
+@pytest.mark.parametrize("sight", SIGHTS)
+def test_every_pair_of_colours_is_told_apart_by_every_eye(sight: str) -> None:
+    seen = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.CYCLE}
+    for one, other in itertools.combinations(style.CYCLE, 2):
+        assert np.linalg.norm(seen[one] - seen[other]) > 14, f"{one} and {other}"
+
+
+def test_no_figure_of_the_results_has_other_line_colours_than_the_common_ones(root: Path) -> None:
+    for file in [*root.glob("results/**/*.svg"), *root.glob("docs/**/*.svg")]:
+        assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", file.read_text())), file

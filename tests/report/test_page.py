@@ -158,13 +158,36 @@ def test_nothing_to_report_is_said(tmp_path: Path) -> None:
 
 def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
     content = document(samples.campaign_folder(tmp_path / "campaign"))
-    assert content.answer.startswith("Over 60 trials in each of 2 settings, calibration improves the distance")
+    assert content.answer.startswith(
+        "Over 60 trials in each of 2 settings of noise factor, calibration improves the distance"
+    )
     titles = [block.title for block in content.sections[0].blocks]
     assert {"Distance criterion, improvement", "How the trials ended", "z-scores of the parameters"} <= set(titles)
     assert any(title.startswith("Coverage: network") for title in titles)
     html = render(content)
     assert "Seed 11." in html
     assert parsed(html).handlers == []
+
+
+def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
+    """Short names with units, lines over a factor, where it is best, and the paper's figures in sentences."""
+    section = document(samples.sweep_folder(tmp_path / "sweep")).sections[0]
+    assert "in each of 27 settings of targets, angle noise and repeats," in section.answer
+    assert (
+        "Targets err least with" in section.answer
+        and "(targets 24, angle noise 0.2 arcsec, repeats 4)" in section.answer
+    )
+    pictures = {block.title: block for block in section.blocks if block.kind == "picture"}
+    words = pictures["Distance criterion, improvement"].caption
+    assert "The paper's 40.1 (dashed) lies" in words and "middle 90 % of the trials" in words
+    assert "Error of the targets" in pictures
+    tables = {block.title: block for block in section.blocks if block.kind == "table"}
+    varied = tables["What was varied"].rows
+    assert varied[1][:2] == ["angle noise [arcsec]", "0.2, 0.4, 0.8"]
+    assert varied[2][2:] == ["work.repeats", "How many rounds."]
+    ends = tables["How the trials ended"]
+    assert list(ends.header[:4]) == ["targets", "angle noise [arcsec]", "repeats", "method"]
+    assert len({tuple(row[:3]) for row in ends.rows}) == 27
 
 
 def test_damaged_campaign_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.recording.files import write_text
-from ltsim.report.style import new_figure, styled, svg
+from ltsim.report.style import MARKERS, new_figure, styled, svg
 
 from .reliability import reliability_figure
 from .score import Row
@@ -48,12 +48,12 @@ def power_figure(summary: dict[str, Any], clean: Sequence[float]) -> Figure:
 
 
 def _power(axes: Axes, summary: dict[str, Any]) -> None:
-    for label, (kind, quantity) in CURVES.items():
+    for (label, (kind, quantity)), marker in zip(CURVES.items(), MARKERS, strict=False):
         blocks = {int(k.split("_")[1]): b[quantity] for k, b in summary.items() if k.startswith(f"{kind}_")}
         points = [(s, 100 * b["share"], 100 * b["low"], 100 * b["high"]) for s, b in sorted(blocks.items()) if b["of"]]
         if points:
             x, y, low, high = np.array(points).T
-            axes.errorbar(x, y, [y - low, high - y], marker="o", capsize=3, label=label)
+            axes.errorbar(x, y, [y - low, high - y], marker=marker, capsize=3, label=label)
     axes.set(xscale="log", xlabel="strength (noncentrality left by the ordinary adjustment)", ylabel="share [%]")
     kinds = tuple({f"{kind}_" for kind, _ in CURVES.values()})
     ticks = sorted({int(k.split("_")[1]) for k in summary if k.startswith(kinds)})

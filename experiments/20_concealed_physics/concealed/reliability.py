@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from ltsim.report.style import new_figure, styled
+from ltsim.report.style import MARKERS, new_figure, styled
 
 from .score import Row
 
@@ -81,11 +81,11 @@ def reliability_figure(rows: Sequence[Row]) -> Figure:
     figure = new_figure(4.0, width=5.0)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.6", label="as stated")
-    for kind, block in by_kind(rows).items():
+    for (kind, block), marker in zip(by_kind(rows).items(), MARKERS, strict=False):
         x = [b["stated"] for b in block["bins"]]
         y = np.array([b["right"] / b["of"] for b in block["bins"]])
         low, high = (np.array([b[k] for b in block["bins"]]) for k in ("least", "most"))
-        axes.errorbar(x, y, [np.maximum(y - low, 0.0), np.maximum(high - y, 0.0)], marker="o", capsize=3, label=kind)
+        axes.errorbar(x, y, [np.maximum(y - low, 0.0), np.maximum(high - y, 0.0)], marker=marker, capsize=3, label=kind)
     axes.set(
         xlabel="stated probability of the first finding", ylabel="share that is right", xlim=(0, 1.02), ylim=(0, 1.02)
     )

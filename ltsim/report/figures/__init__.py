@@ -1,6 +1,7 @@
 """One figure a file: each a function from data to a matplotlib Figure."""
 
 from ltsim.report.figures.budget import budget as budget
+from ltsim.report.figures.by_factor import Swept as Swept, by_factor as by_factor
 from ltsim.report.figures.by_setting import Mean as Mean, by_setting as by_setting
 from ltsim.report.figures.check import check_figure as check_figure
 from ltsim.report.figures.correlation import correlation as correlation
@@ -19,4 +20,10 @@ from ltsim.report.figures.signature import signature as signature
 from ltsim.report.figures.sky import sky as sky
 from ltsim.report.figures.trade_off import Layout as Layout, trade_off as trade_off
 from ltsim.report.figures.visibility import visibility as visibility
-from ltsim.report.figures.z_scores import ZScores as ZScores, coverage as coverage, z_scores as z_scores
+from ltsim.report.figures.z_scores import (
+    ALLOWED as ALLOWED,
+    ZScores as ZScores,
+    coverage as coverage,
+    uncovered as uncovered,
+    z_scores as z_scores,
+)

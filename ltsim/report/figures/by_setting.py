@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from ltsim.report.style import CYCLE, GREEN, category_rows, new_figure, styled
+from ltsim.report.style import CYCLE, INK, MARKERS, category_rows, new_figure, styled
 
 MOST_SETTINGS = 40
 
@@ -49,9 +49,11 @@ def by_setting(rows: Sequence[Mean], *, label: str, published: float | None = No
         colour = CYCLE[m % len(CYCLE)]
         ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, linewidth=0.9, alpha=0.7)
         ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, linewidth=3.6)
-        ax.scatter([r.mean for r in mine], y, color=colour, marker="osD^v"[m % 5], s=22, zorder=3, label=method)
+        ax.scatter(
+            [r.mean for r in mine], y, color=colour, marker=MARKERS[m % len(MARKERS)], s=22, zorder=3, label=method
+        )
     if published is not None:
-        ax.axvline(published, color=GREEN, linewidth=1.4, linestyle=(0, (4, 2)), label="the paper")
+        ax.axvline(published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
     ax.set_xlabel(label)
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=5)
     return figure

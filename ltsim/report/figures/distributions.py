@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.report.style import AFTER, INK, RED, SKY, legend_of, new_figure, number, quiet_axis, styled, unit_text
+from ltsim.report.style import AFTER, INK, SKY, legend_of, new_figure, number, quiet_axis, styled, unit_text
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,12 @@ class Distribution:
         half = 1.96 * float(np.std(self.values, ddof=1)) / np.sqrt(len(self.values)) if len(self.values) > 1 else np.nan
         mean = float(np.mean(self.values))
         return mean - half, mean + half
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Bounds of the middle 90 % of the trials."""
+        five, ninety_five = np.percentile(self.values, [5, 95])
+        return float(five), float(ninety_five)
 
     @property
     def published_percentile(self) -> float | None:
@@ -74,14 +80,14 @@ def _panel(ax: Axes, row: Distribution, source: str) -> None:
     ax.set_title(row.name, fontsize=8.5)
     ax.set_xlabel(f"[{unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
-        ax.axvline(row.published, color=RED, linewidth=1.4, linestyle=(0, (4, 2)), label=source)
+        ax.axvline(row.published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
         left = row.published > 0.5 * (low + high)
         ax.annotate(
             f"{number(row.published)} · percentile {row.published_percentile:.0f}",
             (row.published, 1.27 * top),
             xytext=(-3 if left else 3, -1),
             textcoords="offset points",
-            color=RED,
+            color=INK,
             fontsize=7.5,
             ha="right" if left else "left",
             va="top",

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ltsim.arrays import Floats
-from ltsim.report.style import BLUE, GREEN, INK, PALE, RED, SKY, category_rows, new_figure, quiet_axis, shorten, styled
+from ltsim.report.style import BLUE, INK, PALE, RED, SKY, category_rows, new_figure, quiet_axis, shorten, styled
 
 MOST_PANELS = 24
 
@@ -63,17 +63,27 @@ def z_scores(rows: Sequence[ZScores]) -> Figure:
     return figure
 
 
+ALLOWED = (0.935, 0.965)
+"""Band for the share of 95 % intervals that hold the truth."""
+
+
+def uncovered(rows: Sequence[ZScores], *, level: float = 0.95, allowed: tuple[float, float] = ALLOWED) -> list[bool]:
+    """Whether even the interval of the share that holds the truth lies outside the allowed band: what is drawn red."""
+    intervals = [row.covered(level)[1:] for row in rows]
+    return [high < allowed[0] or low > allowed[1] for low, high in intervals]
+
+
 @styled
-def coverage(rows: Sequence[ZScores], *, level: float = 0.95, allowed: tuple[float, float] = (0.935, 0.965)) -> Figure:
+def coverage(rows: Sequence[ZScores], *, level: float = 0.95, allowed: tuple[float, float] = ALLOWED) -> Figure:
     """Share of trials whose interval holds the truth, with its own uncertainty, against the allowed band."""
     figure = new_figure(0.7 + 0.2 * max(len(rows), 3))
     ax = figure.subplots()
     places = category_rows(ax, [row.name for row in rows])
     share = np.array([row.covered(level) for row in rows])
-    inside = (share[:, 2] >= allowed[0]) & (share[:, 1] <= allowed[1])
-    colours = np.where(inside, BLUE, RED)
+    outside = uncovered(rows, level=level, allowed=allowed)
+    colours = np.where(outside, RED, BLUE)
     ax.axvspan(*allowed, color=PALE, zorder=0, label=f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %")
-    ax.axvline(level, color=GREEN, linewidth=1.0, label=f"nominal {100 * level:.0f} %")
+    ax.axvline(level, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label=f"nominal {100 * level:.0f} %")
     ax.hlines(places, share[:, 1], share[:, 2], colors=colours.tolist(), linewidth=1.8)
     ax.scatter(share[:, 0], places, s=24, c=colours.tolist(), zorder=3)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")

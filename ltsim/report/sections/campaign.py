@@ -14,11 +14,13 @@ from ltsim.campaign.schema import ManifestFile
 from ltsim.campaign.statistics import Checked, Results, Scores, Spread
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Fact, Listing, Section, Table, mood, picture
+from ltsim.report.sections.sweep import cell_words, drawn, title, varied
 from ltsim.report.words import count
+from ltsim.simulate.keys import meaning_of
 
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
-MOST_CELLS = 3
+MOST_CELLS, MOST_NAMED, MOST_VALUES = 3, 3, 8
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
@@ -60,7 +62,7 @@ def campaign_section(folder: Path) -> Section:
     manifest = results.manifest
     spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
     scores, ends = results.z_scores(), results.checked()
-    blocks: list[Block] = _improvements(results, spreads)
+    blocks: list[Block] = [*_varied(results), *_improvements(results, spreads)]
     blocks += _distributions(results, spreads)
     blocks += _scores(results, scores)
     blocks += [_ends(results, ends), _statistics(results, spreads), *_score_table(results, scores)]
@@ -73,7 +75,7 @@ def campaign_section(folder: Path) -> Section:
     return Section(
         title=manifest.title or folder.name,
         kind="Campaign",
-        answer=_answer(manifest, spreads),
+        answer=_answer(results, spreads, ends),
         mood=mood(not failed),
         facts=_facts(manifest, ends, scores),
         blocks=blocks,
@@ -82,13 +84,17 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _answer(manifest: ManifestFile, spreads: Mapping[str, list[Spread]]) -> str:
-    """The first sentence."""
-    trials, cells = manifest.trials, len(manifest.cells)
-    size = f"Over {trials} trials" + (f" in each of {cells} settings" if cells > 1 else "")
+def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
+    """What was varied, what calibration is worth, and where it is best and worst."""
+    manifest, factors = results.manifest, varied(results)
+    fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
+    size = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
+    if len(manifest.cells) > 1:
+        size += f" in each of {len(manifest.cells)} settings"
+        size += f" of {_listed([title(f).partition(' [')[0] for f in factors])}" if factors else ""
     improved = spreads.get(IMPROVEMENT, [])
     if not improved:
-        return f"{size} with {', '.join(manifest.methods)}."
+        return f"{size} with {', '.join(manifest.methods)}.{_extremes(results, spreads)}"
     said = []
     for method in manifest.methods:
         means = [s for s in improved if s.method == method]
@@ -98,7 +104,28 @@ def _answer(manifest: ManifestFile, spreads: Mapping[str, list[Spread]]) -> str:
         elif means:
             low, high = min(s.mean for s in means), max(s.mean for s in means)
             said.append(f"{method} by {style.number(low)} to {style.number(high)} %")
-    return f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
+    told = f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
+    return told + _extremes(results, spreads)
+
+
+def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
+    """Where the targets err least and most."""
+    means = spreads.get("target_error_um", [])
+    if len(results.manifest.cells) < 2 or not means:
+        return ""
+    names, several = cell_words(results), len(results.manifest.methods) > 1
+    least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
+
+    def at(s: Spread) -> str:
+        half = 0.5 * (s.high - s.low)
+        method = f"{s.method}, " if several else ""
+        return f"{style.with_sigma(s.mean, half)} µm ({method}{names[s.cell]})"
+
+    return f" Targets err least with {at(least)}, most with {at(most)}."
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
@@ -119,46 +146,64 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
     return facts
 
 
-def _cell_names(results: Results) -> dict[int, str]:
-    """What each cell is, without the settings that all cells share."""
-    parts = {c.cell: c.label.split(", ") for c in results.manifest.cells}
-    shared = set.intersection(*map(set, parts.values())) if len(parts) > 1 else set()
-    own = {cell: ", ".join(p for p in words if p not in shared) for cell, words in parts.items()}
-    return {cell: label or "as the scenario" for cell, label in own.items()}
-
-
 def _published(results: Results) -> Mapping[str, float]:
     """The paper's figures for its own scenario."""
     scenario = str(results.manifest.settings.get("scenario", ""))
     return PAPER.get(scenario, {})
 
 
+def _varied(results: Results) -> list[Block]:
+    """What differs between the settings: its values, and what the keys mean that take them."""
+    rows = []
+    for factor in results.factors:
+        values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
+        shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
+        told = meaning_of(factor.keys[0]).replace("`", "")
+        rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), told])
+    return [Table("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
+
+
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
-    """Means with intervals over the settings."""
-    names = _cell_names(results)
+    """Means with intervals over the settings, and where the paper's figure lies."""
     blocks: list[Block] = []
     for column, label in LABELS.items():
-        if spreads.get(column):
-            rows = [
-                figures.Mean(
-                    names.get(s.cell, str(s.cell)), s.method, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]
-                )
-                for s in spreads[column]
-            ]
-            figure = figures.by_setting(rows, label=label, published=_published(results).get(column))
-            text = "Thick: mean with its 95 % confidence interval; thin: the middle 90 % of the trials."
-            blocks.append(picture(label.split(" [")[0].capitalize(), figure, text))
+        published = _published(results).get(column)
+        for text, figure in drawn(results, spreads.get(column, []), label, published) if spreads.get(column) else ():
+            told = "" if published is None else f" {_beside_paper(results, spreads[column], published)}"
+            blocks.append(picture(label.split(" [")[0].capitalize(), figure, text + told))
     return blocks
+
+
+def _beside_paper(results: Results, spreads: Sequence[Spread], published: float) -> str:
+    """A sentence: where the paper's figure lies outside the middle 90 % of the trials."""
+    names, paper = cell_words(results), f"The paper's {style.number(published)} (dashed) lies"
+    sides = {(s.cell, s.method): _side(published, s.quantiles[1], s.quantiles[5]) for s in spreads}
+    outside = {place: side for place, side in sides.items() if side}
+    if not outside:
+        return f"{paper} within the middle 90 % of the trials everywhere."
+    several = len(results.manifest.methods) > 1
+    where = "; ".join(
+        f"{f'{method}, ' if several else ''}{names[cell]} ({side})" for (cell, method), side in outside.items()
+    )
+    if len(outside) > MOST_NAMED or len(outside) == len(sides):
+        many = "all" if len(outside) == len(sides) else f"{len(outside)} of {len(sides)}"
+        where = f"{many} settings{' and methods' if several else ''} ({' or '.join(sorted(set(outside.values())))})"
+    return f"{paper} outside the middle 90 % of the trials in {where}."
+
+
+def _side(published: float, low: float, high: float) -> str:
+    """On which side of an interval a figure lies; empty inside."""
+    return "below" if published < low else "above" if published > high else ""
 
 
 def _distributions(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
     """Histograms of the criteria, cell by cell, for the file's first method."""
-    published, names = _published(results), _cell_names(results)
+    published, names = _published(results), cell_words(results)
     method = results.manifest.methods[0]
     wanted = [c for c in spreads if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     blocks: list[Block] = []
-    for cell in list(names)[:MOST_CELLS]:
+    for cell in list(names)[: MOST_CELLS if len(names) <= MOST_CELLS else 1]:
         rows = []
         for column in wanted:
             values = _values(results, column, cell, method)
@@ -166,12 +211,24 @@ def _distributions(results: Results, spreads: Mapping[str, list[Spread]]) -> lis
                 unit = "um" if column.endswith("_um") else "%"
                 rows.append(figures.Distribution(_column_words(column), values, unit, published.get(column)))
         if rows:
-            text = "Dark line: the middle 90 % of the trials; blue: the mean." + (
-                " Dashed: the paper's figure and the share of trials below it." if published else ""
-            )
+            text = "Dark line: the middle 90 % of the trials; blue: the mean." + _paper_among(rows)
             title = f"Distributions over trials: {method}" + (f", {names[cell]}" if len(names) > 1 else "")
             blocks.append(picture(title, figures.distributions(rows), text))
     return blocks
+
+
+def _paper_among(rows: Sequence[figures.Distribution]) -> str:
+    """Sentences on the paper's figures, which lie outside the middle 90 % of the trials or not."""
+    if all(row.published is None for row in rows):
+        return ""
+    outside = [
+        f"{row.name} (paper {style.number(row.published)}, trials {style.number(row.middle[0])} to "
+        f"{style.number(row.middle[1])})"
+        for row in rows
+        if row.published is not None and _side(row.published, *row.middle)
+    ]
+    found = f"outside the middle 90 %: {'; '.join(outside)}." if outside else "all within the middle 90 %."
+    return f" Dashed: the paper's figures and the share of trials below them; {found}"
 
 
 def _scores(results: Results, scores: Sequence[Scores]) -> list[Block]:
@@ -186,12 +243,31 @@ def _scores(results: Results, scores: Sequence[Scores]) -> list[Block]:
             if s.cell == cell and s.trials > 1
         ]
         if rows:
-            title = f"{method}, {_cell_names(results).get(cell, '')}"
+            title = f"{method}, {cell_words(results)[cell]}"
             text = "Where estimates and stated uncertainties are right, the bars follow the standard normal curve."
             blocks.append(picture(f"z-scores: {title}", figures.z_scores(rows), text))
-            text = "Red where the share of intervals that hold the truth is outside the allowed band."
-            blocks.append(picture(f"Coverage: {title}", figures.coverage(rows), text))
+            blocks.append(picture(f"Coverage: {title}", figures.coverage(rows), coverage_words(rows)))
     return blocks
+
+
+def coverage_words(rows: Sequence[figures.ZScores]) -> str:
+    """Which shares are red, and why."""
+    low, high = (f"{100 * bound:.1f}" for bound in figures.ALLOWED)
+    red = [row.name for row, out in zip(rows, figures.uncovered(rows), strict=True) if out]
+    band = f"the allowed band of {low} to {high} %"
+    if not red:
+        return f"Marks: the share with its own 95 % interval. None is red: each interval reaches into {band}."
+    return f"Marks: the share with its own 95 % interval. Red, since that lies outside {band}: {', '.join(red)}."
+
+
+def _settings(results: Results) -> tuple[list[str], dict[int, list[str]]]:
+    """The columns of settings of a table: their headers, and their cells for each cell of the campaign."""
+    factors = results.factors
+    rows = {
+        entry.cell: [f.words(level[f.name]) for f in factors]
+        for entry, level in zip(results.manifest.cells, results.levels, strict=True)
+    }
+    return [title(f) for f in factors], rows
 
 
 def _values(results: Results, column: str, cell: int, method: str) -> Floats:
@@ -212,48 +288,48 @@ def _column_words(column: str) -> str:
 
 def _ends(results: Results, ends: Sequence[Checked]) -> Table:
     """How the trials ended."""
-    names = _cell_names(results)
+    heads, own = _settings(results)
     rows = [
         [
-            names.get(e.cell, str(e.cell)), e.method, str(e.trials), str(e.failed), str(e.by_full_solver),
+            *own[e.cell], e.method, str(e.trials), str(e.failed), str(e.by_full_solver),
             str(e.checked),
             "–" if e.largest_difference_sigma is None else f"{e.largest_difference_sigma:.1e}",
         ]
         for e in ends
     ]  # fmt: skip
-    header = ["setting", "method", "trials", "failed", "by full solver", "verified", "largest difference [σ]"]
+    header = [*heads, "method", "trials", "failed", "by full solver", "verified", "largest difference [σ]"]
     note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
-    return Table("How the trials ended", header, rows, text_columns=2, note=note, marked=failed)
+    return Table("How the trials ended", header, rows, text_columns=len(heads) + 1, note=note, marked=failed)
 
 
 def _statistics(results: Results, spreads: Mapping[str, list[Spread]]) -> Table:
     """All statistics."""
-    names = _cell_names(results)
+    heads, own = _settings(results)
     rows = [
         [
-            names.get(s.cell, str(s.cell)), s.method, column, style.number(s.mean),
+            *own[s.cell], s.method, _column_words(column), results.units.get(column, ""), style.number(s.mean),
             f"{style.number(s.low)} to {style.number(s.high)}", *(style.number(s.quantiles[k]) for k in (1, 3, 5)),
         ]
         for column, entries in spreads.items()
         if column != "full_difference_sigma"
         for s in entries
     ]  # fmt: skip
-    header = ["setting", "method", "statistic", "mean", "95 % interval", "5 %", "median", "95 %"]
-    return Table(f"Statistics ({count(len(rows), 'row')})", header, rows, text_columns=3)
+    header = [*heads, "method", "statistic", "unit", "mean", "95 % interval", "5 %", "median", "95 %"]
+    return Table(f"Statistics ({count(len(rows), 'row')})", header, rows, text_columns=len(heads) + 3)
 
 
 def _score_table(results: Results, scores: Sequence[Scores]) -> list[Block]:
     """z-scores in figures."""
     if not scores:
         return []
-    names = _cell_names(results)
+    heads, own = _settings(results)
     rows = [
         [
-            names.get(s.cell, str(s.cell)), s.method, s.parameter, str(s.trials), style.fixed(s.mean, 3),
+            *own[s.cell], s.method, s.parameter, str(s.trials), style.fixed(s.mean, 3),
             style.fixed(s.deviation, 3), f"{100 * s.coverage_95:.1f} %",
         ]
         for s in scores
     ]  # fmt: skip
-    header = ["setting", "method", "parameter", "trials", "mean z", "sd of z", "coverage of 95 %"]
-    return [Table("z-scores of the parameters", header, rows, text_columns=3)]
+    header = [*heads, "method", "parameter", "trials", "mean z", "sd of z", "coverage of 95 %"]
+    return [Table("z-scores of the parameters", header, rows, text_columns=len(heads) + 2)]
