@@ -74,26 +74,18 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect that was estimated.
-
-    Attributes
-    ----------
-    effect, where : str
-        Its name, and the places to which it is confined.
-    parameters : tuple of FittedParameter
-        With its constants behind.
-    chi2_drop : float
-        By how much chi-square falls; `freedom` is the number of parameters that the recording can tell from the rest.
-    tried : int
-        Instances of which this one fits best.
-    """
+    """An effect that was estimated."""
 
     effect: str
     where: str
+    """Its name, and the places to which it is confined."""
     parameters: tuple[FittedParameter, ...]
+    """With its constants behind."""
     chi2_drop: float
+    """By how much chi-square falls; `freedom` is the number of parameters that the recording can tell from the rest."""
     freedom: int
     tried: int
+    """Instances of which this one fits best."""
 
     @property
     def p_value(self) -> float:

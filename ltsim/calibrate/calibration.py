@@ -47,21 +47,14 @@ class Fit:
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination of parameters that the recording tells little about.
-
-    Attributes
-    ----------
-    coefficients : mapping of str to float
-        Of the parameters in units of their prior sigma, normalised; those above 0.1 only.
-    gain : float
-        Share of the prior's uncertainty that the recording removed in the variance: 0 for nothing, 1 for all.
-    cure : str
-        Which further measurement would determine it.
-    """
+    """A combination of parameters that the recording tells little about."""
 
     coefficients: Mapping[str, float]
+    """Of the parameters in units of their prior sigma, normalised; those above 0.1 only."""
     gain: float
+    """Share of the prior's uncertainty that the recording removed in the variance: 0 for nothing, 1 for all."""
     cure: str
+    """Which further measurement would determine it."""
 
 
 @dataclass(frozen=True)
@@ -112,29 +105,20 @@ class NoiseRow:
 
 @dataclass(frozen=True)
 class Correction:
-    """What is applied of a calibration, and what is expected of it.
-
-    Attributes
-    ----------
-    values : (I, p) float [SI]
-        Parameters to take out of readings.
-    prior_scale : float
-        Most likely scale of the prior, in stated sigmas; `plausible_scale` from and to with 95 % on each side.
-    uncorrected, corrected : float, [m]
-        Expected error (rms) of a new point as those measured, in one set-up's frame.
-    left_out : tuple of str
-        Parameters that are not applied because targets that were held out are better without.
-    sentences : tuple of str
-        What a person should know of it.
-    """
+    """What is applied of a calibration, and what is expected of it."""
 
     values: Floats
+    """(I, p) [SI]: parameters to take out of readings."""
     prior_scale: float
+    """Most likely scale of the prior, in stated sigmas; `plausible_scale` from and to with 95 % on each side."""
     plausible_scale: tuple[float, float]
     uncorrected: float
     corrected: float
+    """[m]: expected error (rms) of a new point as those measured, in one set-up's frame."""
     left_out: tuple[str, ...] = ()
+    """Parameters that are not applied because targets that were held out are better without."""
     sentences: tuple[str, ...] = ()
+    """What a person should know of it."""
 
     @property
     def line(self) -> str:
@@ -148,82 +132,55 @@ class Correction:
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Shown):
-    """Instrument parameters with their covariance, and the network they were found in.
-
-    Attributes
-    ----------
-    method : str
-        `network`, `distance`, `distance-l1`; `adjustment` for a network without instrument parameters.
-    construction : Construction
-    instruments : tuple of str
-        Their names; one unnamed instrument is called ''.
-    values, prior_sigma : (I, p) float [SI]
-    covariance : (I p, I p) float [SI]
-        Zero for parameters that were held.
-    fit : Fit
-    undetermined : tuple of Combination
-    frame : str
-        A sentence: the frame of stations and targets.
-    stations : tuple of StationPose
-    targets : tuple of str
-    points : (T, 3) float, [m]
-    target_covariance : (T, 3, 3) float, [m^2]
-    criteria : Criteria or None
-        None where a single station leaves nothing to compare.
-    outliers : tuple of OutlierRow
-    verdict : Verdict or None
-        Which test to trust where they disagree; None for the distance methods and for what was read from a file.
-    robust : bool
-        Whether readings that do not belong were left out.
-    noise : tuple of NoiseRow
-        The noise found, where it was estimated from the readings.
-    lost_targets : tuple of str
-        Measured targets that the readings in use do not determine; they have no coordinates.
-    held : (I, p) bool
-        Parameters that were not estimated but held at their value.
-    informed : bool
-        Whether the prior came from earlier calibrations.
-    silent : (k, I p) float
-        Combinations, in prior sigmas, that a distance method left at zero.
-    correction : Correction, optional
-        What is taken out of readings and what that is expected to be worth; without one, the estimates themselves.
-    effects : tuple of FittedEffect
-        Effects of the catalogue that were estimated beside, on request.
-    notes : tuple of str
-        What a reader should know of how this came about.
-    recording : SourceEntry or None
-        Which recording it was found from; None where a file does not say.
-    adjustment : Adjustment or None
-        The adjusted network; None for a calibration that was read from a file.
-    """
+    """Instrument parameters with their covariance, and the network they were found in."""
 
     method: str
+    """`network`, `distance`, `distance-l1`; `adjustment` for a network without instrument parameters."""
     construction: Construction
     instruments: tuple[str, ...]
+    """Their names; one unnamed instrument is called ''."""
     values: Floats
     prior_sigma: Floats
+    """(I, p) [SI] each."""
     covariance: Floats
+    """(I p, I p) [SI]: zero for parameters that were held."""
     fit: Fit
     undetermined: tuple[Combination, ...]
     frame: str
+    """A sentence: the frame of stations and targets."""
     stations: tuple[StationPose, ...]
     targets: tuple[str, ...] = ()
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(T, 3) [m]."""
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """(T, 3, 3) [m^2]."""
     criteria: Criteria | None = None
+    """None where a single station leaves nothing to compare."""
     outliers: tuple[OutlierRow, ...] = ()
     verdict: Verdict | None = None
+    """Which test to trust where they disagree; None for the distance methods and for what was read from a file."""
     robust: bool = False
+    """Whether readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()
+    """The noise found, where it was estimated from the readings."""
     lost_targets: tuple[str, ...] = ()
+    """Measured targets that the readings in use do not determine; they have no coordinates."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    """(I, p): parameters that were not estimated but held at their value."""
     informed: bool = False
+    """Whether the prior came from earlier calibrations."""
     silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    """(k, I p): combinations, in prior sigmas, that a distance method left at zero."""
     correction: Correction | None = None
+    """What is taken out of readings and what that is expected to be worth; without one, the estimates themselves."""
     effects: tuple[FittedEffect, ...] = ()
+    """Effects of the catalogue that were estimated beside, on request."""
     notes: tuple[str, ...] = ()
+    """What a reader should know of how this came about."""
     recording: SourceEntry | None = None
+    """Which recording it was found from; None where a file does not say."""
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
+    """The adjusted network; None for a calibration that was read from a file."""
 
     def __post_init__(self) -> None:
         if self.held.shape != self.values.shape:
@@ -232,8 +189,7 @@ class Calibration(Shown):
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviations (I, p) of the parameters [SI]."""
-        deviation: Floats = np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
-        return deviation
+        return np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
 
     @property
     def missed(self) -> Floats:
@@ -241,8 +197,7 @@ class Calibration(Shown):
         if self.method == "network":
             unit = self.prior_sigma.ravel()
             return self.covariance / np.outer(unit, unit)
-        found: Floats = self.silent.T @ self.silent
-        return found
+        return self.silent.T @ self.silent
 
     @property
     def applied(self) -> Floats:
@@ -332,8 +287,7 @@ class Calibration(Shown):
                 + ", ".join(self.instruments)
             )
         at = np.array([self.instruments.index(name) for name in recording.instruments])
-        values: Floats = self.applied[at[recording.instrument]]
-        return values
+        return self.applied[at[recording.instrument]]
 
 
 def _axes(prefix: str, places: Floats) -> dict[str, list[float]]:

@@ -25,26 +25,18 @@ class Choice:
 
     A name is that of a parameter (`beam-tilt`), of several by their common beginning (`azimuth-eccentricity`, `J1.eX`),
     or of one instrument's alone (`beam-tilt@TRACKER`).
-
-    Attributes
-    ----------
-    parameters : sequence of str, optional
-        The only parameters to estimate; the others are held at zero.
-    without : sequence of str
-        Parameters to hold at zero.
-    hold : mapping of str to float
-        Parameters to hold at a value, in the parameter's unit.
-    prior : Known, optional
-        What earlier calibrations say, in place of the set-up's prior.
-    free : bool
-        Without a prior: parameters may be `WIDE` times as large as the set-up says, which no instrument's are.
     """
 
     parameters: Sequence[str] | None = None
+    """The only parameters to estimate; the others are held at zero."""
     without: Sequence[str] = ()
+    """Parameters to hold at zero."""
     hold: Mapping[str, float] = field(default_factory=dict)
+    """Parameters to hold at a value, in the parameter's unit."""
     prior: Known | None = None
+    """What earlier calibrations say, in place of the set-up's prior."""
     free: bool = False
+    """Without a prior: parameters may be `WIDE` times as large as the set-up says, which no instrument's are."""
 
     def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
         """The prior of a recording's instruments that follows; raises ModelError, SetupError."""

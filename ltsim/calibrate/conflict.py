@@ -24,8 +24,7 @@ def normalised(calibration: Calibration, mean: Floats | None = None) -> Floats:
     before, after = calibration.prior_sigma**2, calibration.sigma**2
     heard = ~calibration.held & (before - after > SILENT * before)
     gap = calibration.values if mean is None else calibration.values - mean
-    w: Floats = np.where(heard, gap / np.sqrt(np.where(heard, before - after, 1.0)), 0.0)
-    return w
+    return np.where(heard, gap / np.sqrt(np.where(heard, before - after, 1.0)), 0.0)
 
 
 def disagreement(calibration: Calibration) -> tuple[str, ...]:

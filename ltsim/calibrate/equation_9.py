@@ -107,8 +107,7 @@ def _step(rows: Rows, at: Floats, free: Bools, norm: Norm, box: float | None) ->
     seen = _seen(rows, free)[0][free]
     reduced = design @ seen
     if norm == "squares":
-        found: Floats = -seen @ np.linalg.lstsq(reduced, rows.residual, rcond=None)[0]
-        return found
+        return -seen @ np.linalg.lstsq(reduced, rows.residual, rcond=None)[0]
     return -seen @ least_absolute(reduced, rows.residual)
 
 

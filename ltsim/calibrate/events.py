@@ -29,27 +29,18 @@ SHARES = np.linspace(0.0, 1.0, 5)
 
 @dataclass(frozen=True)
 class Event:
-    """One step of one parameter.
-
-    Attributes
-    ----------
-    step : int
-        From calibration number `step` to the next.
-    parameter : int
-    difference, sigma : float [SI]
-        Later minus earlier, and its standard deviation by the two calibrations.
-    usual : float [SI]
-        Standard deviation of the parameter's own steps, without that of their estimates.
-    p_value : float
-        Over all steps and parameters (Bonferroni).
-    """
+    """One step of one parameter."""
 
     step: int
+    """From calibration number `step` to the next."""
     parameter: int
     difference: float
     sigma: float
+    """[SI]: later minus earlier, and its standard deviation by the two calibrations."""
     usual: float
+    """[SI]: standard deviation of the parameter's own steps, without that of their estimates."""
     p_value: float
+    """Over all steps and parameters (Bonferroni)."""
 
 
 def can_tell(history: History) -> bool:

@@ -14,21 +14,14 @@ from ltsim.remedies.undetermined import SILENT
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a calibration's readings say without its prior, in units of common prior sigmas.
-
-    Attributes
-    ----------
-    remaining : (p, p) float
-        Covariance after the calibration.
-    information : (p, p) float
-        Inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`.
-    told : (p,) float
-        `information` times the estimate that the readings alone would give.
-    """
+    """What a calibration's readings say without its prior, in units of common prior sigmas."""
 
     remaining: Floats
+    """(p, p): covariance after the calibration."""
     information: Floats
+    """(p, p): inverse covariance less that of the prior; exactly 0 for combinations with a gain under `SILENT`."""
     told: Floats
+    """(p,): `information` times the estimate that the readings alone would give."""
 
 
 def evidence(calibration: Calibration, unit: Floats) -> Evidence:

@@ -53,30 +53,23 @@ class ChiSquare:
 
 @dataclass(frozen=True)
 class Change:
-    """Later minus earlier calibration.
-
-    Attributes
-    ----------
-    first, second : str
-        Labels.
-    difference, sigma : (p,) float [SI]
-        Of each parameter, and what noise alone would make of it; 0 where neither calibration tells anything.
-    joint : ChiSquare
-        Of all parameters together.
-    """
+    """Later minus earlier calibration."""
 
     first: str
     second: str
+    """Labels."""
     difference: Floats
     sigma: Floats
+    """(p,) [SI]: of each parameter, and what noise alone would make of it; 0 where neither calibration tells anything.
+    """
     joint: ChiSquare
+    """Of all parameters together."""
 
     @property
     def p_values(self) -> Floats:
         """(p,) two-sided, of each parameter by itself."""
         z = np.divide(self.difference, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
-        values: Floats = 2.0 * special.ndtr(-np.abs(z))
-        return values
+        return 2.0 * special.ndtr(-np.abs(z))
 
     def changed(self, level: float = LEVEL) -> list[int]:
         """Places of the parameters that changed, by Holm's procedure at `level` over all of them."""
@@ -91,36 +84,25 @@ class Change:
 
 @dataclass(frozen=True)
 class Population:
-    """What an instrument's parameters are like from one calibration to the next.
-
-    Attributes
-    ----------
-    mean : (p,) float [SI]
-    spread : (p,) float [SI]
-        Standard deviation of the parameters themselves between calibrations, without that of their estimates.
-    """
+    """What an instrument's parameters are like from one calibration to the next."""
 
     mean: Floats
+    """(p,) [SI]."""
     spread: Floats
+    """(p,) [SI]: standard deviation of the parameters themselves between calibrations, without that of their estimates.
+    """
 
 
 @dataclass(frozen=True, repr=False)
 class History(Shown):
-    """Calibrations of one instrument in the order of time.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        One a calibration.
-    calibrations : tuple of Calibration
-        Each of one instrument, all with the same construction.
-    days : (K,) float, optional
-        Days since the first; None where not all are dated.
-    """
+    """Calibrations of one instrument in the order of time."""
 
     labels: tuple[str, ...]
+    """One a calibration."""
     calibrations: tuple[Calibration, ...]
+    """Each of one instrument, all with the same construction."""
     days: Floats | None = None
+    """(K,): days since the first; None where not all are dated."""
 
     @classmethod
     def of(
@@ -171,8 +153,7 @@ class History(Shown):
     @cached_property
     def values(self) -> Floats:
         """(K, p) [SI]."""
-        values: Floats = np.array([c.values[0] for c in self.calibrations])
-        return values
+        return np.array([c.values[0] for c in self.calibrations])
 
     @cached_property
     def sigma(self) -> Floats:
@@ -182,8 +163,7 @@ class History(Shown):
     @cached_property
     def prior_sigma(self) -> Floats:
         """(p,) the widest prior sigma of each parameter [SI], the unit of all that is computed here."""
-        widest: Floats = np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
-        return widest
+        return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
 
     @cached_property
     def _evidence(self) -> list[Evidence]:
@@ -194,8 +174,7 @@ class History(Shown):
         """(p, r) orthonormal combinations, in prior sigmas, that the calibrations tell something about on average."""
         remaining = np.mean([e.remaining for e in self._evidence], axis=0)
         values, vectors = linalg.eigh(remaining)
-        told: Floats = vectors[:, 1.0 - values > SILENT]
-        return told
+        return vectors[:, 1.0 - values > SILENT]
 
     @cached_property
     def _joint(self) -> Floats:
@@ -238,8 +217,7 @@ class History(Shown):
     @cached_property
     def _gain(self) -> Floats:
         """(p,) mean share of each parameter's prior variance that the readings removed."""
-        gain: Floats = 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
-        return gain
+        return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
 
     def changes(self) -> list[Change]:
         """Each calibration against the one before."""

@@ -97,8 +97,7 @@ def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.lost_targets)[recording.target]
     untied = np.isin(recording.targets, adjustment.untied)[recording.target]
-    told: Bools = ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > CONTRADICTS))
-    return told
+    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > CONTRADICTS))
 
 
 def verdict_of(adjustment: Adjustment) -> Verdict:

@@ -39,43 +39,29 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Workers:
-    """Where the work is done.
-
-    Attributes
-    ----------
-    jobs : int
-        Processes on this machine; with dask the scheduler's workers decide.
-    backend : str
-        `local` or `dask`.
-    scheduler : str
-        Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that it wrote
-        (``dask scheduler --scheduler-file cluster.json``).
-    """
+    """Where the work is done."""
 
     jobs: int = 1
+    """Processes on this machine; with dask the scheduler's workers decide."""
     backend: str = "local"
+    """`local` or `dask`."""
     scheduler: str = ""
+    """Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that it wrote (``dask scheduler
+    --scheduler-file cluster.json``).
+    """
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did.
-
-    Attributes
-    ----------
-    folder : Path
-    shards : int
-        Written now.
-    kept : int
-        Found finished.
-    notes : tuple of str
-        What a person should know: damaged shards that were done again, another commit than at the beginning.
-    """
+    """What a run did."""
 
     folder: Path
     shards: int
+    """Written now."""
     kept: int
+    """Found finished."""
     notes: tuple[str, ...]
+    """What a person should know: damaged shards that were done again, another commit than at the beginning."""
 
 
 def run_campaign(

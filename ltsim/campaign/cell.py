@@ -153,8 +153,7 @@ def _by_length(work: Fieldwork, effect: Effect, grown: float, pairs: list[int]) 
     if not pairs or work.scenario.gauge is None:
         return np.zeros((0, 0))
     frame = frame_of(work.scenario.gauge)
-    design: Floats = grown * effect.gauge_design(frame.first, frame.second, frame.points)[pairs]
-    return design
+    return grown * effect.gauge_design(frame.first, frame.second, frame.points)[pairs]
 
 
 def fitted_construction(method: Method) -> Construction:

@@ -40,19 +40,12 @@ CLOSED = 3e-5
 
 @dataclass(frozen=True)
 class BatchDistance:
-    """Batched distance calibration.
-
-    Attributes
-    ----------
-    truth : Truth
-    construction : Construction
-    method : str
-        `distance`: least squares; `distance-l1`: least absolute deviations.
-    """
+    """Batched distance calibration."""
 
     truth: Truth
     construction: Construction
     method: str = "distance"
+    """`distance`: least squares; `distance-l1`: least absolute deviations."""
 
     @cached_property
     def single(self) -> Single:
@@ -78,16 +71,14 @@ class BatchDistance:
     def _kept(self) -> Floats:
         """Combinations (q, k) that are estimated."""
         left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
-        kept: Floats = np.linalg.svd(np.eye(left.shape[1]) - left.T @ left)[0][:, : left.shape[1] - len(left)]
-        return kept
+        return np.linalg.svd(np.eye(left.shape[1]) - left.T @ left)[0][:, : left.shape[1] - len(left)]
 
     @cached_property
     def step_matrix(self) -> Floats:
         """(q, q): a step in units of the prior sigmas from half a gradient, within what is estimated."""
         rows, kept = self._mean_rows, self._kept
         normal = rows.by_unknown.T @ rows.by_unknown
-        inverse: Floats = kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
-        return inverse
+        return kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
 
     @cached_property
     def _mean_rows(self) -> Rows:
@@ -183,16 +174,14 @@ class BatchDistance:
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _readings(self, block: Block, trial: int) -> Floats:
-        readings: Floats = self.truth.recording.readings + block.deviation[:, :, trial]
-        return readings
+        return self.truth.recording.readings + block.deviation[:, :, trial]
 
     def _own(self, readings: Floats) -> Floats:
         """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
         design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
         axes = np.linalg.eigh(design.T @ design)[1]
         nearest = np.argsort(np.linalg.norm(self._kept.T @ axes, axis=0))[len(axes) - self._kept.shape[1] :]
-        own: Floats = axes[:, nearest]
-        return own
+        return axes[:, nearest]
 
     def _residual(self, block: Block, values: Floats, trials: Ints) -> Floats:
         """The terms of eq. 9 (R, B) of some trials at their parameters (I, p, B)."""
@@ -203,8 +192,7 @@ class BatchDistance:
         rows, gauge = self._pair_rows, self.problem.gauge
         stated = block.gauge_error[:, trials] / gauge.sigma[:, None]
         by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
-        residual: Floats = rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
-        return residual
+        return rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
 
     def _adjusted(self, block: Block, values: Floats) -> BatchFit:
         """The network of the corrected readings."""

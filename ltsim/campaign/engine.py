@@ -36,25 +36,18 @@ STATUSES = (CONVERGED, FULL, FAILED)
 
 @dataclass(frozen=True)
 class Calibrated:
-    """Calibrated trials of a block.
-
-    Attributes
-    ----------
-    values : (I, p, B) float [SI]
-    sigma : (I, p) float [SI]
-        Predicted standard deviations.
-    points : (T, 3, B) float, [m]
-        Adjusted targets less true ones, in any frame; NaN where the method gives none.
-    chi2 : (B,) float
-    status : (B,) int
-        Index into `STATUSES`.
-    """
+    """Calibrated trials of a block."""
 
     values: Floats
+    """(I, p, B) [SI]."""
     sigma: Floats
+    """(I, p) [SI]: predicted standard deviations."""
     points: Floats
+    """(T, 3, B) [m]: adjusted targets less true ones, in any frame; NaN where the method gives none."""
     chi2: Floats
+    """(B,)."""
     status: Ints
+    """(B,): index into `STATUSES`."""
 
 
 def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
@@ -98,20 +91,13 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class Engine:
-    """Network calibrations of trials that share a geometry.
-
-    Attributes
-    ----------
-    truth : Truth
-    construction : Construction
-        Whose parameters are estimated.
-    effects : tuple of Effect
-        Further effects that are estimated.
-    """
+    """Network calibrations of trials that share a geometry."""
 
     truth: Truth
     construction: Construction
+    """Whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
+    """Further effects that are estimated."""
 
     @cached_property
     def network(self) -> BatchNetwork:
@@ -175,8 +161,7 @@ class Engine:
         points = self.truth.state.points
         datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
         blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
-        sigma: Floats = np.sqrt(np.einsum("tii->ti", blocks))
-        return sigma
+        return np.sqrt(np.einsum("tii->ti", blocks))
 
 
 @dataclass(frozen=True)

@@ -45,22 +45,16 @@ class Clouds:
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges trials of one network.
-
-    Attributes
-    ----------
-    recording : Recording
-        With nominal readings.
-    state : State
-        The truth: poses and targets; of trials with geometries of their own, which fix the same frames, a last index
-        is the trial.
-    program_of : callable
-        Gives the chain of a construction around the nominal readings.
-    """
+    """Judges trials of one network."""
 
     recording: Recording
+    """With nominal readings."""
     state: State
+    """The truth: poses and targets; of trials with geometries of their own, which fix the same frames, a last index is
+    the trial.
+    """
     program_of: Callable[[Construction], ChainProgram]
+    """Gives the chain of a construction around the nominal readings."""
 
     @cached_property
     def seen(self) -> Bools:
@@ -86,8 +80,7 @@ class Judge:
         centre = use @ points / np.maximum(count, 1)[:, None]
         arms = np.where(use[:, :, None], points - centre[:, None], 0.0)
         spread = np.linalg.eigvalsh(np.swapaxes(arms, 1, 2) @ arms)
-        fixed: Bools = np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
-        return fixed
+        return np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
 
     @cached_property
     def _share(self) -> Floats:

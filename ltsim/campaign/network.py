@@ -38,81 +38,55 @@ TOLERANCE = 5e-5
 
 @dataclass(frozen=True)
 class BatchFit:
-    """Adjusted trials; the last index is the trial.
-
-    Attributes
-    ----------
-    pose : (S, 6, B) float
-        Translation [m] and rotation vector [rad] from the nominal pose, network frame.
-    points : (T, 3, B) float, [m]
-        Targets less nominal targets.
-    values : (I, p, B) float [SI]
-    extra : (q, B) float [SI]
-    chi2 : (B,) float
-    left : (B,) float
-        What the last step leaves of the way to the optimum, in standard deviations.
-    iterations : int
-    """
+    """Adjusted trials; the last index is the trial."""
 
     pose: Floats
+    """(S, 6, B): translation [m] and rotation vector [rad] from the nominal pose, network frame."""
     points: Floats
+    """(T, 3, B) [m]: targets less nominal targets."""
     values: Floats
+    """(I, p, B) [SI]."""
     extra: Floats
+    """(q, B) [SI]."""
     chi2: Floats
+    """(B,)."""
     left: Floats
+    """(B,): what the last step leaves of the way to the optimum, in standard deviations."""
     iterations: int
 
     @property
     def converged(self) -> Bools:
         """(B,) True where little is left; a NaN is not little."""
-        converged: Bools = self.left < TOLERANCE
-        return converged
+        return self.left < TOLERANCE
 
 
 @dataclass(frozen=True)
 class Known:
-    """What a network need not find out again.
-
-    Attributes
-    ----------
-    network : BatchNetwork
-        One of the same set-up with the same pointings elsewhere.
-    by_point : (n, 3, 3) float
-        Derivative of the nominal readings by the local points.
-    by_value : (n, 3, p) float
-        By the parameters.
-    """
+    """What a network need not find out again."""
 
     network: BatchNetwork
+    """One of the same set-up with the same pointings elsewhere."""
     by_point: Floats
+    """(n, 3, 3): derivative of the nominal readings by the local points."""
     by_value: Floats
+    """(n, 3, p): by the parameters."""
 
 
 @dataclass(frozen=True)
 class BatchNetwork:
-    """A network around its nominal state, ready to adjust any number of trials.
-
-    Attributes
-    ----------
-    recording : Recording
-        Its readings are the nominal ones: those of an ideal tracker at `state`.
-    state : State
-    construction : Construction
-        Whose parameters are estimated.
-    program : ChainProgram
-        Its chain around the nominal readings.
-    effects : tuple of Effect
-        Further effects that are estimated.
-    known : Known, optional
-        Without it everything is found out; not for networks with further effects.
-    """
+    """A network around its nominal state, ready to adjust any number of trials."""
 
     recording: Recording
+    """Its readings are the nominal ones: those of an ideal tracker at `state`."""
     state: State
     construction: Construction
+    """Whose parameters are estimated."""
     program: ChainProgram
+    """Its chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
+    """Further effects that are estimated."""
     known: Known | None = None
+    """Without it everything is found out; not for networks with further effects."""
 
     @cached_property
     def problem(self) -> NetworkProblem:
@@ -194,8 +168,7 @@ class BatchNetwork:
             raise SetupError(
                 "the network of the scenario does not determine all its unknowns: give priors or more pointings"
             )
-        inverse: Floats = inverse_of(roots[0]) * np.outer(scale, scale)
-        return inverse
+        return inverse_of(roots[0]) * np.outer(scale, scale)
 
     @cached_property
     def sigma_values(self) -> Floats:
@@ -290,8 +263,7 @@ class BatchNetwork:
     def _shift(self, x: Floats) -> Floats:
         """Shift (n, 3, B) of the readings by the further effects."""
         extra = self.split(x)[3]
-        shift: Floats = np.tensordot(self._extra_design, extra, axes=1)
-        return shift
+        return np.tensordot(self._extra_design, extra, axes=1)
 
     def _gradient(
         self,
@@ -344,14 +316,10 @@ class Stacked(BatchNetwork):
     """Networks of the same pointings in different places, a trial each, adjusted side by side.
 
     Its state, its program and what is below end in the trial; `recording` is that of the first.
-
-    Attributes
-    ----------
-    parts : tuple of BatchNetwork
-        The network of each trial.
     """
 
     parts: tuple[BatchNetwork, ...] = ()
+    """The network of each trial."""
 
     @cached_property
     def problem(self) -> NetworkProblem:
@@ -396,5 +364,4 @@ def _each(matrix: Floats, columns: Floats) -> Floats:
     """The product with columns (k, B) of one matrix, or of one (B, j, k) for each of them."""
     if matrix.ndim == 2:
         return matrix @ columns
-    product: Floats = np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T
-    return product
+    return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

@@ -23,39 +23,28 @@ PROBE = 1e-4
 
 @dataclass(frozen=True)
 class ChainProgram:
-    """M motions from the base outwards, n pointings, p parameters.
-
-    Attributes
-    ----------
-    turns : (M,) int
-        1 for a rotation, 0 for a translation.
-    axis : (M,) int
-        Coordinate axis 0, 1, 2.
-    sign : (M,) float
-    driven : (M,) int
-        Reading that drives the motion (0 range, 1 azimuth, 2 elevation), -1 for none.
-    amount : (M, n, 2) float
-        Translation in the first place, or cosine and sine of the rotation, nominal.
-    first : (M + 1,) int
-        Parameters of motion m are ``fed[first[m] : first[m + 1]]``.
-    fed : (f,) int
-    varies : (p,) int
-        1 where the basis depends on the readings.
-    basis : (p, n) float
-    slope : (p, n, 3) float
-        Derivative of the basis by the readings.
-    """
+    """M motions from the base outwards, n pointings, p parameters."""
 
     turns: Ints
+    """(M,): 1 for a rotation, 0 for a translation."""
     axis: Ints
+    """(M,): coordinate axis 0, 1, 2."""
     sign: Floats
+    """(M,)."""
     driven: Ints
+    """(M,): reading that drives the motion (0 range, 1 azimuth, 2 elevation), -1 for none."""
     amount: Floats
+    """(M, n, 2): translation in the first place, or cosine and sine of the rotation, nominal."""
     first: Ints
+    """(M + 1,): parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
     fed: Ints
+    """(f,)."""
     varies: Ints
+    """(p,): 1 where the basis depends on the readings."""
     basis: Floats
+    """(p, n)."""
     slope: Floats
+    """(p, n, 3): derivative of the basis by the readings."""
 
     @property
     def arrays(self) -> ChainArrays:

@@ -54,34 +54,26 @@ ONE_DEGREE = float(np.sqrt(2.0))
 
 @dataclass(frozen=True)
 class Trial:
-    """Errors over stated sigmas of one calibration.
-
-    Attributes
-    ----------
-    z : (p,) float
-        Of the parameters.
-    sigma : (p,) float
-        Stated, as a share of the prior sigma.
-    targets, stations : float
-        Mean square of the errors over sigma of all target coordinates, and of all poses but the first station's; NaN
-        where levels or control points define the frame.
-    chi2 : float
-    dof : int
-    standard : (p,) float
-        z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no part.
-    expected, spread : float
-        Mean and standard deviation of chi-square for that truth; NaN where they are not known.
-    """
+    """Errors over stated sigmas of one calibration."""
 
     z: Floats
+    """(p,): of the parameters."""
     sigma: Floats
+    """(p,): stated, as a share of the prior sigma."""
     targets: float
     stations: float
+    """Mean square of the errors over sigma of all target coordinates, and of all poses but the first station's; NaN
+    where levels or control points define the frame.
+    """
     chi2: float
     dof: int
     standard: Floats
+    """(p,): z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no
+    part.
+    """
     expected: float
     spread: float
+    """Mean and standard deviation of chi-square for that truth; NaN where they are not known."""
 
 
 @dataclass(frozen=True)

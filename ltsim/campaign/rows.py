@@ -39,18 +39,11 @@ CHECKED = "full_difference_sigma"
 
 @dataclass(frozen=True)
 class Task:
-    """One shard of one cell, as plain data that any worker can take.
-
-    Attributes
-    ----------
-    campaign, scenario : str
-        As JSON.
-    fingerprint : str
-    cell, shard : int
-    """
+    """One shard of one cell, as plain data that any worker can take."""
 
     campaign: str
     scenario: str
+    """As JSON."""
     fingerprint: str
     cell: int
     shard: int

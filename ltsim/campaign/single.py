@@ -76,5 +76,4 @@ def network_sigma(adjustment: Adjustment) -> Floats:
 
 def on_true_points(points: Floats, truth: Truth) -> Floats:
     """Adjusted targets (T, 3) [m] less true ones, after a rigid fit."""
-    gap: Floats = on_points(points, truth.state.points) - truth.state.points
-    return gap
+    return on_points(points, truth.state.points) - truth.state.points

@@ -210,13 +210,7 @@ class Campaign(Section):
 
 
 def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, and the scenario of each of its cells.
-
-    Raises
-    ------
-    SetupError
-        One sentence: file, key, what was found, what would be right.
-    """
+    """A campaign file, and the scenario of each of its cells; raises SetupError."""
     campaign = load_settings(path, Campaign, "campaign")
     return campaign, scenarios_of(campaign, path)
 

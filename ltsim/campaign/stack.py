@@ -29,18 +29,12 @@ from ltsim.model.measurement import State
 
 @dataclass(frozen=True)
 class Stack(Truth):
-    """Truths whose stations see the same targets; geometries end in the trial.
-
-    Attributes
-    ----------
-    truths : tuple of Truth
-        One a trial; what they share is that of the first.
-    rows : (n, B) int
-        Where the pointings of the first are in each trial, which may take them in another order.
-    """
+    """Truths whose stations see the same targets; geometries end in the trial."""
 
     truths: tuple[Truth, ...] = ()
+    """One a trial; what they share is that of the first."""
     rows: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+    """(n, B): where the pointings of the first are in each trial, which may take them in another order."""
 
     @classmethod
     def of(cls, truths: tuple[Truth, ...]) -> Stack:
@@ -134,24 +128,16 @@ def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
 def _keys(truth: Truth) -> Ints:
     """(n,) what tells a pointing from the others of its recording."""
     r = truth.recording
-    keys: Ints = ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
-    return keys
+    return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
 
 
 @dataclass(frozen=True)
 class StackCalibrator:
-    """A method on a stack: the batch for all trials at once; trial by trial whatever else, and where that gives up.
-
-    Attributes
-    ----------
-    stack : Stack
-    blocks : tuple of Block
-        Each trial by itself.
-    method : Method
-    """
+    """A method on a stack: the batch for all trials at once; trial by trial whatever else, and where that gives up."""
 
     stack: Stack
     blocks: tuple[Block, ...]
+    """Each trial by itself."""
     method: Method
 
     def alone(self, trial: int) -> Calibrator:

@@ -63,21 +63,14 @@ class Mean:
 
 @dataclass
 class Watch:
-    """What the rows say so far of the statistic that decides.
-
-    Attributes
-    ----------
-    campaign : Campaign
-        With a `stop`.
-    pairs : sequence of (int, int)
-        Cells that are neighbours.
-    read : callable
-        Gives the rows of a finished shard.
-    """
+    """What the rows say so far of the statistic that decides."""
 
     campaign: Campaign
+    """With a `stop`."""
     pairs: Sequence[tuple[int, int]]
+    """Cells that are neighbours."""
     read: Read
+    """Gives the rows of a finished shard."""
     done: dict[int, int] = field(default_factory=dict)
     means: dict[tuple[int, str], Mean] = field(default_factory=dict)
     gaps: dict[tuple[int, int, str], Mean] = field(default_factory=dict)
@@ -134,8 +127,7 @@ def statistic_of(rows: pa.Table, name: str) -> Floats:
     if not name.endswith(IMPROVEMENT):
         return column(name)
     kind = name.removesuffix(IMPROVEMENT)
-    improvement: Floats = 100.0 * (1.0 - column(f"{kind}_after_mean_um") / column(f"{kind}_before_mean_um"))
-    return improvement
+    return 100.0 * (1.0 - column(f"{kind}_after_mean_um") / column(f"{kind}_before_mean_um"))
 
 
 def looks(shards: int) -> int:

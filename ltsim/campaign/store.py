@@ -52,8 +52,7 @@ def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
         write_page_checksum=True,
         row_group_size=max(len(labelled), 1),
     )
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
+    return sink.getvalue().to_pybytes()
 
 
 def table_of(path: Path) -> pa.Table:
@@ -63,12 +62,7 @@ def table_of(path: Path) -> pa.Table:
 
 @dataclass(frozen=True)
 class Store:
-    """A campaign's folder.
-
-    Attributes
-    ----------
-    folder : Path
-    """
+    """A campaign's folder."""
 
     folder: Path
 
@@ -86,13 +80,7 @@ class Store:
         return sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
 
     def rows(self, cell: int, shard: int) -> pa.Table:
-        """The rows of a finished shard.
-
-        Raises
-        ------
-        SetupError
-            When it is damaged.
-        """
+        """The rows of a finished shard; raises SetupError when it is damaged."""
         path = self.shard_path(cell, shard)
         try:
             return table_of(path)
@@ -130,13 +118,7 @@ class Store:
         return self.manifest_path.exists()
 
     def manifest(self) -> ManifestFile:
-        """The manifest.
-
-        Raises
-        ------
-        SetupError
-            When the folder holds no campaign, or its manifest is damaged.
-        """
+        """The manifest; raises SetupError when the folder holds no campaign, or its manifest is damaged."""
         if not self.begun:
             raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})")
         try:
@@ -244,8 +226,7 @@ class Store:
 
 def _label(table: pa.Table) -> dict[str, str]:
     """What a shard says of itself."""
-    label: dict[str, str] = json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
-    return label
+    return json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
 
 
 def _digest(path: Path) -> str:

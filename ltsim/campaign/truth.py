@@ -34,84 +34,55 @@ LINEAR = 1e-3
 
 @dataclass(frozen=True)
 class TrueEffect:
-    """Physics beyond the instrument's errors, with values drawn from N(mean, sigma^2), fixed where sigma is 0.
-
-    Attributes
-    ----------
-    effect : Effect
-    mean, sigma : (q,) float [SI]
-    key : str
-        Tells its draws from those of another one like it.
-    by_length : (g, q) float
-        Change of the stated lengths in the workshop per unit; empty for none.
-    """
+    """Physics beyond the instrument's errors, with values drawn from N(mean, sigma^2), fixed where sigma is 0."""
 
     effect: Effect
     mean: Floats
     sigma: Floats
+    """(q,) [SI] each."""
     key: str = ""
+    """Tells its draws from those of another one like it."""
     by_length: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(g, q): change of the stated lengths in the workshop per unit; empty for none."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Trials as drawn; the last index is the trial.
-
-    Attributes
-    ----------
-    number : int
-    values : (I, p, B) float [SI]
-        True instrument parameters.
-    amounts : tuple of (q, B) float [SI]
-        True parameters of each further effect.
-    deviation : (n, 3, B) float, [m, rad, rad]
-        Readings less nominal readings.
-    gauge_error : (g, B) float, [m]
-        Stated less true lengths.
-    """
+    """Trials as drawn; the last index is the trial."""
 
     number: int
     values: Floats
+    """(I, p, B) [SI]: true instrument parameters."""
     amounts: tuple[Floats, ...]
+    """(q, B) [SI]: true parameters of each further effect."""
     deviation: Floats
+    """(n, 3, B) [m, rad, rad]: readings less nominal readings."""
     gauge_error: Floats
+    """(g, B) [m]: stated less true lengths."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true in a cell.
-
-    Attributes
-    ----------
-    recording : Recording
-        Its readings are the nominal ones: those of an ideal tracker at `state`.
-    state : State
-        True poses and targets, in the frame in which a calibrator starts (that of the first station).
-    sightings : Sightings
-        True geometry of the pointings, nests and all, in any frame.
-    construction : Construction
-        Of the true instrument.
-    mean, sigma : (I, p) float [SI]
-        Its errors are drawn from N(mean, sigma^2).
-    noise : (n, 3) float
-        True standard deviations of the readings, without what effects on the noise add.
-    gauge_sigma : (g,) float, [m]
-        Of the stated lengths.
-    effects : tuple of TrueEffect
-    step : (I, 3) float, [m, rad, rad]
-        Resolution of the readings; 0 for none.
-    """
+    """What is true in a cell."""
 
     recording: Recording
+    """Its readings are the nominal ones: those of an ideal tracker at `state`."""
     state: State
+    """True poses and targets, in the frame in which a calibrator starts (that of the first station)."""
     sightings: Sightings
+    """True geometry of the pointings, nests and all, in any frame."""
     construction: Construction
+    """Of the true instrument."""
     mean: Floats
     sigma: Floats
+    """(I, p) [SI]: its errors are drawn from N(mean, sigma^2)."""
     noise: Floats
+    """(n, 3): true standard deviations of the readings, without what effects on the noise add."""
     gauge_sigma: Floats
+    """(g,) [m]: of the stated lengths."""
     effects: tuple[TrueEffect, ...] = ()
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
+    """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
 
     @cached_property
     def _programs(self) -> list[tuple[Construction, ChainProgram]]:
@@ -233,8 +204,7 @@ class Truth:
         if linear is None:
             return np.stack([entry.effect.shift(self.sightings, v) for v in amounts.T], axis=2)
         constant, design = linear
-        shift: Floats = constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
-        return shift
+        return constant[:, :, None] + np.tensordot(design, amounts - entry.mean[:, None], axes=1)
 
     def _quantised(self, deviation: Floats) -> Floats:
         """Deviations (n, 3, B) that make whole steps of the readings, in place."""

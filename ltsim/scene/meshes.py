@@ -176,8 +176,7 @@ def walls(size: Floats) -> Floats:
     """Triangles (8, 3, 3) of the walls of a room of `size` (3,) [m] with a corner at the origin; normals inward."""
     mesh = trimesh.creation.box(extents=size)
     upright = np.abs(mesh.face_normals[:, 2]) < 0.5
-    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)[upright][:, ::-1] + 0.5 * size
-    return triangles
+    return np.array(mesh.triangles, dtype=np.float64)[upright][:, ::-1] + 0.5 * size
 
 
 def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
