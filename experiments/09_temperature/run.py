@@ -15,6 +15,7 @@ from experiments.common import (
     Row,
     batches,
     calibrated,
+    calibrator_for,
     cells_of,
     held_out,
     share,
@@ -26,7 +27,6 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.campaign.calibrators import calibrator_of
 from ltsim.campaign.cell import truth_of
 from ltsim.campaign.spec import Campaign, Method
 from ltsim.model.construction import Construction
@@ -53,7 +53,7 @@ def one_batch(
 ) -> dict[tuple[str, float, float], dict[str, Floats]]:
     """A batch calibrated once and used in every room after every change."""
     truth = truth_of(scenario, campaign.seed, "campaign")
-    calibrator = calibrator_of(method, truth)
+    calibrator = calibrator_for(method, truth)
     block = truth.draw(campaign.seed, number, width)
     found, columns = calibrated(truth, calibrator, block)
     draw = stream(campaign.seed, "drift", number).standard_normal(block.values.shape)
