@@ -120,7 +120,7 @@ def prior_rows(
     few = min(law["trials_as_applied"], campaign.trials)
     for cell in (cells[title] for title in law["cells"]):
         for factor in law["factors"]:
-            setting = "none" if factor == 1e6 else f"{factor:g} x"
+            setting = f"{factor:g} x"
             parts: dict[str, Columns] = {}
             for method in methods:
                 truth = with_prior(truth_of(cell.scenario, campaign.seed, "campaign"), factor)
