@@ -185,8 +185,8 @@ def figure_rows(columns: Columns, table: str) -> list[Distribution]:
         if not name.endswith("max"):
             panels.append(Distribution(title, columns[name], unit, paper))
             continue
-        panels.append(Distribution(f"{title} of averages", columns[name], unit, paper))
-        panels.append(Distribution(f"{title} of single terms", columns[name.replace("max", "single")], unit, paper))
+        panels.append(Distribution(f"{title} (averages)", columns[name], unit, paper))
+        panels.append(Distribution(f"{title} (single)", columns[name.replace("max", "single")], unit, paper))
     return panels
 
 
