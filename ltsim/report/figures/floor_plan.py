@@ -85,7 +85,7 @@ def floor_plan(
 
 
 def _walls(ax: Axes, workshop: Workshop) -> None:
-    """Sides of the floor that hold targets; one target alone near a side is the last of the wall that meets it there."""
+    """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
     word: str | None = "wall with targets"
     sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
     away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
