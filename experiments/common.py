@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
 from ltsim.campaign.calibrators import Calibrator, calibrator_of
-from ltsim.campaign.cell import truth_of
+from ltsim.campaign.cell import fitted_construction, truth_of
 from ltsim.campaign.engine import Bench, Calibrated
 from ltsim.campaign.spec import Campaign, Method, load_campaign
 from ltsim.campaign.truth import Block, Truth
@@ -141,15 +141,37 @@ def held_out(
     return {f"held_out_{name}": (shared | after)[name] for name in names}
 
 
-def compared(campaign: Campaign, scenario: Scenario, method: Method, number: int, width: int) -> dict[str, Floats]:
+def calibrator_for(method: Method, truth: Truth) -> Calibrator:
+    """The calibrator of a method; one whose name begins with 'eq. 9' finds the minimum of eq. 9 as printed."""
+    if not method.title.startswith("eq. 9"):
+        return calibrator_of(method, truth)
+    from experiments.printed import Printed  # what few experiments need
+
+    return Printed(truth, fitted_construction(method), method.method)
+
+
+def with_prior(truth: Truth, factor: float) -> Truth:
+    """The same truth where the set-up states every prior so many times as wide."""
+    setup = truth.recording.setup
+    prior = setup.instrument.prior
+    wider = {name: factor * value for name, value in prior.model_dump(exclude={"parameters"}).items()}
+    stated = setup.instrument.model_copy(update={"prior": prior.model_copy(update=wider)})
+    return replace(truth, recording=truth.recording.replace(setup=setup.model_copy(update={"instrument": stated})))
+
+
+def compared(
+    campaign: Campaign, scenario: Scenario, method: Method, number: int, width: int, *, factor: float = 1.0
+) -> dict[str, Floats]:
     """A batch of one cell by one method: at home, in the held-out room with the same instruments, per parameter.
+
+    The set-up states the priors `factor` times as wide as the errors are drawn.
 
     Besides the columns of `calibrated` and `held_out`: improvements [%], and ``miss:<parameter>``, estimate less
     truth in display units, where the fitted construction is the true one.
     """
-    truth = truth_of(scenario, campaign.seed, "campaign")
+    truth = with_prior(truth_of(scenario, campaign.seed, "campaign"), factor)
     room = load_scenario(HELD_OUT).model_copy(update={"instrument": scenario.instrument})
-    calibrator = calibrator_of(method, truth)
+    calibrator = calibrator_for(method, truth)
     block = truth.draw(campaign.seed, number, width)
     found, columns = calibrated(truth, calibrator, block)
     elsewhere = truth_of(room, campaign.seed, "held out")
@@ -173,6 +195,16 @@ def share(columns: Mapping[str, Floats], prefix: str = "") -> float:
         float(np.nanmean(columns[f"{prefix}error_{name}_um"] ** 2)) for name in ("raw", "calibrated", "true_parameters")
     )
     return (raw - after) / (raw - perfect)
+
+
+def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[float, float, float]:
+    """`share` with its 95 % interval over 500 resamples of the trials."""
+    trials = len(columns[f"{prefix}error_raw_um"])
+    rows = np.random.default_rng(0).integers(0, trials, (500, trials))
+    names = [f"{prefix}error_{name}_um" for name in ("raw", "calibrated", "true_parameters")]
+    raw, after, perfect = (np.nanmean(columns[name][rows] ** 2, axis=1) for name in names)
+    low, high = np.percentile((raw - after) / (raw - perfect), [2.5, 97.5])
+    return round(share(columns, prefix), 4), round(float(low), 4), round(float(high), 4)
 
 
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:

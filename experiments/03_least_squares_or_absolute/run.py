@@ -15,9 +15,10 @@ from experiments.common import (
     Options,
     batches,
     calibrated,
+    calibrator_for,
     cells_of,
     held_out,
-    share,
+    share_interval,
     spread_out,
     stacked,
     summary,
@@ -27,7 +28,6 @@ from experiments.common import (
 )
 from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.campaign.calibrators import calibrator_of
 from ltsim.campaign.cell import truth_of
 from ltsim.campaign.engine import Calibrated, recording_of
 from ltsim.campaign.spec import Campaign, Method
@@ -100,7 +100,7 @@ def one_batch(
     """A batch of trials by one method."""
     truth = truth_of(cells_of(HERE / "config.toml")[1][0].scenario, campaign.seed, "campaign")
     block = with_outliers(truth, truth.draw(campaign.seed, number, width), law, percent, campaign.seed)
-    calibrator = WithoutOutliers(truth) if method is None else calibrator_of(method, truth)
+    calibrator = WithoutOutliers(truth) if method is None else calibrator_for(method, truth)
     found, columns = calibrated(truth, calibrator, block)
     room = truth_of(load_scenario(HELD_OUT), campaign.seed, "held out")
     return columns | held_out(room, block.values, campaign.seed + 1, number, found, calibrator.construction)
@@ -120,8 +120,10 @@ def run(given: Options) -> Made:
             setting = f"{percent:g} % outliers"
             row: dict[str, Any] = {"outliers_percent": percent, "method": title}
             row |= {f"held_out_error_{name}_um": value for name, value in spread.items() if name != "trials"}
-            row["held_out_share"] = round(share(columns, "held_out_"), 4)
-            row["target_error_mean_um"] = summary(columns["target_error_um"])["mean"]
+            kept = share_interval(columns, "held_out_")
+            row |= dict(zip(("held_out_share", "share_low", "share_high"), kept, strict=True))
+            targets = summary(columns["target_error_um"])
+            row |= {f"target_error_{name}_um": targets[name] for name in ("mean", "low", "high")}
             table.append(row | {"trials": spread["trials"]})
             means.append(Mean(setting, title, *(spread[k] for k in ("mean", "low", "high", "p5", "p95"))))
             tell(f"{setting}, {title}: done")

@@ -19,8 +19,11 @@ from ltsim.plan.improvement import Predictor
 from ltsim.plan.information import LayoutInformation
 from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.reasons import fewest
-from ltsim.plan.spec import load_plan
-from ltsim.plan.workshop import survey_of
+from ltsim.plan.search import Searcher
+from ltsim.plan.spec import PlanFile, load_plan
+from ltsim.plan.survey import Survey
+from ltsim.plan.workshop import objective_of, site_of, survey_of
+from ltsim.randomness import stream
 from ltsim.report.figures.floor_plan import floor_plan
 from ltsim.report.planned import from_scenario
 from ltsim.simulate.scenario import Scenario
@@ -42,11 +45,45 @@ class Candidate:
     scenario: Scenario
 
 
-def candidates_of(plan: Plan, cone: float) -> list[Candidate]:
-    """The paper's own layout, the searched one of as many stations, and the fewest that match the paper's."""
+@dataclass(frozen=True)
+class Drawn:
+    """Layouts drawn under the rules of a plan and not searched: their values, and the survey of the best."""
+
+    values: Floats
+    best: Survey
+
+
+def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> Drawn:
+    """Layouts of the plan's stations drawn evenly over the floor, heights and turns, until `count` keep all rules."""
+    site = site_of(file, scenario, stations=file.stations.count, faces=scenario.work.faces)
+    search = Searcher(site, objective_of(file, site.survey))
+    corners = np.vstack([search.table(0).position.min(axis=0), search.table(0).position.max(axis=0)])
+    rng, values, best = stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
+    while len(values) < count:
+        position = rng.uniform(*corners, (256, search.stations, 3))
+        yaw = rng.uniform(0, 2 * np.pi, position.shape[:2])
+        flat = position.reshape(-1, 3)
+        seen = site.seen(flat).reshape(*yaw.shape, -1)
+        good = np.flatnonzero(site.joined(position, seen) & site.allowed(flat).reshape(yaw.shape).all(axis=1))
+        if not len(good):
+            continue
+        position, yaw, seen = position[good], yaw[good], seen[good]
+        blocks = search.reducer.blocks(position.reshape(-1, 3), yaw.ravel(), seen=seen.reshape(yaw.size, -1))
+        reduced = search.reducer.reduce(blocks, np.arange(yaw.size).reshape(yaw.shape))
+        found = search.objective.values(reduced, search.construction.size)
+        values = np.concatenate([values, found])[:count]
+        at = int(np.argmin(found[: count - len(values) + len(found)]))
+        if found[at] < best[0]:
+            best = float(found[at]), site.survey.replace(position=position[at], yaw=yaw[at], seen=seen[at])
+    return Drawn(values, best[1])
+
+
+def candidates_of(plan: Plan, cone: float, drawn: Drawn) -> list[Candidate]:
+    """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
     few = fewest(plan)
     found = [
-        Candidate("paper", cone, plan.scenario),
+        Candidate("paper, stations 2 to 5 ours", cone, plan.scenario),
+        Candidate(f"best of {len(drawn.values)} drawn", cone, with_layout(plan.scenario, drawn.best)),
         Candidate(f"searched, {len(plan.chosen.survey.position)} stations", cone,
                   with_layout(plan.scenario, plan.chosen.survey)),
     ]  # fmt: skip
@@ -163,6 +200,16 @@ def station_rows(candidate: Candidate) -> list[Row]:
     ]
 
 
+def lot_row(cone: float, drawn: Drawn, plan: Plan) -> Row:
+    """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
+    paper = d_criterion(LayoutInformation.of(survey_of(plan.scenario)).scaled_covariance)
+    named = dict(zip(("best", "p5", "median", "p95"), np.percentile(drawn.values, [0, 5, 50, 95]), strict=True))
+    of_ten = drawn.values[: len(drawn.values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
+    row = named | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.chosen.value}
+    better = {"drawn_better_than_paper_percent": round(100 * float(np.mean(drawn.values < paper)), 1)}
+    return {"cone_deg": cone, "drawn": len(drawn.values)} | {k: round(float(v), 4) for k, v in row.items()} | better
+
+
 def curve_rows(plan: Plan, cone: float) -> list[Row]:
     """Cost against quality."""
     return [
@@ -184,14 +231,17 @@ def run(given: Options) -> Made:
     config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
     trials = given.trials or config["trials"]
     file, base = load_plan(HERE / "plan.toml")
-    layouts, curve, stations, checks, summaries, reasons = [], [], [], [], [], {}
+    layouts, lots, curve, stations, checks, summaries, reasons = [], [], [], [], [], [], {}
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
         content = plan_file(plan)
         reasons[str(cone)] = [content.summary, *content.reasons]
         curve += curve_rows(plan, cone)
-        for candidate in candidates_of(plan, cone):
+        drawn = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
+        lots.append(lot_row(cone, drawn, plan))
+        tell(str(lots[-1]))
+        for candidate in candidates_of(plan, cone, drawn):
             layouts.append(quality(candidate))
             stations += station_rows(candidate)
             if cone == config["cones_deg"][0] or candidate.name.startswith("searched"):
@@ -200,9 +250,10 @@ def run(given: Options) -> Made:
                 summaries.append(summary)
                 tell(str(summary))
             figure = floor_plan(from_scenario(candidate.scenario))
-            write_figure(given.out / f"floor_{cone}_{candidate.name.split(',')[0]}.svg", figure)
+            write_figure(given.out / f"floor_{cone}_{candidate.name.split(',')[0].split()[0]}.svg", figure)
     for name, table in (
-        ("layouts", layouts), ("tradeoff", curve), ("stations", stations), ("parameters", checks), ("check", summaries),
+        ("layouts", layouts), ("unsearched", lots), ("tradeoff", curve), ("stations", stations),
+        ("parameters", checks), ("check", summaries),
     ):  # fmt: skip
         write_table(given.out / f"{name}.csv", table)
     return Made(config["seed"], trials, {"reasons": reasons})

@@ -22,7 +22,7 @@ from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent
 
-MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(2400, 1500, 0), yaw_deg=20)
+MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 700, 0), yaw_deg=20)
 
 
 def with_machine(scenario: Scenario) -> Scenario:

@@ -28,7 +28,7 @@ LEFT_OUT = EffectEntry(name="mesh-expansion", draw=True)
 
 def scenario_of(*, weather: bool, nests: bool, left_out: bool) -> Scenario:
     """The paper's workshop with some of the type B effects drawn anew in every trial."""
-    plain = load_scenario("paper-workshop")
+    plain = load_scenario("paper-workshop-re-aimed")
     effects: list[EffectEntry] = []
     if weather:
         effects += [EffectEntry(name="station-weather", stations=(s,), draw=True) for s in plain.stations]

@@ -17,7 +17,9 @@ from ltsim.scene.visibility import cone_opening, shadow_radius
 from ltsim.units import DEGREE, MILLIMETRE
 
 SECOND_OPENING = 110.0 * DEGREE
-"""The other reading of the paper's shadow cone (mission: section 2)."""
+"""The other reading of the paper's shadow cone (section 2.3.2)."""
+FACING, FLUSH = 0.25, 0.2
+"""Least component of a nest's look across its wall, and how far [m] nests of one wall differ in depth at most."""
 
 
 @dataclass(frozen=True)
@@ -236,15 +238,18 @@ def _elevation_min(setup: Setup) -> float:
 
 
 def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
-    """Axis, side (the sign of the free side) and place [m] of upright planes with at least four nests on them."""
+    """Axis, side (the sign of the free side) and place [m] of upright planes that at least four nests stand on.
+
+    Their nests look away from them, straight or aimed at the stations, and nothing stands behind them.
+    """
     planes = []
-    upright = np.isfinite(normal[:, 0]) & (np.abs(normal[:, 2]) < 0.1)
     for axis in range(2):
         for side in (1.0, -1.0):
-            here = upright & (side * normal[:, axis] > 0.99)
-            depth = points[here, axis]
-            if here.sum() >= 4 and np.ptp(depth) < 0.3:
-                planes.append((axis, side, side * (float(np.min(side * depth)) - 0.05)))
+            depth = side * points[:, axis]
+            last = float(depth.min())
+            looking = np.nan_to_num(side * normal[:, axis]) > FACING
+            if np.sum(looking & (depth < last + FLUSH)) >= 4:
+                planes.append((axis, side, side * (last - 0.05)))
     return planes
 
 

@@ -23,7 +23,7 @@ from ltsim.simulate.simulator import exact_readings, measure, noise_sigma
 BUILTIN = (
     "paper-workshop",
     "paper-workshop-two-face",
-    "paper-workshop-fixed-nests",
+    "paper-workshop-re-aimed",
     "paper-laboratory",
     "two-trackers",
 )

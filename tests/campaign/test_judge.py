@@ -21,7 +21,7 @@ SEEN_BY_LAST = (3, 3, 2, 3, 2, 3, 3, 2)
 
 
 def with_far_station(*, levelled: bool) -> Scenario:
-    table = load_scenario("paper-workshop").model_dump(mode="json", by_alias=True, exclude_none=True)
+    table = load_scenario("paper-workshop-re-aimed").model_dump(mode="json", by_alias=True, exclude_none=True)
     table["instrument"]["limits"]["range_max_mm"] = 5300.0
     table["stations"]["S6"] = {"position_mm": [6000.0, 5000.0, 1900.0], "yaw_deg": 225.0}
     for station in table["stations"].values():
@@ -65,7 +65,7 @@ def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
 
 
 def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
-    truth = truth_of(load_scenario("paper-workshop"), 3, "campaign")
+    truth = truth_of(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
     judge, draw = Bench(truth).judge, np.random.default_rng(5)
     points = 1e-5 * draw.standard_normal((*truth.state.points.shape, 4))
     whole = judge.target_error(points)

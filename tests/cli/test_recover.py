@@ -19,7 +19,7 @@ draw = true
 
 
 def test_passes_on_the_paper_workshop(capsys, tmp_path: Path) -> None:
-    assert run(["recover", "paper-workshop", "--trials", "20", "--out", str(tmp_path), "--json"]) == 0
+    assert run(["recover", "paper-workshop-re-aimed", "--trials", "20", "--out", str(tmp_path), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["passed"]
     assert content["trials"] == content["converged"] == 20
@@ -48,18 +48,18 @@ def test_junit_names_every_check_and_what_failed(capsys, tmp_path: Path) -> None
     failed = [case for case in suite if len(case)]
     assert int(suite.attrib["failures"]) == len(failed) > 0
     assert "recover.chi-square" in {case.attrib["classname"] for case in failed}
-    assert run(["recover", "paper-workshop", "-n", "2", "--junit", str(junit)]) == 2
+    assert run(["recover", "paper-workshop-re-aimed", "-n", "2", "--junit", str(junit)]) == 2
     assert "junit.xml" in capsys.readouterr().err
 
 
 def test_a_construction_that_does_not_fit_the_scenario(capsys, tmp_path: Path) -> None:
-    assert run(["recover", "paper-workshop", "--construction", "dh", "--trials", "2"]) == 2
+    assert run(["recover", "paper-workshop-re-aimed", "--construction", "dh", "--trials", "2"]) == 2
     assert "recover with its own construction" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("jobs", ["2"])
 def test_the_same_for_any_number_of_workers(jobs: str, capsys, tmp_path: Path) -> None:
     for count, place in (("1", "one"), (jobs, "more")):
-        run(["recover", "paper-workshop", "-n", "6", "--jobs", count, "--out", str(tmp_path / place), "-q"])
+        run(["recover", "paper-workshop-re-aimed", "-n", "6", "--jobs", count, "--out", str(tmp_path / place), "-q"])
     one, more = (tmp_path / place / "trials.csv" for place in ("one", "more"))
     assert one.read_bytes() == more.read_bytes()

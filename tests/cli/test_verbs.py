@@ -297,7 +297,7 @@ def without_extras(commands: list[str], folder: Path) -> subprocess.CompletedPro
 def test_a_plain_installation_does_all_but_campaigns(workplace: Path, tmp_path: Path) -> None:
     commands = [
         f"evaluate {workplace / 'rec'} --calibration {workplace / 'cal'}",
-        "recover paper-workshop --trials 2 --out checked",
+        "recover paper-workshop-re-aimed --trials 2 --out checked",
         f"correct {workplace / 'rec'} --calibration {workplace / 'cal'} --out corrected",
         "report corrected",
         "plan --show paper-workshop",

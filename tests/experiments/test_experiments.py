@@ -71,21 +71,28 @@ def one(file: Path, **wanted: str) -> dict[str, str]:
 
 def test_the_papers_tables(run: Run) -> None:
     out = run("01_paper_tables", 3)
-    after = {"figure": "distance_after_mean", "method": "distance"}
+    after = {"figure": "distance_after_mean", "method": "eq. 9"}
     specified = one(out / "table_3.csv", cell="as specified", **after)
-    scattered = one(out / "table_3.csv", cell="scatter 2.2 x, errors 0.6 x", **after)
+    scattered = one(out / "table_3.csv", cell="scatter 2.8 x, errors 0.7 x", **after)
     assert float(specified["mean"]) < 10 < 15 < float(scattered["mean"]) < 20
-    assert len(table(out / "table_4.csv", figure="distance_improvement_percent")) == 3 * 7
+    assert len(table(out / "table_4.csv", figure="distance_improvement_percent", method="eq. 9")) == 3 * 7
 
 
 def test_the_network_is_nearer_to_the_truth(run: Run) -> None:
     out = run("02_network_against_distance", 8)
-    cell = "scatter 2.2 x, errors 0.6 x"
-    shares = {
-        m: float(one(out / "share_removed.csv", cell=cell, method=m)["share_removed"]) for m in ("distance", "network")
-    }
-    assert 0.5 < shares["distance"] < shares["network"] < 1.0
-    assert len(table(out / "parameters.csv")) == 2 * 16
+    cell = "scatter 2.8 x, errors 0.7 x"
+    methods = ("eq. 9", "distance", "network")
+    shares = [float(one(out / "share_removed.csv", cell=cell, method=m)["share"]) for m in methods]
+    assert shares[0] < shares[1] < shares[2] < 1.0
+    assert len(table(out / "parameters.csv")) == 3 * 16
+    for norm, name in (("squares, mm^2", "eq. 9, squares"), ("absolute, mm", "eq. 9, absolute")):
+        reached = table(out / "minimum.csv", cell=cell, norm=norm)
+        assert {row["method"]: row["is_the_least_in"] for row in reached if row["is_the_least_in"] != "0"} == {
+            name: "8"
+        }
+    wide = table(out / "priors.csv", cell=cell, prior="1000 x")
+    errors = {row["method"]: float(row["held_out_error_mean_um"]) for row in wide}
+    assert errors["network, as applied"] < errors["network"] < errors["distance"] == errors["eq. 9"]
 
 
 def test_removing_outliers_beats_bearing_them(run: Run) -> None:
@@ -154,7 +161,7 @@ def test_more_noise_more_error(run: Run) -> None:
 def test_a_cold_instrument_is_calibrated_less_well(run: Run) -> None:
     out = run("09_temperature", 4)
     known = {
-        "cell": "gauge lengths right at 27 C",
+        "cell": "gauge right at 27 C",
         "method": "network",
         "used_in": "large room",
         "air_ppm_per_k": "0.0",

@@ -40,13 +40,13 @@ def flipped(slot: str) -> Construction:
     return dataclasses.replace(construction, chain=chain)
 
 
-@pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
+@pytest.mark.parametrize("name", ["paper-workshop-re-aimed", "paper-workshop-two-face"])
 def test_a_correct_model_passes(name: str) -> None:
     assert [c.sentence() for c in run_recovery(name, 40).failures()] == []
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
+@pytest.mark.parametrize("name", ["paper-workshop-re-aimed", "paper-workshop-two-face"])
 def test_a_correct_model_passes_many_trials(name: str) -> None:
     assert [c.sentence() for c in run_recovery(name, 400, jobs=2).failures()] == []
 
@@ -54,7 +54,7 @@ def test_a_correct_model_passes_many_trials(name: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("method", ["distance", "distance-l1"])
 def test_the_paper_methods_state_their_uncertainty_too(method: str) -> None:
-    assert [c.sentence() for c in run_recovery("paper-workshop", 200, method=method, jobs=2).failures()] == []
+    assert [c.sentence() for c in run_recovery("paper-workshop-re-aimed", 200, method=method, jobs=2).failures()] == []
 
 
 @pytest.mark.long
@@ -78,19 +78,19 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
     from ltsim.effects import BASELINE
 
     without = misalignment(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
-    failures = run_recovery("paper-workshop", 25, construction=without).failures()
+    failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failures()
     assert "chi-square" in {failure.what for failure in failures}
 
 
 def test_understated_noise_fails() -> None:
-    scenario = load_scenario("paper-workshop")
+    scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
     result = Recovery(misalignment().names, tuple(recover(noisy, 40, seed=1)))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 
 def test_errors_are_drawn_whatever_the_scenario_says() -> None:
-    scenario = load_scenario("paper-workshop")
+    scenario = load_scenario("paper-workshop-re-aimed")
     fixed = scenario.model_copy(
         update={"instrument": scenario.instrument.model_copy(update={"errors": {"beam-tilt": 900.0}})}
     )
@@ -116,7 +116,7 @@ def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
 
 def test_a_stated_error_far_off_its_prior_is_said_not_to_be_recovered() -> None:
     """A range scale stated 20 prior sigmas large, which the gauge alone tells."""
-    scenario = with_errors("paper-workshop", draw=True, range_scale=40.0)
+    scenario = with_errors("paper-workshop-re-aimed", draw=True, range_scale=40.0)
     failures = lt.recover(scenario, trials=25, seed=4).failures()
     assert "range-scale" in {failure.what for failure in failures}
     assert any("coverage" in failure.statistic for failure in failures)
@@ -183,7 +183,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
 
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (N, d) of parameters, targets and poses on one geometry, their stated sigmas, and inner-datum ratios."""
-    scenario = from_prior(load_scenario("paper-workshop"))
+    scenario = from_prior(load_scenario("paper-workshop-re-aimed"))
     work = fieldwork(scenario, 5)
     errors, sigmas, inner = [], [], []
     for trial in range(trials):

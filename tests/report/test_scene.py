@@ -100,7 +100,7 @@ def test_scenario_stands_as_planned() -> None:
 
 def test_obstacle_hides_and_is_drawn() -> None:
     scenario = load_scenario("paper-workshop")
-    press = Obstacle(name="press", box_mm=(1200, 800, 2600), position_mm=(2300, 1500, 0))
+    press = Obstacle(name="press", box_mm=(1200, 800, 2600), position_mm=(1500, 1500, 0))
     room = scenario.workshop.model_copy(update={"obstacles": (press,)})
     shown = planned.from_scenario(scenario.model_copy(update={"workshop": room}))
     assert shown.sights is not None
@@ -113,5 +113,5 @@ def test_obstacle_hides_and_is_drawn() -> None:
     assert len(dotted) == len(shown.hidden)
     plotter, _ = scene3d.build(shown)
     bounds = plotter.actors["obstacles"].bounds
-    assert bounds == pytest.approx((1.7, 2.9, 1.1, 1.9, 0.0, 2.6))
+    assert bounds == pytest.approx((0.9, 2.1, 1.1, 1.9, 0.0, 2.6))
     plotter.close()

@@ -28,6 +28,16 @@ def test_walls_stand_behind_the_nests(scene: workshop.Workshop) -> None:
     assert scene.walls[1, :, 1] == pytest.approx(-0.05, abs=2e-3)
 
 
+def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
+    from ltsim.simulate.scenario import load_scenario
+    from ltsim.simulate.simulator import simulate
+
+    walls = workshop.from_recording(simulate(load_scenario("paper-workshop"), 7)[0]).walls
+    assert walls.shape == (2, 4, 3)
+    for axis in range(2):
+        assert np.abs(walls[axis, :, axis]).max() < 0.1
+
+
 def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop.Workshop) -> None:
     narrow, wide = scene.openings
     assert np.degrees([narrow, wide]) == pytest.approx([70.0, 110.0])

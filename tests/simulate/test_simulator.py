@@ -21,7 +21,7 @@ from ltsim.simulate.simulator import exact_readings, measure, simulate
 from ltsim.simulate.truth import Truth
 from ltsim.units import ARCSECOND, MICROMETRE
 
-PAPER = load_scenario("paper-workshop")
+PAPER = load_scenario("paper-workshop-re-aimed")
 TWO_FACE = load_scenario("paper-workshop-two-face")
 SILENT = {"noise_factor": 0.0, "errors": {}, "resolution": {"distance_um": 0.0, "angle_arcsec": 0.0}}
 
@@ -244,7 +244,7 @@ def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
     np.testing.assert_array_equal(first.points, second.points)
     np.testing.assert_array_equal(one.target, two.target)
     assert all(first.instrument[n] != second.instrument[n] for n in first.instrument)
-    assert np.all(one.readings != two.readings)
+    assert np.mean(one.readings != two.readings) > 0.98  # a few round to the same step
 
 
 def test_orders_of_the_work() -> None:

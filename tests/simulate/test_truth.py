@@ -20,7 +20,7 @@ EFFECTS = [
 
 @pytest.fixture(scope="module")
 def truth() -> Truth:
-    data = load_scenario("paper-workshop-fixed-nests").model_dump(by_alias=True, exclude_none=True)
+    data = load_scenario("paper-workshop").model_dump(by_alias=True, exclude_none=True)
     return simulate(Scenario.model_validate({**data, "effects": EFFECTS}), 3)[1]
 
 

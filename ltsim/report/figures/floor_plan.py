@@ -85,11 +85,14 @@ def floor_plan(
 
 
 def _walls(ax: Axes, workshop: Workshop) -> None:
-    """Sides of the floor that hold targets."""
+    """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
     word: str | None = "wall with targets"
-    for start, end in zip(workshop.floor, np.roll(workshop.floor, -1, axis=0), strict=True):
-        if np.any(distance(np.stack([start, end]), workshop.points[:, :2]) < ON_A_WALL):
-            ax.plot([start[0], end[0]], [start[1], end[1]], color=INK, linewidth=3.0, zorder=1, label=word)
+    sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
+    away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
+    nearest = np.where(away.min(axis=0) < ON_A_WALL, away.argmin(axis=0), -1)
+    for number, side in enumerate(sides):
+        if np.sum(nearest == number) >= 2:
+            ax.plot(*side.T, color=INK, linewidth=3.0, zorder=1, label=word)
             word = None
 
 

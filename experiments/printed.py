@@ -1,0 +1,67 @@
+"""Eq. 9 of the paper as printed, for trials that share a geometry: no combination is left at zero.
+
+`BatchDistance` with every combination that changes a compared distance at all. Weak combinations move far, so each
+step takes the trial's own matrix, of least squares too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.calibrate.distance_solver import Estimate
+from ltsim.calibrate.equation_9 import solve_equation_9
+from ltsim.campaign.distance import CLOSED, BatchDistance
+from ltsim.campaign.single import Single
+from ltsim.campaign.truth import Block
+
+CAP = 30
+
+
+@dataclass(frozen=True)
+class Printed(BatchDistance):
+    """The minimum of eq. 9: `method` is `distance` for least squares, `distance-l1` for least absolute deviations."""
+
+    @cached_property
+    def single(self) -> Single:
+        """The calibrator that users have."""
+        return Single(self.truth, self.construction, (), self.method.replace("distance", "equation-9"))
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """At nominal readings."""
+        return solve_equation_9(self.problem, "squares" if self.method == "distance" else "absolute")
+
+    def _own(self, readings: Floats) -> Floats:
+        """All combinations (q, k) that the objective sees."""
+        return self._kept
+
+    def minimum(self, block: Block) -> Floats:
+        """Parameters (I, p, B) [SI] at the minimum."""
+        everyone = np.arange(block.deviation.shape[2])
+        return (self._squares(block) if self.method == "distance" else self._absolute(block, everyone))[0]
+
+    def _squares(self, block: Block) -> tuple[Floats, Floats]:
+        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
+        prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
+        unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
+        for _ in range(CAP):
+            active: Ints = np.flatnonzero(moved >= CLOSED)
+            if not len(active):
+                break
+            residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
+            for gap, trial in zip(residual.T, active.tolist(), strict=True):
+                by_unknown = self.problem.by_parameter(self._readings(block, trial), unknowns[:, trial])
+                design = self._pair_rows.compare @ (by_unknown @ self._kept)
+                step = self._kept @ np.linalg.solve(design.T @ design, -design.T @ gap)
+                unknowns[:, trial] += step
+                moved[trial] = np.abs(step).max()
+        return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
+
+    def reached(self, block: Block, values: Floats) -> Floats:
+        """Eq. 9 (B,) at parameters (I, p, B) [SI]: [m^2], or [m] for absolute deviations."""
+        residual = self._residual(block, values, np.arange(values.shape[2]))
+        return np.sum(residual**2 if self.method == "distance" else np.abs(residual), axis=0)
