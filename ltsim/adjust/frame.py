@@ -10,7 +10,7 @@ from ltsim.adjust.marks import Marks
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
-from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.recording.recording import Recording
 from ltsim.units import DEGREE, MILLIMETRE
 
@@ -181,14 +181,3 @@ def upright_alignment(source: Floats, goal: Floats, before: Floats | None = None
     rotation = about_z(float(yaw))
     translation: Floats = goal.mean(axis=0) - rotation @ source.mean(axis=0)
     return rotation if before is None else rotation @ before, translation
-
-
-def smallest_turn(axis: Floats, goal: Floats) -> Floats:
-    """The smallest rotation (3, 3) that turns a unit vector into another."""
-    across, cosine = np.cross(axis, goal), float(axis @ goal)
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-12 and cosine > 0:
-        return np.eye(3)
-    if sine < 1e-12:
-        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    return from_rotation_vector(across / np.linalg.norm(across) * np.arctan2(sine, cosine))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ltsim.adjust.fitting import Sight, fit_point, fit_pose
-from ltsim.adjust.frame import VERTICAL, Frame, smallest_turn, upright_alignment
+from ltsim.adjust.frame import VERTICAL, Frame, upright_alignment
 from ltsim.adjust.pairs import Pairs
 from ltsim.adjust.rows import GaugeRows
 from ltsim.adjust.seeds import LEAST_BEAMS, multilaterate, relative_orientation
@@ -16,6 +16,7 @@ from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rigid import holds_pose
+from ltsim.geometry.rotations import smallest_turn
 from ltsim.model.measurement import lift_of
 from ltsim.recording.recording import Recording
 

@@ -33,3 +33,14 @@ def quaternion(matrix: Floats) -> Floats:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(matrix).as_quat()
+
+
+def smallest_turn(axis: Floats, goal: Floats) -> Floats:
+    """The smallest rotation (3, 3) that turns a unit vector into another."""
+    across, cosine = np.cross(axis, goal), float(axis @ goal)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12 and cosine > 0:
+        return np.eye(3)
+    if sine < 1e-12:
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return from_rotation_vector(across / np.linalg.norm(across) * np.arctan2(sine, cosine))

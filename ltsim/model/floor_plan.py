@@ -11,10 +11,12 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.recording.recording import Recording
 from ltsim.units import DEGREE, MILLIMETRE
 
+UPRIGHT = 5 * DEGREE
+"""How far the axes of instruments on tripods part, as seen in the length of their mean."""
 ROUGH = 3 * DEGREE
 """How well a floor plan knows directions: frames that agree so well are one frame."""
 
@@ -35,7 +37,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         return np.eye(3)
     setups = [recording.station_setup(name) for name in recording.stations]
-    turn = _by_positions([s.position_mm for s in setups], position)
+    turn = _by_positions([s.position_mm for s in setups], position, rotation)
     if turn is None:
         turn = _by_yaws([s.yaw_deg for s in setups], rotation)
     if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < ROUGH:
@@ -43,16 +45,22 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     return turn
 
 
-def _by_positions(stated: list[tuple[float, float, float] | None], position: Floats) -> Floats | None:
+def _by_positions(stated: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
+    """By the rough places of three or more stations; upright instruments know the vertical far better than these."""
     known = [i for i, p in enumerate(stated) if p is not None]
     if len(known) < 3:
         return None
     plan = np.array([stated[i] for i in known], dtype=np.float64) * MILLIMETRE
+    axis = rotation[known, :, 2].mean(axis=0)
+    level, here = np.eye(3), position[known]
+    if np.linalg.norm(axis) > np.cos(UPRIGHT):
+        level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
+        here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
     try:
-        turn, _ = align(plan, position[known])
+        turn, _ = align(plan, here)
     except NetworkError:
         return None
-    return turn
+    return level.T @ turn
 
 
 def _by_yaws(stated: list[float | None], rotation: Floats) -> Floats | None:

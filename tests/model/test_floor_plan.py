@@ -10,6 +10,8 @@ from ltsim.model.floor_plan import plan_rotation
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station
+from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.simulator import simulate
 from tests.networks import STATIONS, YAWS, network
 
 ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))
@@ -54,3 +56,12 @@ def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
 def test_without_a_plan_nothing_is_turned() -> None:
     recording, state = recording_with()
     np.testing.assert_array_equal(plan_rotation(recording, state.position, state.rotation), np.eye(3))
+
+
+def test_rough_places_do_not_lean_the_room() -> None:
+    """Heights that are rough by a decimetre turn nothing but the yaw: instruments on tripods know the vertical."""
+    recording, truth = simulate(load_scenario("paper-workshop"), seed=1)
+    first = truth.rotation[0]
+    turn = plan_rotation(recording, (truth.position - truth.position[0]) @ first, first.T @ truth.rotation)
+    leaned = (first @ turn)[2, 2]
+    assert np.degrees(np.arccos(min(1.0, leaned))) < 0.1
