@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ OVERLAP = 0.5
 """Share of common targets from which a finding on several targets is at the right place."""
 HIGH = 0.9
 LIMIT = 1.959964
+NOISE = ("noise-level", "station-noise", "turbulence")
+"""Names under which scatter of unknown cause is rightly told."""
 
 
 def score(truth: dict[str, Any], folder: Path) -> Row:
@@ -26,6 +29,7 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     row: Row = {k: truth[k] for k in ("name", "kind", "strength", "number", "stations", "faces", "pointings")}
     row["truth"] = " + ".join(e["effect"] for e in truth["effects"])
     row["truth_detail"] = " + ".join(e["text"] for e in truth["effects"])
+    row["excluded"] = json.dumps(truth.get("excluded", {}))
     row.update(seconds=note["seconds"], exit=note["exit"], complaint=note["complaint"])
     if note["exit"] != 0:
         return row
@@ -44,7 +48,7 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     row["told_um"], row["ordinary_um"] = truth["told_um"], truth["ordinary_um"]
     row["carrier"], row["driver"] = (findings[0].get(k, "") if findings else "" for k in ("carrier", "driver"))
     row["stated"] = " ".join(f"{e['effect']}:{e['probability']:.2f}" for f in findings[:1] for e in f["equivalents"])
-    row["right"] = row["first"] in {e["effect"] for e in truth["effects"]} | {_invented(truth)}
+    row["right"] = row["first"] in {e["effect"] for e in truth["effects"]} | _rightly(truth)
     match truth["kind"]:
         case "single" | "mistake":
             row.update(_named(truth["effects"][0], findings[0] if findings else None))
@@ -56,9 +60,11 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     return row
 
 
-def _invented(truth: dict[str, Any]) -> str:
-    """What an invented law is rightly called; nothing where none was hidden."""
-    return "unknown" if truth["kind"] == "unknown" else "-"
+def _rightly(truth: dict[str, Any]) -> set[str]:
+    """What an invented law is rightly called, a law of the noise noise; nothing where none was hidden."""
+    if truth["kind"] != "unknown":
+        return set()
+    return {"unknown", *(NOISE if truth["effects"][0].get("words", {}).get("carrier") == "noise" else ())}
 
 
 def _target_error(truth: dict[str, Any], file: Path) -> float:
@@ -126,13 +132,29 @@ def _unknown(truth: dict[str, Any], findings: list[dict[str, Any]]) -> Row:
     if not findings:
         return row
     first = findings[0]
-    row["called_unknown"] = first["effect"] == "unknown"
+    row["called_unknown"] = first["effect"] in _rightly(truth)
     where = first["where"]
     row["observable_right"] = row["called_unknown"] and set(where["observables"]) == set(effect["observables"])
     row["right_covariates"] = row["called_unknown"] and bool(set(where["covariates"]) & set(effect["covariates"]))
-    row["wrong_name"] = first["known"] and first["evidence"]["probability"] > HIGH
+    row["wrong_name"] = first["known"] and not row["called_unknown"] and first["evidence"]["probability"] > HIGH
+    if "told_as" in effect:
+        row.update(_explained(effect["told_as"], first))
     row["where"] = f"{where['observables']} {where['covariates']} {where['stations']}"
     return row
+
+
+def _explained(told_as: dict[str, Any], finding: dict[str, Any]) -> Row:
+    """Whether carrier and driver are told in one of the words that are right for them."""
+    known = finding["effect"] != "unknown"
+    carrier = "noise" if finding["effect"] in NOISE else "" if known else finding.get("carrier", "")
+    words = set(re.split(r"[^a-z_]+", finding.get("driver", "").lower())) | set(finding["where"]["covariates"])
+    right_carrier = any(word in carrier for word in told_as["carrier"])
+    right_driver = not known and bool(words & set(told_as["driver"]))
+    return {
+        "right_carrier": right_carrier,
+        "right_driver": right_driver,
+        "right_carrier_or_driver": right_carrier or right_driver,
+    }
 
 
 def _pair(effects: list[dict[str, Any]], findings: list[dict[str, Any]]) -> Row:
