@@ -168,3 +168,31 @@ def test_a_plan_with_a_wrong_simulator_is_refused(tmp_path: Path) -> None:
     file.write_text('seed = 1\nsimulator = "none"\n', encoding="utf-8")
     with pytest.raises(SystemExit, match="not one of"):
         plan.read_plan(file)
+
+
+@pytest.mark.parametrize(
+    ("effect", "carrier", "driver", "right"),
+    [
+        ("unknown", "stand about x", "a smooth function of time", (True, True)),
+        ("unknown", "elevation", "a smooth function of press_load_kn", (False, True)),
+        ("unknown", "stand upwards", "a wave in azimuth, 1 period a turn", (True, False)),
+        ("station-bump", "stand", "time", (False, False)),
+    ],
+)
+def test_carrier_and_driver_are_right_in_the_words_of_the_law(
+    effect: str, carrier: str, driver: str, right: tuple[bool, bool]
+) -> None:
+    score = import_module(f"{PLACE}score")
+    told_as = {"carrier": laws.CARRIERS["station"], "driver": ("press_load_kn", "load", "time")}
+    finding = {"effect": effect, "carrier": carrier, "driver": driver, "where": {"covariates": []}}
+    told = score._explained(told_as, finding)
+    assert (told["right_carrier"], told["right_driver"]) == right
+    assert told["right_carrier_or_driver"] == any(right)
+
+
+def test_scatter_is_told_as_noise() -> None:
+    score = import_module(f"{PLACE}score")
+    truth = {"kind": "unknown", "effects": [{"words": {"carrier": "noise"}}]}
+    assert {"unknown", "turbulence", "station-noise"} <= score._rightly(truth)
+    assert score._rightly({"kind": "unknown", "effects": [{}]}) == {"unknown"}
+    assert score._rightly({"kind": "clean", "effects": []}) == set()

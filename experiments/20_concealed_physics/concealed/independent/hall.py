@@ -15,6 +15,8 @@ from .tracker import ARCSECOND, GUARANTEED, Array, Index, Pointings, turned, wit
 WARMTH, LOAD = "hall_temperature_c", "press_load_kn"
 SIZE = np.array([11.0, 7.0, 5.0])
 """[m]"""
+REST = 0.02
+"""Share of the guarantee that errors keep where two trackers work: both were corrected, or their difference is told."""
 LENGTH_SIGMA = 2e-6
 """[m] Of each known length."""
 GROUPS = {"wall": (1.0, 0.0, 0.0), "floor": (0.0, 0.0, 1.0), "gallery": (0.0, -1.0, 0.0), "table": (0.0, 0.0, 1.0)}
@@ -116,6 +118,7 @@ def draw_hall(rng: np.random.Generator) -> Hall:
     lean = np.column_stack([rng.normal(0.0, 8e-4, (count, 2)), np.zeros(count)])
     rotation = np.stack([_axes(yaw[s], lean[s]) for s in range(count)])
     trackers = ("A", "B") if rng.random() < 0.4 else ("A",)
+    several = len(trackers) > 1
     of_station = np.arange(count) % len(trackers)
     station, target, face, repeat, time = _work(rng, count, len(points))
     noise = np.array([3e-6 * rng.uniform(0.7, 1.5), 0.3e-6, 0.37 * ARCSECOND * rng.uniform(0.7, 1.5)])
@@ -132,17 +135,17 @@ def draw_hall(rng: np.random.Generator) -> Hall:
         position,
         rotation,
         points,
-        GUARANTEED * rng.standard_normal((len(trackers), len(GUARANTEED))),
+        (REST if several else 1.0) * GUARANTEED * rng.standard_normal((len(trackers), len(GUARANTEED))),
     )
     known = Instrument(
+        corrected=several,
         noise=Noise(
             distance_mm=1e3 * noise[0],
             distance_ppm=1e6 * noise[1],
             azimuth_arcsec=noise[2] / ARCSECOND,
             elevation_arcsec=noise[2] / ARCSECOND,
-        )
+        ),
     )
-    several = len(trackers) > 1
     setup = Setup(
         instrument=known,
         instruments=dict.fromkeys(trackers, known) if several else {},
