@@ -157,7 +157,7 @@ def test_the_plan_asks_every_law_at_two_strengths_and_keeps_its_recordings(root:
     for file in (f"recordings/{case.name}/observations.csv", f"sealed/{case.name}.json"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     truth = json.loads((tmp_path / "a" / "sealed" / f"{case.name}.json").read_text(encoding="utf-8"))
-    assert truth["effects"][0]["effect"] == "azimuth-drift"
+    assert truth["effects"][0]["effect"] == "azimuth-harmonic"
     assert truth["effects"][0]["strength"] == pytest.approx(200.0, rel=1e-2)
     text = (tmp_path / "a" / "recordings" / case.name / "setup.toml").read_text(encoding="utf-8")
     assert not [kind.name for kind in CATALOGUE if kind.name in text]
@@ -188,6 +188,7 @@ def test_carrier_and_driver_are_right_in_the_words_of_the_law(
     told = score._explained(told_as, finding)
     assert (told["right_carrier"], told["right_driver"]) == right
     assert told["right_carrier_or_driver"] == any(right)
+    assert not any(score._explained(told_as, None).values())
 
 
 def test_scatter_is_told_as_noise() -> None:

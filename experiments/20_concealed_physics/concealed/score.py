@@ -19,6 +19,8 @@ OVERLAP = 0.5
 """Share of common targets from which a finding on several targets is at the right place."""
 HIGH = 0.9
 LIMIT = 1.959964
+EXPLAINED = ("right_carrier", "right_driver", "right_carrier_or_driver")
+"""Asked of laws that say in which words they are told rightly."""
 NOISE = ("noise-level", "station-noise", "turbulence")
 """Names under which scatter of unknown cause is rightly told."""
 
@@ -129,32 +131,32 @@ def _unknown(truth: dict[str, Any], findings: list[dict[str, Any]]) -> Row:
     row.update(law=effect["parameters"][0]["name"], observable_right=False, wrong_name=False)
     row["law"] = effect["text"].partition("law='")[2].partition("'")[0]
     row.update({f"true_{what}": told for what, told in effect.get("words", {}).items()})
+    if "told_as" in effect:
+        row.update(_explained(effect["told_as"], findings[0] if findings else None))
     if not findings:
         return row
     first = findings[0]
     row["called_unknown"] = first["effect"] in _rightly(truth)
     where = first["where"]
-    row["observable_right"] = row["called_unknown"] and set(where["observables"]) == set(effect["observables"])
+    same = set(where["observables"]) == set(effect["observables"])
+    moved = row.get("right_carrier", False) and not where["observables"]  # a motion need not say in what it shows
+    row["observable_right"] = row["called_unknown"] and (same or moved)
     row["right_covariates"] = row["called_unknown"] and bool(set(where["covariates"]) & set(effect["covariates"]))
     row["wrong_name"] = first["known"] and not row["called_unknown"] and first["evidence"]["probability"] > HIGH
-    if "told_as" in effect:
-        row.update(_explained(effect["told_as"], first))
     row["where"] = f"{where['observables']} {where['covariates']} {where['stations']}"
     return row
 
 
-def _explained(told_as: dict[str, Any], finding: dict[str, Any]) -> Row:
+def _explained(told_as: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     """Whether carrier and driver are told in one of the words that are right for them."""
+    if finding is None:
+        return dict.fromkeys(EXPLAINED, False)
     known = finding["effect"] != "unknown"
     carrier = "noise" if finding["effect"] in NOISE else "" if known else finding.get("carrier", "")
     words = set(re.split(r"[^a-z_]+", finding.get("driver", "").lower())) | set(finding["where"]["covariates"])
     right_carrier = any(word in carrier for word in told_as["carrier"])
     right_driver = not known and bool(words & set(told_as["driver"]))
-    return {
-        "right_carrier": right_carrier,
-        "right_driver": right_driver,
-        "right_carrier_or_driver": right_carrier or right_driver,
-    }
+    return dict(zip(EXPLAINED, (right_carrier, right_driver, right_carrier or right_driver), strict=True))
 
 
 def _pair(effects: list[dict[str, Any]], findings: list[dict[str, Any]]) -> Row:

@@ -11,10 +11,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from .reliability import by_kind, lines as reliability_lines
-from .score import Row
+from .score import EXPLAINED, Row
 
-EXPLAINED = ("right_carrier", "right_driver", "right_carrier_or_driver")
-"""Of laws that say in which words they are told rightly."""
 WORSE = ("targets_worse_than_plain_by_5_percent", "told_the_truth_worse_than_plain_by_5_percent")
 """The second is what chance does: noise may make a wrong model end nearer to the truth than the right one."""
 RATIOS = ("error_over_told_median", "error_over_told_90", "ordinary_over_told_median")

@@ -225,7 +225,9 @@ def sun_on_a_tripod(h: Hall, rng: Draw) -> Cause:
     times = h.pointings.time[here > 0]
     start, width = rng.uniform(times[0], times[-1]), rng.uniform(0.2, 0.5) * np.ptp(times)
     amount = here * np.exp(-(((h.pointings.time - start) / width) ** 2))
-    return Cause(Change(turn=MICRO * amount[:, None] * UP), "yaw", ("time",), stations=(name,), place=name)
+    return Cause(
+        Change(turn=MICRO * amount[:, None] * UP), "yaw", ("time",), ("azimuth",), stations=(name,), place=name
+    )
 
 
 def sinking_slab(h: Hall, rng: Draw) -> Cause:

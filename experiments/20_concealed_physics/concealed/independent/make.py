@@ -15,11 +15,13 @@ from .hall import LENGTH_SIGMA, Hall, draw_hall
 from .known import KNOWN, Known
 from .laws import CARRIERS, LAWS, Cause
 from .network import Network
-from .tracker import NOTHING, Array, Change
+from .tracker import NOTHING, Array, Change, within_a_turn
 
 TRIES = 60
 ABSURD = {"reading": 300e-6, "target": 600e-6, "station": 600e-6, "turn": 300e-6, "constants": 300e-6, "variance": 50.0}
 """[m, rad] Causes as large as this would be seen by eye, and are not drawn."""
+STRIDE = 7
+"""From law to law, so that the first few are of every kind; it shares no factor with the number of laws."""
 SMALLEST, LARGEST = -4.0, 4.0
 """Decades of the size that are tried."""
 Draw = np.random.Generator
@@ -69,7 +71,9 @@ def make(kind: str, strength: int, number: int, draw: Draw, noise: Draw) -> Made
         "excluded": dict(excluded),
     }
     silent = hall.recording(network.base, hall.lengths)
-    return Made(recording, truth, silent, quiet - network.base)
+    difference = quiet - network.base
+    difference[:, 1] = within_a_turn(difference[:, 1])
+    return Made(recording, truth, silent, difference)
 
 
 def _drawn(
@@ -77,7 +81,7 @@ def _drawn(
 ) -> tuple[Hall, Network, Known | Cause | None, Change, str]:
     """A hall and a cause of the wanted strength that acts in it; halls that were thrown away are counted."""
     laws: dict[str, Any] = KNOWN if kind == "single" else LAWS
-    name = list(laws)[number % len(laws)] if kind != "clean" else ""
+    name = list(laws)[STRIDE * number % len(laws)] if kind != "clean" else ""
     for _ in range(TRIES):
         hall = draw_hall(rng)
         network = Network.of(hall)
