@@ -2,6 +2,7 @@
 
 python -m experiments 20 quick            into results/20_concealed_physics/quick, work in build/concealed/quick
 python -m experiments 20 eighth score     score what was diagnosed so far
+python -m experiments 20 fleet            three trackers on 100 set-ups, one of them off: three cases, or those named
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from experiments.common import ROOT, Made, Options, spread_out
 
 from .concealed.conceal import conceal
+from .concealed.fleet import CASES, SEED, examine_fleet
 from .concealed.pictures import draw
 from .concealed.plan import Case, read_plan
 from .concealed.score import Row, score
@@ -69,6 +71,10 @@ def _short(value: object) -> object:
 def run(given: Options) -> Made:
     """Make, diagnose and score the recordings of the plan that is named; with the word `score`, only score."""
     name, only_score = (*given.words, "quick")[0], "score" in given.words[1:]
+    if name == "fleet":
+        chosen = [case for case in CASES if case in given.words] or list(CASES)
+        examine_fleet(chosen, given.out / name)
+        return Made(seed=SEED, folder=given.out / name)
     file = HERE / f"{name}.toml"
     if not file.is_file():
         sys.exit(f"there is no plan '{name}'; there are {', '.join(f.stem for f in sorted(HERE.glob('*.toml')))}")

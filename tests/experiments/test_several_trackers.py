@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,12 @@ def test_the_constant_that_is_off_stands_out_and_lies_in_its_interval(
     assert outstanding == [f"{name}@{off}"]
     at = found.names.index(f"{name}@{off}")
     assert abs(values[at] - truth.instrument[f"{name}@{off}"]) < 1.96 * sigma[at]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["beam-tilt", "vertical-index", "range-offset"])
+def test_a_diagnosis_tells_which_tracker_is_off_in_what_and_how_much(name: str) -> None:
+    row = import_module("experiments.20_concealed_physics.concealed.fleet").fleet(name)
+    assert row["set_ups"] == 100
+    assert row["right_tracker"] and row["right_constant"] and row["inside"], row
+    assert not row["further"]

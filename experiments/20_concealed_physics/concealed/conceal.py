@@ -33,6 +33,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, MILLIMETRE
 
 from .hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
+from .independent.make import make
 from .invented import Invented
 from .plan import Case
 from .workshop import GAUGE_SIGMA, Scene, draw_scene
@@ -43,6 +44,27 @@ def conceal(case: Case, recordings: Path, sealed: Path) -> None:
     target, secret = recordings / case.name, sealed / f"{case.name}.json"
     if secret.exists() and (target / "observations.csv").exists():
         return
+    if case.independent:
+        recording, truth = _made_independently(case)
+    else:
+        recording, truth = _made(case)
+    write(recording, target)
+    write_text(secret, json.dumps(truth, indent=1) + "\n")
+
+
+def _made_independently(case: Case) -> tuple[Recording, dict[str, Any]]:
+    """A recording of the second simulator; what the catalogue explains of an unknown law is asked of ltsim."""
+    draw, noise = (stream(case.seed, *case.key, what) for what in ("scene", "noise"))
+    made = make(case.kind, case.strength, case.number, draw, noise)
+    truth = _plan_entry(case) | made.truth
+    if case.kind == "unknown":
+        space = ResidualSpace.of(adjust(made.silent, misalignment()))
+        truth["nearest_known"] = _nearest_known(space, space.project(space.whiten(made.change[:, :, None])[:, 0]))
+    return made.recording, truth
+
+
+def _made(case: Case) -> tuple[Recording, dict[str, Any]]:
+    """A recording of ltsim's own chain and effects."""
     scene = draw_scene(stream(case.seed, *case.key, "scene"))
     space = ResidualSpace.of(_silent_adjustment(scene))
     hidden = _drawn(case, space)
@@ -50,7 +72,9 @@ def conceal(case: Case, recordings: Path, sealed: Path) -> None:
     truth = {
         **_plan_entry(case),
         "effects": [_entry(h, space) for h in hidden],
-        "nearest_known": _nearest_known(space, hidden[0]) if case.kind == "unknown" else None,
+        "nearest_known": _nearest_known(space, left_by_adjustment(space, hidden[0])[1])
+        if case.kind == "unknown"
+        else None,
         "targets_mm": dict(zip(recording.targets, (scene.state.points / MILLIMETRE).tolist(), strict=True)),
         "told_um": _told(scene, recording, hidden, stream(case.seed, *case.key, "noise")),
         "ordinary_um": _error(recording, scene, ()),
@@ -58,8 +82,7 @@ def conceal(case: Case, recordings: Path, sealed: Path) -> None:
         "faces": int(recording.face.max()),
         "pointings": len(recording),
     }
-    write(recording, target)
-    write_text(secret, json.dumps(truth, indent=1) + "\n")
+    return recording, truth
 
 
 def _plan_entry(case: Case) -> dict[str, Any]:
@@ -187,10 +210,11 @@ def rigid_error(points: Floats, truth: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))) / MICROMETRE)
 
 
-def _nearest_known(space: ResidualSpace, hidden: Hidden) -> dict[str, Any]:
-    """The effect of the catalogue that explains most of an invented one, and the share it explains."""
-    left = left_by_adjustment(space, hidden)[1]
+def _nearest_known(space: ResidualSpace, left: Floats) -> dict[str, Any]:
+    """The effect of the catalogue that explains most of what is left (m,) of an invented one, and the share."""
     best, share = "", 0.0
+    if not left.any():  # noise shifts no reading
+        return {"effect": best, "share": share}
     for effect in card_hypotheses(space.sightings):
         signature = space.signature(effect)
         norms = np.linalg.norm(signature, axis=0)

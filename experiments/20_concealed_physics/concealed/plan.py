@@ -10,6 +10,7 @@ from typing import Literal, get_args
 
 from .invented import Laws
 
+SIMULATORS = ("ltsim", "independent")
 Kind = Literal["clean", "single", "unknown", "pair", "mistake"]
 
 
@@ -17,7 +18,8 @@ Kind = Literal["clean", "single", "unknown", "pair", "mistake"]
 class Case:
     """One recording to be made: what it holds, how strongly, and which of its like it is.
 
-    `laws` is the set that unknown physics is drawn from; name and key do not depend on it.
+    `laws` is the set that unknown physics is drawn from; name and key do not depend on it. `independent`: made by the
+    simulator that shares no formula with ltsim, which has laws of its own.
     """
 
     seed: int
@@ -25,6 +27,7 @@ class Case:
     strength: int
     number: int
     laws: Laws = "all"
+    independent: bool = False
 
     @property
     def name(self) -> str:
@@ -40,11 +43,15 @@ class Case:
 def read_plan(path: Path) -> list[Case]:
     """The recordings of a plan, in the order of their names: numbers, strengths and kinds are shuffled by it."""
     plan = tomllib.loads(path.read_text(encoding="utf-8"))
-    laws = plan.get("laws", "all")
+    laws, simulator = plan.get("laws", "all"), plan.get("simulator", "ltsim")
     if laws not in get_args(Laws):
         raise SystemExit(f"{path}: laws is {laws!r}, not one of {', '.join(get_args(Laws))}")
+    if simulator not in SIMULATORS:
+        raise SystemExit(f"{path}: simulator is {simulator!r}, not one of {', '.join(SIMULATORS)}")
+    if simulator == "independent" and {"pair", "mistake"} & set(plan):
+        raise SystemExit(f"{path}: the independent simulator makes no pairs and no mistakes")
     cases = [
-        Case(int(plan["seed"]), kind, int(strength), number, laws)
+        Case(int(plan["seed"]), kind, int(strength), number, laws, simulator == "independent")
         for kind in get_args(Kind)
         for strength, count in plan.get(kind, {}).items()
         for number in range(int(count))

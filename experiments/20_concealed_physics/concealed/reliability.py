@@ -48,11 +48,10 @@ def log_score(rows: Sequence[Row]) -> float | None:
 
 
 def by_kind(rows: Sequence[Row]) -> dict[str, Any]:
-    """Reliability and log score of each kind of recording."""
-    kinds = dict.fromkeys(r["kind"] for r in rows)
+    """Reliability and log score of each kind of recording, and of all."""
     found: dict[str, Any] = {}
-    for kind in kinds:
-        own = [r for r in rows if r["kind"] == kind]
+    for kind in (*dict.fromkeys(r["kind"] for r in rows), "all"):
+        own = [r for r in rows if kind in (r["kind"], "all")]
         if told(own):
             found[kind] = {"bins": reliability(own), "log_score": log_score(own)}
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,10 @@ OVERLAP = 0.5
 """Share of common targets from which a finding on several targets is at the right place."""
 HIGH = 0.9
 LIMIT = 1.959964
+EXPLAINED = ("right_carrier", "right_driver", "right_carrier_or_driver")
+"""Asked of laws that say in which words they are told rightly."""
+NOISE = ("noise-level", "station-noise", "turbulence")
+"""Names under which scatter of unknown cause is rightly told."""
 
 
 def score(truth: dict[str, Any], folder: Path) -> Row:
@@ -26,6 +31,7 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     row: Row = {k: truth[k] for k in ("name", "kind", "strength", "number", "stations", "faces", "pointings")}
     row["truth"] = " + ".join(e["effect"] for e in truth["effects"])
     row["truth_detail"] = " + ".join(e["text"] for e in truth["effects"])
+    row["excluded"] = json.dumps(truth.get("excluded", {}))
     row.update(seconds=note["seconds"], exit=note["exit"], complaint=note["complaint"])
     if note["exit"] != 0:
         return row
@@ -44,7 +50,7 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     row["told_um"], row["ordinary_um"] = truth["told_um"], truth["ordinary_um"]
     row["carrier"], row["driver"] = (findings[0].get(k, "") if findings else "" for k in ("carrier", "driver"))
     row["stated"] = " ".join(f"{e['effect']}:{e['probability']:.2f}" for f in findings[:1] for e in f["equivalents"])
-    row["right"] = row["first"] in {e["effect"] for e in truth["effects"]} | {_invented(truth)}
+    row["right"] = row["first"] in {e["effect"] for e in truth["effects"]} | _rightly(truth)
     match truth["kind"]:
         case "single" | "mistake":
             row.update(_named(truth["effects"][0], findings[0] if findings else None))
@@ -56,9 +62,11 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     return row
 
 
-def _invented(truth: dict[str, Any]) -> str:
-    """What an invented law is rightly called; nothing where none was hidden."""
-    return "unknown" if truth["kind"] == "unknown" else "-"
+def _rightly(truth: dict[str, Any]) -> set[str]:
+    """What an invented law is rightly called, a law of the noise noise; nothing where none was hidden."""
+    if truth["kind"] != "unknown":
+        return set()
+    return {"unknown", *(NOISE if truth["effects"][0].get("words", {}).get("carrier") == "noise" else ())}
 
 
 def _target_error(truth: dict[str, Any], file: Path) -> float:
@@ -123,16 +131,32 @@ def _unknown(truth: dict[str, Any], findings: list[dict[str, Any]]) -> Row:
     row.update(law=effect["parameters"][0]["name"], observable_right=False, wrong_name=False)
     row["law"] = effect["text"].partition("law='")[2].partition("'")[0]
     row.update({f"true_{what}": told for what, told in effect.get("words", {}).items()})
+    if "told_as" in effect:
+        row.update(_explained(effect["told_as"], findings[0] if findings else None))
     if not findings:
         return row
     first = findings[0]
-    row["called_unknown"] = first["effect"] == "unknown"
+    row["called_unknown"] = first["effect"] in _rightly(truth)
     where = first["where"]
-    row["observable_right"] = row["called_unknown"] and set(where["observables"]) == set(effect["observables"])
+    same = set(where["observables"]) == set(effect["observables"])
+    moved = row.get("right_carrier", False) and not where["observables"]  # a motion need not say in what it shows
+    row["observable_right"] = row["called_unknown"] and (same or moved)
     row["right_covariates"] = row["called_unknown"] and bool(set(where["covariates"]) & set(effect["covariates"]))
-    row["wrong_name"] = first["known"] and first["evidence"]["probability"] > HIGH
+    row["wrong_name"] = first["known"] and not row["called_unknown"] and first["evidence"]["probability"] > HIGH
     row["where"] = f"{where['observables']} {where['covariates']} {where['stations']}"
     return row
+
+
+def _explained(told_as: dict[str, Any], finding: dict[str, Any] | None) -> Row:
+    """Whether carrier and driver are told in one of the words that are right for them."""
+    if finding is None:
+        return dict.fromkeys(EXPLAINED, False)
+    known = finding["effect"] != "unknown"
+    carrier = "noise" if finding["effect"] in NOISE else "" if known else finding.get("carrier", "")
+    words = set(re.split(r"[^a-z_]+", finding.get("driver", "").lower())) | set(finding["where"]["covariates"])
+    right_carrier = any(word in carrier for word in told_as["carrier"])
+    right_driver = not known and bool(words & set(told_as["driver"]))
+    return dict(zip(EXPLAINED, (right_carrier, right_driver, right_carrier or right_driver), strict=True))
 
 
 def _pair(effects: list[dict[str, Any]], findings: list[dict[str, Any]]) -> Row:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -10,8 +11,10 @@ import numpy as np
 from scipy.stats import binomtest
 
 from .reliability import by_kind, lines as reliability_lines
-from .score import Row
+from .score import EXPLAINED, Row
 
+WORSE = ("targets_worse_than_plain_by_5_percent", "told_the_truth_worse_than_plain_by_5_percent")
+"""The second is what chance does: noise may make a wrong model end nearer to the truth than the right one."""
 RATIOS = ("error_over_told_median", "error_over_told_90", "ordinary_over_told_median")
 
 
@@ -54,6 +57,8 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
             "one_at_least": rate(r["pair_stated"] >= 1 for r in chosen),
             **_errors(chosen),
         }
+    result |= {question: block for question, block in _errors(_answered(rows)).items() if question in WORSE}
+    result["excluded_draws"] = dict(sum((Counter(json.loads(r.get("excluded", "{}"))) for r in rows), Counter[str]()))
     result["reliability"] = by_kind(rows)
     if by["mistake"]:
         result["mistakes"] = _single(by["mistake"])
@@ -84,8 +89,8 @@ def _unknown(rows: Sequence[Row]) -> dict[str, Any]:
         "called_unknown": rate(r["called_unknown"] for r in chosen),
         "and_observable_right": rate(r["observable_right"] for r in chosen),
         "and_covariate_right": rate(r.get("right_covariates", False) for r in chosen),
+        **{f"and_{what}": rate(r[what] for r in chosen if what in r) for what in EXPLAINED},
         "told_as_one_finding": rate("+" not in r["answer"] for r in chosen),
-        "targets_worse_than_plain_by_5_percent": rate(r["error_um"] > 1.05 * r["ordinary_um"] for r in chosen),
         "wrong_name_above_0.9": rate(r["wrong_name"] for r in chosen),
         "distinct_from_catalogue": {
             "and_observable_right": rate(r["observable_right"] for r in own),
@@ -106,6 +111,8 @@ def _errors(rows: Sequence[Row]) -> dict[str, Any]:
         "error_over_told_90": _quantile(ratio, 90),
         "ordinary_over_told_median": _quantile(ordinary, 50),
         "held_out_worse": rate(worse),
+        "targets_worse_than_plain_by_5_percent": rate(r["error_um"] > 1.05 * r["ordinary_um"] for r in usable),
+        "told_the_truth_worse_than_plain_by_5_percent": rate(r["told_um"] > 1.05 * r["ordinary_um"] for r in usable),
     }
 
 
@@ -130,8 +137,13 @@ def markdown(rows: Sequence[Row], summary: dict[str, Any], command: str) -> str:
     """The tables a person reads."""
     counts = ", ".join(f"{n} {k}" for k, n in summary["recordings"].items() if n)
     lines = ["# Concealed physics", "", f"Made by `{command}`: {counts}.", ""]
+    left_out = [f"{n} refused"] if (n := len(summary["refused"])) else []
+    left_out += [f"{n} crashed"] if (n := len(summary["crashed"])) else []
+    left_out += [f"{n} draws thrown away: {why}" for why, n in summary["excluded_draws"].items()]
+    lines += [f"Left out: {'; '.join(left_out) or 'nothing'}.", ""]
     lines += ["| question | strength | right | of | share | 95 % interval |", "|---|---|---|---|---|---|"]
     lines.append(_line("false alarm at the 5 % level (clean)", "", summary["false_alarms"]))
+    lines += [_line(f"all: {question.replace('_', ' ')}", "", summary[question]) for question in WORSE]
     for key, block in summary.items():
         kind, _, strength = key.partition("_")
         if kind in ("single", "unknown", "pair", "mistakes") and isinstance(block, dict):

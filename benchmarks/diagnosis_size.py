@@ -1,0 +1,111 @@
+"""Cost and memory of a diagnosis against the size of its recording.
+
+    python -m benchmarks.diagnosis_size results/20_concealed_physics/size
+
+One station that watches 24 targets for hours beside six further columns, with 1,000 to 20,000 pointings, and a ring of
+210 set-ups. In both the vertical index drifts, so that there is something to find. Every recording has a process of its
+own, so that its peak of memory is its own; the time is that of the processor.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ltsim as lt
+from benchmarks.adjust_size import network
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import construction
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Setup, Station
+from ltsim.units import MICRORADIAN
+
+CASES: tuple[tuple[str, int], ...] = (*(("station", n) for n in (1_000, 3_000, 10_000, 20_000)), ("ring", 3_340))
+TARGETS, COLUMNS = 24, 6
+PACE = 5.0
+"""[s] From pointing to pointing."""
+
+
+def watched(pointings: int) -> Recording:
+    """One station and its targets, again and again, with columns that sway as an arm does."""
+    rng = stream(20, "watched", pointings)
+    bearing, elevation, range_ = (
+        rng.uniform(-3, 3, TARGETS),
+        rng.uniform(-0.5, 0.8, TARGETS),
+        rng.uniform(2, 15, TARGETS),
+    )
+    level = range_ * np.cos(elevation)
+    points = np.stack([level * np.cos(bearing), level * np.sin(bearing), range_ * np.sin(elevation) + 1.6], axis=1)
+    target = np.concatenate([rng.permutation(TARGETS) for _ in range(-(-pointings // TARGETS))])[:pointings]
+    clock = PACE * np.arange(pointings)
+    periods, phases = rng.uniform(200.0, 3000.0, COLUMNS), rng.uniform(0, 6, COLUMNS)
+    sway = np.sin(2 * np.pi * clock[:, None] / periods + phases) + 0.1 * rng.standard_normal((pointings, COLUMNS))
+    ones = np.ones(pointings, dtype=np.int64)
+    recording = Recording(
+        setup=Setup(stations={"S1": Station(position_mm=(0.0, 0.0, 1600.0), yaw_deg=0.0)}),
+        stations=("S1",),
+        targets=tuple(f"T{t:02d}" for t in range(TARGETS)),
+        station=0 * ones,
+        target=target,
+        face=ones,
+        repeat=1 + np.arange(pointings) // TARGETS,
+        time=clock,
+        readings=np.zeros((pointings, 3)),
+        covariates={f"joint_{k + 1}_deg": 60.0 * sway[:, k] for k in range(COLUMNS)},
+    )
+    state = State(np.array([[0.0, 0.0, 1.6]]), about_z(0.0)[None], points, np.zeros((1, 0)))
+    exact = MeasurementModel(recording, construction("ideal")).predict(state)
+    recording = recording.with_readings(exact)
+    return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
+
+
+def measured(kind: str, pointings: int) -> dict[str, Any]:
+    """One recording: what its diagnosis took."""
+    clean = watched(pointings) if kind == "station" else network("ring", 210, 370, pointings)
+    drift = np.zeros((pointings, 3))
+    drift[:, 2] = 4 * MICRORADIAN * np.exp(-clean.time / (0.2 * clean.time[-1]))
+    recording = clean.with_readings(clean.readings + drift)
+    lt.diagnose(watched(240))  # Imports and compiled parts are no part of it.
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    wall, start = time.perf_counter(), time.process_time()
+    found = lt.diagnose(recording).to_json()
+    return {
+        "recording": kind, "set_ups": len(recording.stations), "targets": len(recording.targets),
+        "pointings": len(recording), "columns": len(recording.covariates),
+        "processor_s": round(time.process_time() - start, 1), "wall_s": round(time.perf_counter() - wall, 1),
+        "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3), "before_mb": round(before),
+        "told": " + ".join(f["effect"] for f in found["findings"]) or found["verdict"],
+    }  # fmt: skip
+
+
+def main(folder: Path, chosen: list[str]) -> None:
+    """Measure all cases, or those whose number of pointings is named, each in its own process; write the table."""
+    rows = []
+    for kind, pointings in CASES:
+        if chosen and str(pointings) not in chosen:
+            continue
+        command = [sys.executable, "-m", "benchmarks.diagnosis_size", "--case", kind, str(pointings)]
+        rows.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout))
+        print("  ".join(f"{key} {value}" for key, value in rows[-1].items()), flush=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "sizes.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--case"]:
+        print(json.dumps(measured(sys.argv[2], int(sys.argv[3]))))
+    else:
+        main(Path(sys.argv[1] if len(sys.argv) > 1 else "build/diagnosis_size"), sys.argv[2:])
