@@ -18,7 +18,7 @@ from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.evidence import log_evidence, log_means, simulated_evidence
 from ltsim.diagnose.probe import Probe, square
 from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
 from ltsim.scene.sightings import Sightings
 
@@ -135,6 +135,16 @@ class Cards:
             return values, np.zeros((0, probe.scored))
         back = np.argsort(np.concatenate(order))
         return values, log_means(np.vstack(chance)[back], self.family, len(self.families))
+
+    def left(self) -> list[list[tuple[Effect, Floats, Floats]]]:
+        """By family: each card with products (k, k) of its scaled signatures, whole and what the adjustment leaves."""
+        found: list[list[tuple[Effect, Floats, Floats]]] = [[] for _ in self.families]
+        at = {int(i): (group, k) for group in self.groups for k, i in enumerate(group.members)}
+        for i, effect in enumerate(self.effects):
+            group, k = at[i]
+            assert isinstance(effect, Effect)
+            found[self.family[i]].append((effect, group.own[k], group.gram[k]))
+        return found
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families,) with places and shapes averaged."""

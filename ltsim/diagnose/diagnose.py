@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.averaging import averaged_targets
-from ltsim.diagnose.blind import sight_of
+from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis, Finding, Fit
 from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_finding, mean_finding, noise_finding
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds, station_target_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries
-from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, noise_hypotheses, remeasured
+from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses, remeasured
 from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
@@ -26,7 +26,6 @@ from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects.effect import Effect
-from ltsim.effects.signature import Tunable
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
@@ -52,6 +51,8 @@ class _Case:
     start: State
     seed: int
     noise: list[NoiseHypothesis]
+    searcher: Searcher = field(init=False)
+    bank: NoiseBank = field(init=False)
 
     @property
     def sightings(self) -> Sightings:
@@ -68,9 +69,14 @@ class _Case:
     def adjustment(self) -> Adjustment:
         return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
 
-    def searched(self, adjustment: Adjustment, before: Searcher | None = None) -> tuple[Searcher, NoiseBank]:
-        space = ResidualSpace.of(adjustment)
-        return Searcher(space, self.seed, before=before), NoiseBank.of(space, noise_hypotheses(space.sightings))
+    def search(self, adjustment: Adjustment) -> None:
+        """Score everything beside an adjustment; what was scored before is let go."""
+        space, before = ResidualSpace.of(adjustment), getattr(self, "searcher", None)
+        cards = before.cards.reweighted(before.space, space) if before else None
+        del before
+        self.__dict__.pop("searcher", None)
+        self.searcher = Searcher(space, self.seed, cards=cards)
+        self.bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
 
 
 @in_one_thread
@@ -100,33 +106,31 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     case = _Case(mended, construction, use, mended.sigma(), first.state, seed, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
-    last, noise = case.searched(baseline)
-    sought, detection = last.cards.effects, detect(last, noise)
-    found, mismatch = last.empty, detection.p_value < level
-    if mismatch:
-        found, last, noise = _explain(case, last, noise, detection)
-    return _Report(case, baseline, sought, last, noise, detection, found, tuple(gross), mismatch).diagnosis()
+    case.search(baseline)
+    sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
+    mismatch = detection.p_value < level
+    found = _explain(case, detection) if mismatch else case.searcher.empty
+    return _Report(case, baseline, sight, detection, found, tuple(gross), mismatch).diagnosis()
 
 
-def _explain(
-    case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection
-) -> tuple[Found, Searcher, NoiseBank]:
+def _explain(case: _Case, detection: Detection) -> Found:
     """Mean shifts and changes of the noise in turn, whichever explains more first."""
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    found = searcher.search(threshold, something=True)
+    found = case.searcher.search(threshold, something=True)
     for _ in range(MOST_ROUNDS):
-        alone, beside = (noise.best(searcher.space, r) for r in (searcher.space.residual, found.residual))
+        alone, beside = (case.bank.best(r) for r in (case.searcher.space.residual, found.residual))
         noise_first = alone[0][0] > found.score
         if max(alone[0][0] if noise_first else -np.inf, beside[0][0]) < threshold and (case.noise or not noise_first):
             break
-        ranked = alone if noise_first else beside
-        rest = searcher.first.total if noise_first else min(searcher.rank(found).total, threshold)
-        case.noise = _joined(case.noise, _with_probability(ranked, rest))
+        ranked, residual = (alone, case.searcher.space.residual) if noise_first else (beside, found.residual)
+        first = case.searcher.first
+        rest = first.total if noise_first else min(case.searcher.rank(found).total, threshold)
+        likeliest = most_likely(case.searcher.space, case.searcher.space.sigma, _with_probability(ranked, rest), residual)
+        case.noise = _joined(case.noise, likeliest)
         case.sigma = case.weighted(case.noise)
-        reweighted = _reweighted(case, () if noise_first else found.members)
-        searcher, noise = case.searched(reweighted, searcher)
-        found = searcher.search(threshold, something=False)
-    return found, searcher, noise
+        case.search(_reweighted(case, () if noise_first else found.members))
+        found = case.searcher.search(threshold, something=False)
+    return found
 
 
 def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
@@ -172,9 +176,7 @@ class _Report:
 
     case: _Case
     baseline: Adjustment
-    sought: Sequence[Tunable]
-    last: Searcher
-    noise: NoiseBank
+    sight: Sight
     detection: Detection
     found: Found
     gross: tuple[GrossFinding, ...]
@@ -198,8 +200,8 @@ class _Report:
             dof = self.baseline.dof - found.extension.shape[1]
             after = _fit(fitted.adjustment, dof, self._in_stated_noise(fitted))
         verdict = "mismatch" if self.mismatch or self.gross or odd else "consistent"
-        detectable, undetectable = sight_of(ResidualSpace.of(self.baseline), self.sought)
-        targets = averaged_targets(self.last, found, rankings, fitted)
+        detectable, undetectable = self.sight
+        targets = averaged_targets(self.case.searcher, found, rankings, fitted)
         return Diagnosis(
             verdict=verdict,
             summary=summarise(verdict, findings, self.detection.p_value, before, after),
@@ -238,7 +240,7 @@ class _Report:
         fitted = self._with_effects(found, self.case.sigma)
         while len(found.members) > 1:
             rest = [
-                self.last.with_members(found.members[:i] + found.members[i + 1 :]) for i in range(len(found.members))
+                self.case.searcher.with_members(found.members[:i] + found.members[i + 1 :]) for i in range(len(found.members))
             ]
             without = [self._with_effects(one, self.case.sigma) for one in rest]
             gains = [
@@ -253,16 +255,16 @@ class _Report:
 
     def _others(self, member: int) -> Found:
         members = self.found.members
-        return self.last.with_members(members[:member] + members[member + 1 :])
+        return self.case.searcher.with_members(members[:member] + members[member + 1 :])
 
     def _ranking(self, member: int) -> Ranking:
         """Everything that could stand in a member's place, changes of the noise among it."""
         others = self._others(member)
-        ranking = self.last.rank(others)
-        logs = self.noise.family_evidence(others.residual[:, None])[:, 0]
+        ranking = self.case.searcher.rank(others)
+        logs = self.case.bank.family_evidence(others.residual[:, None])[:, 0]
         rivals = [
-            Hypothesis(self.noise.hypotheses[int(np.argmax(self.noise.family == f))].effect, 0.0, float(v), n)
-            for f, (n, v) in enumerate(zip(self.noise.families, logs, strict=True))
+            Hypothesis(self.case.bank.hypotheses[int(np.argmax(self.case.bank.family == f))].effect, 0.0, float(v), n)
+            for f, (n, v) in enumerate(zip(self.case.bank.families, logs, strict=True))
         ]
         rivals = [replace(h, name="unknown") if h.name.startswith("unknown") else h for h in rivals]
         return ranking.beside(rivals)
@@ -274,9 +276,9 @@ class _Report:
         beside = [e for k, e in enumerate(fitted.effects) if k != member]
         named = isinstance(hypothesis.effect, Effect)
         advice = separating_measurement(self.baseline, hypothesis.name, rivals, beside) if named else ""
-        told = self.last.estimates(hypothesis, others, fitted.estimates[member])
+        told = self.case.searcher.estimates(hypothesis, others, fitted.estimates[member])
         return mean_finding(
-            hypothesis, told, others, self.found, ranking, self.detection, self.last.space, advice,
+            hypothesis, told, others, self.found, ranking, self.detection, self.case.searcher.space, advice,
             clock=self.case.recording.has_clock,
         )  # fmt: skip
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
@@ -19,12 +19,12 @@ from ltsim.arrays import Floats
 from ltsim.scene.sightings import Sightings
 
 CIRCULAR = ("azimuth", "nest-direction")
-MODES = 9
-"""Eigenfunctions of a smooth driver."""
+MODES, LOW, FINE = 9, 4, 32
+"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
 EDGE = 1.25
 """Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
-SCALES = {"long": 0.9, "middle": 0.4, "short": 0.18}
-"""Length scales over the half-width of a covariate's range; over a radian round a circle."""
+SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
+"""Length scales over the half-width of a covariate's range, as far as eigenfunctions reach; over a radian round a circle."""
 MEMORY = ("approach-", "move-", "last-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {
@@ -64,11 +64,12 @@ class Driver:
     ----------
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), simple, product, or field: the same
-        for all and growing across the room, for what carries targets.
+        for all, growing across the room, and bent, for what carries targets.
     covariates : tuple of str
     function : str
         Of a simple driver.
     constant : float
+        Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field.
     factors : tuple of Driver
         Of a product.
     """
@@ -85,14 +86,16 @@ class Driver:
             case "constant":
                 return np.ones((len(sightings), 1))
             case "smooth":
-                return _smooth(self.covariates[0], sightings.quantities[self.covariates[0]])
+                return _smooth(self.covariates[0], sightings.quantities[self.covariates[0]], int(self.constant))
             case "wave":
                 phase = self.constant * sightings.quantities[self.covariates[0]]
                 return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=1)
             case "field":
                 place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
                 place = place - place.mean(axis=0)
-                return np.hstack([np.ones((len(place), 1)), place / max(float(place.std()), 1e-300)])
+                place = place / max(float(place.std()), 1e-300)
+                bent = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]
+                return np.hstack([np.ones((len(place), 1)), place, *(bent if self.constant > 1 else [])])
             case "simple":
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                     values = SIMPLE[self.function](sightings.quantities[self.covariates[0]], self.constant)
@@ -102,7 +105,7 @@ class Driver:
         found = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings)
-            part = part[:, :LOW] if factor.kind == "smooth" else part
+            part = np.hstack([np.ones((len(part), 1)), part]) if factor.kind == "smooth" else part
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
 
@@ -115,12 +118,14 @@ class Driver:
             case "wave":
                 return (np.full(2, np.sqrt(0.5)),)
             case "field":
-                return (np.full(4, 0.5),)
+                spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
+                return (spread / np.linalg.norm(spread),)
             case "smooth":
-                return _spreads(self.covariates[0] in CIRCULAR)
+                return _spreads(self.covariates[0] in CIRCULAR, int(self.constant))
         spread = np.ones(1)
         for factor in self.factors:
-            part = factor.spreads[0][:LOW] if factor.kind == "smooth" else factor.spreads[0]
+            part = factor.spreads[0]
+            part = np.append(1.0, part) if factor.kind == "smooth" else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
@@ -137,44 +142,37 @@ class Driver:
         return tuple(dict.fromkeys(words))
 
 
-LOW = 4
-"""Columns that a smooth factor brings into a product."""
-
-
-def _smooth(name: str, x: Floats) -> Floats:
+def _smooth(name: str, x: Floats, count: int) -> Floats:
     if name in CIRCULAR:
-        orders = np.arange(1, MODES // 2 + 2)
+        orders = np.arange(1, count // 2 + 1 + count % 2)
         phase = x[:, None] * orders
         return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(x), -1)
     low, high = float(x.min()), float(x.max())
     half = max(0.5 * (high - low), 1e-300)
     u = (x - 0.5 * (low + high)) / half
-    modes = np.arange(1, MODES + 1)
+    modes = np.arange(1, count + 1)
     waves = np.sin(0.5 * np.pi * modes * (u[:, None] + EDGE) / EDGE) / np.sqrt(EDGE)
     return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
 
 
 @cache
-def _spreads(circular: bool) -> tuple[Floats, ...]:
+def _spreads(circular: bool, count: int) -> tuple[Floats, ...]:
     found = []
     if circular:
-        orders = np.repeat(np.arange(1, MODES // 2 + 2), 2)
-        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES.values()]
+        orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
+        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
     else:
-        rates = 0.5 * np.pi * np.arange(1, MODES + 1) / EDGE
-        for scale in SCALES.values():
-            found.append(np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]))
-        found.append(np.concatenate([[0.5], 1.0 / np.arange(1, MODES + 1)]))
+        rates = 0.5 * np.pi * np.arange(1, count + 1) / EDGE
+        found = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
+        found += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
     return tuple(spread / np.linalg.norm(spread) for spread in found)
 
 
 CONSTANT = Driver("constant")
-FIELD = Driver("field", ("x", "y", "z"))
-
-
-def across_the_room(drivers: Sequence[Driver]) -> list[Driver]:
-    """Drivers whose size may grow across the room."""
-    return [Driver("product", factors=(driver, FIELD)) for driver in drivers]
+def across_the_room(drivers: Sequence[Driver], order: int) -> list[Driver]:
+    """Drivers whose size may grow across the room, or bend with it."""
+    field = Driver("field", ("x", "y", "z"), constant=order)
+    return [Driver("product", factors=(driver, field)) for driver in drivers]
 
 
 def simple(name: str, function: str, constant: float = 1.0) -> Driver:
@@ -182,9 +180,9 @@ def simple(name: str, function: str, constant: float = 1.0) -> Driver:
     return Driver("simple", (name,), function, constant)
 
 
-def smooth(name: str) -> Driver:
+def smooth(name: str, modes: int = MODES) -> Driver:
     """A smooth driver."""
-    return Driver("smooth", (name,))
+    return Driver("smooth", (name,), constant=modes)
 
 
 def covariates_of(sightings: Sightings) -> list[str]:
@@ -220,6 +218,26 @@ def general_drivers(sightings: Sightings) -> list[Driver]:
     return found
 
 
+_AXES = ("azimuth", "elevation")
+_HEAD = (*_AXES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
+_CLOCKS = ("time", "station-time", "lapse")
+_BALL = ("incidence", "nest-direction")
+DRIVES: dict[str, tuple[str, ...]] = {
+    "instrument": (*_CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance"),
+    "stand": (*_CLOCKS, *_HEAD),
+    "target": ("time",),
+    "reflector": ("time", *_BALL),
+    "air": ("time", "station-time"),
+}
+"""What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks."""
+
+
+def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
+    """Whether a driver can move a kind of carrier; a reading may err with anything."""
+    names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
+    return kind == "reading" or all(n in DRIVES[kind] or n in sightings.covariates for n in names)
+
+
 def products(sightings: Sightings) -> Iterator[Driver]:
     """Products of two drivers: a sign and a smooth one, and two smooth ones in different covariates."""
     names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
@@ -229,7 +247,7 @@ def products(sightings: Sightings) -> Iterator[Driver]:
     for sign in ("face", "approach-azimuth", "approach-elevation"):
         if np.ptp(sightings.quantities[sign]) > 0:
             for name in names:
-                yield Driver("product", factors=(simple(sign, "power"), smooth(name)))
+                yield Driver("product", factors=(simple(sign, "power"), smooth(name, LOW)))
     for length in ("move-azimuth", "move-elevation"):
         if np.ptp(sightings.quantities[length]) > 0:
             for function in ("abs", "power"):
@@ -237,7 +255,7 @@ def products(sightings: Sightings) -> Iterator[Driver]:
                     yield Driver("product", factors=(simple(length, function), simple(name, "power")))
     for one, other in combinations(names, 2):
         if {one, other} != {"time", "station-time"}:
-            yield Driver("product", factors=(smooth(one), smooth(other)))
+            yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))
 
 
 WAVE_STEP = 0.6

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints, Singles
 from ltsim.recording.recording import OBSERVABLES
 
 SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0])
@@ -84,17 +84,27 @@ AT_ONCE = 500_000
 
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
-    """The same (h, ..., trials) for scores (h, ..., k, trials) of simulated residuals."""
+    """The same (h, trials) for scores (h, k, trials) of simulated residuals, in single precision."""
     step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
     parts = [_simulated(scores[i : i + step], strength[i : i + step]) for i in range(0, len(scores), step)]
-    return np.concatenate(parts)
+    found: Floats = np.concatenate(parts).astype(np.float64)
+    return found
 
 
-def _simulated(scores: Floats, strength: Floats) -> Floats:
+def simulated_total(scores: Floats, strength: Floats) -> Floats:
+    """Log of the sum (trials,) over all hypotheses."""
+    return log_average(simulated_evidence(scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])))
+
+
+def _simulated(scores: Floats, strength: Floats) -> Singles:
     weights, constants = forms_of(strength)
-    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ (scores.astype(np.float32) ** 2)
+    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores, dtype=np.float32)
     logs += constants[..., None].astype(np.float32)
-    return log_average(logs.astype(np.float64), axis=-2)
+    top = logs.max(axis=-2, keepdims=True)
+    np.subtract(logs, top, out=logs)
+    np.exp(logs, out=logs)
+    found: Singles = np.log(logs.sum(axis=-2)) + top[..., 0, :]
+    return found
 
 
 def log_means(values: Floats, groups: Ints, count: int) -> Floats:
@@ -106,6 +116,12 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     size = np.bincount(groups, minlength=count).reshape(-1, *([1] * (values.ndim - 1)))
     means: Floats = top + np.log(total / size)
     return means
+
+
+def evidence_with(gram: Floats, score: Floats, spread: Floats) -> float:
+    """Log evidence of coefficients with prior N(0, t^2 spread^2), averaged over sizes, from Gram matrix and score."""
+    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
+    return float(log_evidence((vectors.T @ (score * spread)) ** 2, np.maximum(values, 0.0)))
 
 
 def posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
 from ltsim.diagnose.diagnosis import Curve, Estimate
-from ltsim.diagnose.drivers import CONSTANT, WAVE_STEP, Driver, simple
+from ltsim.diagnose.drivers import CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -35,6 +35,8 @@ class Law(Tunable):
         Named where the stations are those of one instrument.
     scale : int
         Which of the driver's sets of prior deviations holds.
+    each : bool
+        Every set-up has coefficients of its own.
     """
 
     stations: tuple[str, ...] = ()
@@ -43,16 +45,19 @@ class Law(Tunable):
     driver: Driver = CONSTANT
     instruments: tuple[str, ...] = ()
     scale: int = 0
+    each: bool = False
 
     name = "unknown"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient a column of the driver, with the prior deviation of its length scale."""
+        """One coefficient a component of the carrier, set-up, and column of the driver, with its prior deviation."""
         spread = self.driver.spreads[self.scale] * self.carrier.size
-        names = column_names(self.driver)
+        columns = list(zip(column_names(self.driver), spread, strict=True))
+        places = self.stations if self.each else ("",)
         return tuple(
-            Parameter(name, self.carrier.unit, "coefficient", float(s)) for name, s in zip(names, spread, strict=True)
+            Parameter(" ".join(filter(None, (name, way, place))), self.carrier.unit, "coefficient", float(s))
+            for way, place, (name, s) in product(self.carrier.ways, places, columns)
         )
 
     @property
@@ -69,8 +74,11 @@ class Law(Tunable):
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
         moved = CARRIERS[self.carrier.name][1](sightings)
         columns = self.driver.columns(sightings) * self.mask(sightings)[:, None]
-        found: Floats = moved[:, :, None] * columns[:, None, :]
-        return found
+        if self.each:
+            at = np.array([sightings.station == sightings.station_names.index(name) for name in self.stations]).T
+            columns = (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
+        found: Floats = moved[:, :, :, None] * columns[:, None, None, :]
+        return found.reshape(len(sightings), 3, -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
         """Rates between those tried for a wave, gaps around a step."""
@@ -98,7 +106,58 @@ class Law(Tunable):
         ]
         return [replace(self, driver=Driver("product", factors=factors), scale=0) for factors in product(*options)]
 
+    def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
+        """What a law may be a rough sight of, each with its scales: the curve, short formulas, a finer curve."""
+        driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings), "fine": [self][:0]}
+        if driver.kind == "smooth":
+            finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
+            found["fine"] = [replace(self, driver=finer)]
+        return {
+            kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
+            for kind, laws in found.items()
+            if laws
+        }
 
+    def at_each(self, sightings: Sightings) -> Law | None:
+        """The law with coefficients of its own for each set-up, where that can be."""
+        stations = tuple(sightings.station_names)
+        confined = len(self.stations) > 1 or self.targets or self.instruments
+        if confined or self.carrier.kind not in OF_A_SET_UP or len(stations) < 2:
+            return None
+        return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
+
+    def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
+        """The law along the component, and at the set-up, where it does most.
+
+        Returns
+        -------
+        law : Law
+            At that set-up alone.
+        way : (c,) float
+            Unit vector.
+        mean : (c, k) float
+            Coefficients of each component there.
+        covariance : (c, k, c, k) float
+        """
+        ways, k = len(self.carrier.ways), self.driver.size
+        shape = (ways, len(mean) // (ways * k), k)
+        means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
+        columns = self.driver.columns(sightings)
+        if self.each:
+            rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
+            size = [float(np.sum((columns[r] @ means[:, i].T) ** 2)) for i, r in enumerate(rows)]
+        top = int(np.argmax(size)) if self.each else 0
+        law = replace(self, stations=(self.stations[top],), each=False) if self.each else self
+        moved = columns[law.mask(sightings) > 0] @ means[:, top].T
+        moved = moved - moved.mean(axis=0) if self.driver.kind != "constant" else moved
+        way = np.linalg.svd(moved, full_matrices=False)[2][0]
+        return law, way, means[:, top], spread[:, top, :, :, top, :]
+
+
+OF_A_SET_UP = ("reading", "instrument", "stand")
+"""Kinds of carriers that may do the same at every set-up, each in its own way."""
+MOST_SET_UPS = 12
+"""Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("azimuth", "elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 SHARES = (0.05, 0.15, 0.5)
 """Constants of decays and saturations, as a share of a covariate's span."""
@@ -151,12 +210,12 @@ def column_names(driver: Driver) -> list[str]:
             phase = _phase(driver)
             return [f"cos({phase})", f"sin({phase})"]
         case "field":
-            return ["everywhere", "with x", "with y", "with z"]
+            return [f"field {i + 1}" for i in range(driver.size)]
         case "smooth":
             return [f"curve {i + 1}" for i in range(driver.size)]
     names = [""]
     for factor in driver.factors:
-        part = column_names(factor)[: 4 if factor.kind == "smooth" else None]
+        part = [*(["alone"] if factor.kind == "smooth" else []), *column_names(factor)]
         names = [f"{a} {b}".strip() for a in names for b in part]
     return names
 
@@ -238,7 +297,7 @@ NAMED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
 """Carriers and the covariate they follow smoothly, that the catalogue has a card for."""
 CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Carriers that a wave of a circle's graduation has."""
-FINE = 20.0
+GRADUATED = 20.0
 """Periods a turn from which a wave of a circle is one of its graduation, and no harmonic of its eccentricity."""
 DECAYING = ("decay", "power")
 
@@ -246,7 +305,7 @@ DECAYING = ("decay", "power")
 def card_of(law: Law) -> str:
     """The name that the catalogue has for a law; `unknown` where it has none."""
     driver, carrier = law.driver, law.carrier.name
-    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > FINE:
+    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > GRADUATED:
         return "encoder-interpolation"
     if driver.kind == "simple" and driver.function in DECAYING:
         for carriers, covariates, name in NAMED:
@@ -256,25 +315,33 @@ def card_of(law: Law) -> str:
 
 
 def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Estimate, ...]:
-    """What a person asks of a law: amplitude and phase of a wave, the size of a constant, how far a curve swings."""
-    factor, unit = law.parameters[0].factor, law.carrier.unit
-    acts = law.mask(sightings) > 0
-    columns = law.driver.columns(sightings)[acts]
-    match law.driver.kind:
-        case "constant":
-            return (_estimate(law.carrier.name, mean[0], covariance[0, 0], factor, unit),)
-        case "wave":
-            size = float(np.hypot(*mean))
-            way = mean / max(size, 1e-300)
-            across = np.array([-way[1], way[0]])
-            phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
-            turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
-            amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(way @ covariance @ way), factor, unit)
-            return amplitude, Estimate("phase", phase, min(turn, 180.0), "deg")
-    values = columns @ mean
-    low, high = int(np.argmin(values)), int(np.argmax(values))
-    gap = columns[high] - columns[low]
-    return (_estimate("swing", float(gap @ mean), float(gap @ covariance @ gap), factor, unit),)
+    """What a person asks of a law: amplitude and phase of a wave, the size of a constant, how far a curve swings.
+
+    Of what moves in space each component, at the set-up where it moves farthest.
+    """
+    law, way, means, spread = law.along(mean, covariance, sightings)
+    factor, unit, ways = law.parameters[0].factor, law.carrier.unit, law.carrier.ways
+    if law.driver.kind == "constant":
+        return tuple(
+            _estimate(f"{law.carrier.name} {w}".strip(), means[i, 0], spread[i, 0, i, 0], factor, unit)
+            for i, w in enumerate(ways)
+        )
+    if law.driver.kind == "wave" and len(ways) == 1:
+        mean, covariance = means[0], spread[0, :, 0]
+        size = float(np.hypot(*mean))
+        along = mean / max(size, 1e-300)
+        across = np.array([-along[1], along[0]])
+        phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
+        turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
+        amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along), factor, unit)
+        return amplitude, Estimate("phase", phase, min(turn, 180.0), "deg")
+    columns = law.driver.columns(sightings)[law.mask(sightings) > 0]
+    values = columns @ means.T @ way
+    gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
+    return tuple(
+        _estimate(f"swing {w}".strip(), float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), factor, unit)
+        for i, w in enumerate(ways)
+    )
 
 
 def _estimate(name: str, value: float, variance: float, factor: float, unit: str) -> Estimate:
@@ -286,10 +353,12 @@ CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
 
 
 def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
-    """What the carrier does over the law's covariate, with its deviation; None where it follows several."""
+    """What the carrier does over the law's covariate where and how it does most; None where it follows several."""
     driver = law.driver
     if len(driver.covariates) != 1:
         return None
+    law, way, means, spread = law.along(mean, covariance, sightings)
+    mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
     if driver.kind == "wave":
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)

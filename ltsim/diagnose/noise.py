@@ -185,16 +185,15 @@ class NoiseBank:
         ratio = self.log_likelihood_ratio(residual)
         return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
 
-    def best(self, space: ResidualSpace, residual: Floats) -> list[tuple[float, NoiseHypothesis]]:
-        """Families in the order of their evidence, each with its likeliest hypothesis; sizes of the first estimated."""
+    def best(self, residual: Floats) -> list[tuple[float, NoiseHypothesis]]:
+        """Families in the order of their evidence, each with its likeliest hypothesis."""
         evidence = self.family_evidence(residual[:, None])[:, 0]
         ratio = self.log_likelihood_ratio(residual[:, None])[:, 0]
         found = []
         for family in np.argsort(-evidence)[:COMPARED]:
             members = np.flatnonzero(self.family == family)
             found.append((float(evidence[family]), self.hypotheses[members[int(np.argmax(ratio[members]))]]))
-        values, drop, sigma = _most_likely(space, space.sigma, found[0][1], residual)
-        return [(found[0][0], replace(found[0][1], values=values, sigma=sigma, drop=drop)), *found[1:]]
+        return found
 
 
 COMPARED = 6
@@ -247,14 +246,13 @@ def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis
     stated : (n, 3) float
         Standard deviations without it.
     """
-    values, _, sigma = _most_likely(space, stated, hypothesis, space.residual)
-    return replace(hypothesis, values=values, sigma=sigma)
+    return replace(most_likely(space, stated, hypothesis, space.residual), drop=hypothesis.drop)
 
 
-def _most_likely(
+def most_likely(
     space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis, residual: Floats
-) -> tuple[tuple[float, ...], float, tuple[float, ...]]:
-    """Sizes, twice the log ratio of the restricted likelihood at its maximum, standard deviations.
+) -> NoiseHypothesis:
+    """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
 
     Variances are those of the hypothesis on the `stated` (n, 3) ones; the residuals are whitened by the space's own.
 
@@ -292,7 +290,7 @@ def _most_likely(
     reach = np.array([_reach(gain, values, k, scale[k]) for k in range(len(values))])
     least = hypothesis.effect.least * scale
     mean, sigma = _posterior(lambda v: gain(v) - 2.0 * float(np.log1p(v / scale).sum()), values, reach, least)
-    return tuple(mean.tolist()), gain(values), tuple(sigma.tolist())
+    return replace(hypothesis, values=tuple(mean.tolist()), drop=gain(values), sigma=tuple(sigma.tolist()))
 
 
 def _reach(gain: Callable[[Floats], float], values: Floats, k: int, scale: float) -> float:
@@ -307,8 +305,8 @@ def _reach(gain: Callable[[Floats], float], values: Floats, k: int, scale: float
     return step
 
 
-GRID = 13
-"""Points an axis of the grid on which the posterior of the sizes is summed."""
+GRID = 9
+"""Points an axis of the grid on which the posterior of the sizes is summed: a good deviation apart, sums are exact."""
 
 
 def _posterior(

@@ -19,7 +19,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.diagnosis import Estimate
-from ltsim.diagnose.evidence import PRIOR, log_average, posterior, sign_weight
+from ltsim.diagnose.evidence import PRIOR, evidence_with, log_average, posterior, sign_weight
 from ltsim.diagnose.law import Law, card_of, law_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
@@ -42,15 +42,12 @@ KEPT = 16
 class Searcher:
     """Search over cards and laws in one residual space."""
 
-    def __init__(self, space: ResidualSpace, seed: int, *, before: Searcher | None = None) -> None:
-        """A search; `before`: the one on the same readings with other weights, judged already."""
+    def __init__(self, space: ResidualSpace, seed: int, *, cards: Cards | None = None) -> None:
+        """A search; with `cards` of one on the same readings with other weights, which is judged already."""
         self.space = space
-        self.probe = Probe.of(space, seed, judged=before is None)
+        self.probe = Probe.of(space, seed, judged=cards is None)
         self._most = REFINED if self.probe.basis is not None else FEW
-        if before is None:
-            self.cards = Cards.of(space, card_hypotheses(space.sightings))
-        else:
-            self.cards = before.cards.reweighted(before.space, space)
+        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
@@ -190,24 +187,32 @@ class Searcher:
         return found
 
     def _law(self, law: Law, hit: Hit, base: Found) -> Hypothesis:
-        """A law computed exactly: its best length scale, and short formulas where they explain as much."""
-        scales = [replace(law, scale=k) for k in range(len(law.driver.spreads))]
-        if len(scales) > 1:
-            moments = self.moments(law, base)
-            pairs: list[tuple[Tunable, float]] = [(one, evidence_of(one, *moments)) for one in scales]
-        else:
-            pairs = [self._uphill(law, base)]
-        logs = np.array([v for _, v in pairs])
-        best, prior = law_of(pairs[int(np.argmax(logs))][0]), hit.log_prior
-        value = float(log_average(logs)) + prior
-        short = law.formulas(self.space.sightings)
-        if short:
-            share = prior + float(np.log(len(scales) / len(short)))
-            found = [self.evidence(one, base) for one in short]
-            top = int(np.argmax(found))
-            if found[top] + share > value:
-                best, value, prior = short[top], found[top] + share, share
-        return Hypothesis(best, prior, value, card_of(best))
+        """A law computed exactly, in all its forms, and the likeliest of them."""
+        sightings = self.space.sightings
+        whole = hit.log_prior + float(np.log(len(law.driver.spreads)))
+        each = law.at_each(sightings)
+        tried = [self._form(law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]
+        tried += [self._form(each, whole + np.log(EACH), base)] if each else []
+        total = float(log_average(np.array([h.value for h in tried])))
+        return replace(max(tried, key=lambda h: h.value), value=total)
+
+    def _form(self, law: Law, prior: float, base: Found) -> Hypothesis:
+        """The likeliest of the forms of a law at its place, with the evidence of all."""
+        forms = law.forms(self.space.sightings)
+        whole = sum(FORMS[kind] for kind in forms)
+        tried = []
+        for kind, alike in forms.items():
+            share = prior + float(np.log(FORMS[kind] / whole / len(alike)))
+            for scales in alike:
+                if len(scales) == 1:
+                    best, value = self._uphill(scales[0], base)
+                else:
+                    moments = self.moments(scales[0], base)
+                    logs = np.array([evidence_of(one, *moments) for one in scales])
+                    best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
+                tried.append(Hypothesis(best, share, value + share, card_of(law_of(best))))
+        total = float(log_average(np.array([h.value for h in tried])))
+        return replace(max(tried, key=lambda h: h.value), value=total)
 
     def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
@@ -298,12 +303,18 @@ class Searcher:
 def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
     spread = np.array([p.prior_sigma for p in effect.parameters])
+    if not any(p.positive for p in effect.parameters):
+        return evidence_with(gram, score, spread)
     mean, covariance, total, _ = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
     return total
 
 
+FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1}
+"""Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
+EACH = 0.1
+"""Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 MOST_LAWS = 400
 """Laws of all panels that are kept beside the ones computed exactly."""
 

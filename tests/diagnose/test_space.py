@@ -47,7 +47,7 @@ def alone(space: ResidualSpace, law: Law, residual: np.ndarray, extension: np.nd
 def test_priors_sum_to_one(made):
     assert sum(PRIOR.values()) == pytest.approx(1.0)
     _, found, _ = made
-    hypotheses = (np.exp(p.log_prior).sum() * len(p.places) * sum(len(d.spreads) for d in p.drivers) for p in found)
+    hypotheses = (np.exp(p.log_prior) * len(p.carriers) * len(p.places) * sum(len(d.spreads) for d in p.drivers) for p in found)
     assert sum(hypotheses) == pytest.approx(PRIOR["law"])
 
 
@@ -144,7 +144,7 @@ def test_carriers_are_derivatives_of_the_readings(space):
     assert "vertical index" in designs  # two faces tell it from the elevation
     assert set(designs) <= set(CARRIERS)
     for name, (carrier, design) in designs.items():
-        assert design.shape == (len(space.sightings), 3)
+        assert design.shape == (len(space.sightings), 3, len(carrier.ways))
         assert np.isfinite(design).all(), name
         if len(carrier.observables) == 1:
             column = ("distance", "azimuth", "elevation").index(carrier.observables[0])
