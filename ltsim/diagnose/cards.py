@@ -122,8 +122,9 @@ class Cards:
             scores = scores.reshape(len(group.members), group.size, -1)
             if probe.fresh:
                 group.gram[:] = probe.gram(scores, group.own)
-            score, beside, trials, _ = probe.split(scores)
-            gram = group.gram - square(beside)
+            score, trials, _ = probe.split(scores)
+            beside = np.asarray(group.rows @ probe.extension.astype(np.float32)).astype(np.float64)
+            gram = group.gram - square(beside.reshape(*scores.shape[:2], -1))
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)

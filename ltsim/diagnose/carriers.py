@@ -15,6 +15,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.motions import station_design
 from ltsim.effects.signature import by_displacement, on_readings
 from ltsim.effects.smr_centring import reflector_axes
 from ltsim.recording.recording import OBSERVABLES
@@ -66,10 +67,8 @@ _READINGS = tuple(
     for name in OBSERVABLES
 )
 _SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
-_AXES = ("along x", "along y", "upwards")
 _LEAN = Carrier("lean of the stand", "urad", ANGLE, ("azimuth", "elevation"), "stand", ("about x", "about y"))
-_STAND = Carrier("place of the stand", "um", LENGTH, (), "stand", _AXES)
-"""A stand moves along the axes of the instrument."""
+_STAND = Carrier("place of the stand", "um", LENGTH, (), "stand", ("along x", "along y", "along z"))
 _TARGETS = Carrier("place of targets", "um", LENGTH, (), "target", ("along x", "along y", "along z"))
 _NORMAL = Carrier("height of targets in their nests", "um", LENGTH, (), "reflector")
 _AIR = Carrier("air gradient", "K/m", 1.0, (), "air")
@@ -80,8 +79,8 @@ def _reading(sightings: Sightings, observable: str) -> Floats:
     return on_readings(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
-def _slots_of(sightings: Sightings, slots: tuple[str, ...]) -> Floats:
-    return np.stack([sightings.slot_responses[slot] for slot in slots], axis=2)
+def _slot(sightings: Sightings, slot: str) -> Floats:
+    return sightings.slot_responses[slot][:, :, None]
 
 
 def _scale(sightings: Sightings) -> Floats:
@@ -103,10 +102,10 @@ Derivative = Callable[[Sightings], Floats]
 def _registry() -> dict[str, tuple[Carrier, Derivative]]:
     found: list[tuple[Carrier, Derivative]] = [
         *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
-        *((carrier, partial(_slots_of, slots=(slot,))) for slot, carrier in _SLOTS.items()),
+        *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
         (_SCALE, _scale),
-        (_LEAN, partial(_slots_of, slots=("standing-tilt-x", "standing-tilt-y"))),
-        (_STAND, partial(_slots_of, slots=("standing-radial-x", "standing-radial-y", "standing-axial"))),
+        (_LEAN, lambda s: station_design(s)[:, :, 3:5]),
+        (_STAND, lambda s: station_design(s)[:, :, :3]),
         (_TARGETS, lambda s: s.by_target),
         (_AIR, AirGradient().design),
         (_NORMAL, _along_nest),
@@ -123,7 +122,8 @@ _NEED_NESTS = {_NORMAL.name, _VERTEX.name}
 def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
     """Carriers by name with their designs (n, 3, c); one that equals an earlier one is left out.
 
-    On a single face the vertical index is the elevation, say.
+    On a single face the vertical index is the elevation, say. A target that moves looks like a stand that does, but
+    they follow different things.
     """
     found: dict[str, tuple[Carrier, Floats]] = {}
     nests = bool(np.isfinite(sightings.nest_normal).any())
@@ -131,7 +131,7 @@ def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
         if name in _NEED_NESTS and not nests:
             continue
         design = derivative(sightings)
-        alike = (other for _, other in found.values() if other.shape == design.shape)
+        alike = (d for c, d in found.values() if d.shape == design.shape and c.kind != "stand")
         same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in alike)
         if design.any() and not any(same):
             found[name] = carrier, design

@@ -114,21 +114,27 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
 
 
 def _explain(case: _Case, detection: Detection) -> Found:
-    """Mean shifts and changes of the noise in turn, whichever explains more first."""
+    """Mean shifts, and changes of the noise beside them, or in place of one or all, until nothing gains."""
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
     found = case.searcher.search(threshold, something=True)
     for _ in range(MOST_ROUNDS):
-        alone, beside = (case.bank.best(r) for r in (case.searcher.space.residual, found.residual))
-        noise_first = alone[0][0] > found.score
-        if max(alone[0][0] if noise_first else -np.inf, beside[0][0]) < threshold and (case.noise or not noise_first):
+        searcher, members = case.searcher, found.members
+        kept = [found, *(searcher.without(found, i) for i in range(len(members)))]
+        kept += [searcher.empty] if len(members) > 1 else []
+        spaces = [_beside(searcher.space, one.members) for one in kept]
+        ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
+        lost = np.array([found.score - one.score for one in kept])
+        instead = [searcher.rank(one).total for one in kept[: len(members) + 1]]
+        lost[1 : len(instead)] = np.minimum(lost[1 : len(instead)], instead[1:])
+        gains = [noise[0][0] for noise in ranked] - lost
+        most = int(np.argmax(gains))
+        if gains[most] < (threshold if not most and (case.noise or members) else 0.0):
             break
-        ranked, residual = (alone, case.searcher.space.residual) if noise_first else (beside, found.residual)
-        first = case.searcher.first
-        rest = first.total if noise_first else min(case.searcher.rank(found).total, threshold)
-        likeliest = most_likely(case.searcher.space, case.searcher.space.sigma, _with_probability(ranked, rest), residual)
-        case.noise = _joined(case.noise, likeliest)
+        rest = min(instead[0], threshold) if not most else searcher.rank(kept[most]).total
+        likeliest = _with_probability(ranked[most], rest)
+        case.noise = _joined(case.noise, most_likely(spaces[most], searcher.space.sigma, likeliest))
         case.sigma = case.weighted(case.noise)
-        case.search(_reweighted(case, () if noise_first else found.members))
+        case.search(_reweighted(case, kept[most].members))
         found = case.searcher.search(threshold, something=False)
     return found
 
@@ -160,14 +166,17 @@ def _joined(known: Sequence[NoiseHypothesis], further: NoiseHypothesis) -> list[
 def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
     """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out; updates the case."""
     for _ in range(REWEIGHTINGS):
-        space = ResidualSpace.of(case.adjustment())
-        if beside:
-            space = space.extended(np.hstack([space.signature(h.effect) for h in beside]))
+        space = _beside(ResidualSpace.of(case.adjustment()), beside)
         for i, one in enumerate(case.noise):
             stated = case.weighted([*case.noise[:i], *case.noise[i + 1 :]])
             case.noise[i] = remeasured(space, stated, one)
         case.sigma = case.weighted(case.noise)
     return case.adjustment()
+
+
+def _beside(space: ResidualSpace, members: Sequence[Hypothesis]) -> ResidualSpace:
+    """The space in which some effects are estimated too."""
+    return space.extended(np.hstack([space.signature(h.effect) for h in members])) if members else space
 
 
 @dataclass
@@ -239,9 +248,7 @@ class _Report:
         found = self.found
         fitted = self._with_effects(found, self.case.sigma)
         while len(found.members) > 1:
-            rest = [
-                self.case.searcher.with_members(found.members[:i] + found.members[i + 1 :]) for i in range(len(found.members))
-            ]
+            rest = [self.case.searcher.without(found, i) for i in range(len(found.members))]
             without = [self._with_effects(one, self.case.sigma) for one in rest]
             gains = [
                 0.5 * (one.adjustment.chi2 - fitted.adjustment.chi2) + h.log_prior
@@ -253,15 +260,12 @@ class _Report:
             found, fitted = rest[least], without[least]
         return found, fitted
 
-    def _others(self, member: int) -> Found:
-        members = self.found.members
-        return self.case.searcher.with_members(members[:member] + members[member + 1 :])
-
     def _ranking(self, member: int) -> Ranking:
         """Everything that could stand in a member's place, changes of the noise among it."""
-        others = self._others(member)
+        others = self.case.searcher.without(self.found, member)
         ranking = self.case.searcher.rank(others)
-        logs = self.case.bank.family_evidence(others.residual[:, None])[:, 0]
+        redundancy = self.case.searcher.space.redundancy - np.sum(others.extension**2, axis=1)
+        logs = self.case.bank.family_evidence(others.residual[:, None], redundancy)[:, 0]
         rivals = [
             Hypothesis(self.case.bank.hypotheses[int(np.argmax(self.case.bank.family == f))].effect, 0.0, float(v), n)
             for f, (n, v) in enumerate(zip(self.case.bank.families, logs, strict=True))
@@ -271,7 +275,7 @@ class _Report:
 
     def _finding(self, member: int, ranking: Ranking, fitted: Refit) -> Finding:
         hypothesis = replace(self.found.members[member], effect=fitted.effects[member])
-        others = self._others(member)
+        others = self.case.searcher.without(self.found, member)
         rivals = [name for name, _ in equivalents_of(ranking, hypothesis.name)[1]]
         beside = [e for k, e in enumerate(fitted.effects) if k != member]
         named = isinstance(hypothesis.effect, Effect)

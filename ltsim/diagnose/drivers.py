@@ -24,7 +24,7 @@ MODES, LOW, FINE = 9, 4, 32
 EDGE = 1.25
 """Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
-"""Length scales over the half-width of a covariate's range, as far as eigenfunctions reach; over a radian round a circle."""
+"""Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; round a circle, a radian."""
 MEMORY = ("approach-", "move-", "last-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {
@@ -80,8 +80,17 @@ class Driver:
     constant: float = 0.0
     factors: tuple[Driver, ...] = ()
 
-    def columns(self, sightings: Sightings) -> Floats:
-        """Columns (n, k), each of rms about one over the pointings."""
+    def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
+        """Columns (n, k), each of rms about one over the pointings.
+
+        What is `moving` with a further column is where it says at that column's mean. Elsewhere a constant is absorbed,
+        but coordinates have to be those of some moment; a clock begins with the work, and a curve has no mean.
+        """
+        found = self._columns(sightings, moving)
+        centred = moving and self.kind == "simple" and self.covariates[0] in sightings.covariates
+        return found - found.mean(axis=0) if centred else found
+
+    def _columns(self, sightings: Sightings, moving: bool) -> Floats:
         match self.kind:
             case "constant":
                 return np.ones((len(sightings), 1))
@@ -104,7 +113,7 @@ class Driver:
                 return (values / size if size > 0 else values)[:, None]
         found = np.ones((len(sightings), 1))
         for factor in self.factors:
-            part = factor.columns(sightings)
+            part = factor.columns(sightings, moving=moving)
             part = np.hstack([np.ones((len(part), 1)), part]) if factor.kind == "smooth" else part
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
@@ -169,6 +178,8 @@ def _spreads(circular: bool, count: int) -> tuple[Floats, ...]:
 
 
 CONSTANT = Driver("constant")
+
+
 def across_the_room(drivers: Sequence[Driver], order: int) -> list[Driver]:
     """Drivers whose size may grow across the room, or bend with it."""
     field = Driver("field", ("x", "y", "z"), constant=order)
@@ -203,7 +214,7 @@ def covariates_of(sightings: Sightings) -> list[str]:
     return [n for n in names if np.ptp(sightings.quantities[n]) > 0]
 
 
-def general_drivers(sightings: Sightings) -> list[Driver]:
+def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     """Drivers of every carrier: constants, signs, clocks that decay, smooth in every covariate."""
     signs = [s for s in ("face", "approach-azimuth", "approach-elevation") if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
@@ -214,7 +225,7 @@ def general_drivers(sightings: Sightings) -> list[Driver]:
         if np.ptp(sightings.quantities[name]) > 0:
             found.append(simple(name, "abs"))
     for name in covariates_of(sightings):
-        found += [smooth(name)]
+        found += [smooth(name, modes)]
     return found
 
 
@@ -224,7 +235,7 @@ _CLOCKS = ("time", "station-time", "lapse")
 _BALL = ("incidence", "nest-direction")
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*_CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance"),
-    "stand": (*_CLOCKS, *_HEAD),
+    "stand": _CLOCKS,
     "target": ("time",),
     "reflector": ("time", *_BALL),
     "air": ("time", "station-time"),

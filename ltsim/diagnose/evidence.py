@@ -29,8 +29,8 @@ LOG_WEIGHTS = np.log(np.array([0.15, 0.2, 0.25, 0.22, 0.13, 0.05]))
 """Their prior: a size ten times a plausible one is rare, a tenth of it is common."""
 
 PRIOR = {
-    "named": 0.735,  # an effect of the catalogue, all of them alike
-    "law": 0.16,  # a carrier that follows a driver, no card for it
+    "named": 0.5,  # an effect of the catalogue, all of them alike: as often as not it is one of them
+    "law": 0.395,  # a carrier that follows a driver, no card for it
     "noise": 0.10,  # a catalogued change of the noise
     "scatter": 0.005,  # noise that no card describes
 }
@@ -93,7 +93,9 @@ def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
 
 def simulated_total(scores: Floats, strength: Floats) -> Floats:
     """Log of the sum (trials,) over all hypotheses."""
-    return log_average(simulated_evidence(scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])))
+    return log_average(
+        simulated_evidence(scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2]))
+    )
 
 
 def _simulated(scores: Floats, strength: Floats) -> Singles:

@@ -73,12 +73,17 @@ class Law(Tunable):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
         moved = CARRIERS[self.carrier.name][1](sightings)
-        columns = self.driver.columns(sightings) * self.mask(sightings)[:, None]
-        if self.each:
-            at = np.array([sightings.station == sightings.station_names.index(name) for name in self.stations]).T
-            columns = (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
-        found: Floats = moved[:, :, :, None] * columns[:, None, None, :]
+        found: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return found.reshape(len(sightings), 3, -1)
+
+    def columns(self, sightings: Sightings) -> Floats:
+        """What each component of the carrier follows (n, k), zero elsewhere; for each set-up on its own, (n, S k)."""
+        columns = self.driver.columns(sightings, moving=self.carrier.kind == "target")
+        columns = columns * self.mask(sightings)[:, None]
+        if not self.each:
+            return columns
+        at = np.array([sightings.station == sightings.station_names.index(name) for name in self.stations]).T
+        return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
         """Rates between those tried for a wave, gaps around a step."""
@@ -122,7 +127,8 @@ class Law(Tunable):
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        if confined or self.carrier.kind not in OF_A_SET_UP or len(stations) < 2:
+        several = self.driver.kind == "product" or self.carrier.kind not in OF_A_SET_UP
+        if confined or several or len(stations) < 2:
             return None
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
 

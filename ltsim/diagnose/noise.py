@@ -131,64 +131,60 @@ class NoiseBank:
 
     Attributes
     ----------
-    gain : (h, m + g) csr float32
-        1 - 1/s of each row; of each mean for what repeats.
-    cost : (h,) float
-        Sum of redundancy times log s.
-    groups : (m,) int
-        Repeat group of each reading; -1 without.
+    gain, logs : (h, m + g) csr float32
+        1 - 1/s and log s of each row; of each mean for what repeats.
+    means : (g, m) csr float
+        What adds up repeats.
     """
 
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
     gain: sp.csr_array
-    cost: Floats
+    logs: sp.csr_array
     means: sp.csr_array
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
         """Build the bank on a residual space."""
-        share, means = space.redundancy, repeat_means(space)
-        mean_share = _share_of_means(means, share)
+        means = repeat_means(space)
         used, stated = space.use, space.sigma**2
-        cost = np.zeros(len(hypotheses))
         parts: list[tuple[Ints, Floats]] = []
-        for i, h in enumerate(hypotheses):
+        for h in hypotheses:
             factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
             if getattr(h.effect, "repeating", False):
                 factor = np.concatenate([np.ones(space.size), _grown(means, factor)])
-                weight = np.concatenate([share, mean_share])
-            else:
-                weight = share
             rows = np.flatnonzero(factor != 1.0)
-            parts.append((rows, 1.0 - 1.0 / factor[rows]))
-            cost[i] = float(weight[rows] @ np.log(factor[rows]))
+            parts.append((rows, factor[rows]))
         ends = np.cumsum([0, *(len(rows) for rows, _ in parts)])
-        places, values = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
-        gain = sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.size + means.shape[0]))
+        places, factors = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
+        gain, logs = (
+            sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.size + means.shape[0]))
+            for values in (1.0 - 1.0 / factors, np.log(factors))
+        )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        return cls(list(hypotheses), names, family, gain, cost, means)
+        return cls(list(hypotheses), names, family, gain, logs, means)
 
-    def log_likelihood_ratio(self, residual: Floats) -> Floats:
-        """(h, trials) for whitened residuals (m, trials)."""
+    def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
+        """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
         squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
-        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - self.cost[:, None])
+        share = np.concatenate([redundancy, _share_of_means(self.means, redundancy)])
+        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - (self.logs @ share)[:, None])
         return ratio
 
-    def family_evidence(self, residual: Floats) -> Floats:
+    def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors."""
         known = np.array([not f.startswith("unknown") for f in self.families])
         share = np.where(known, PRIOR["noise"] / max(known.sum(), 1), PRIOR["scatter"] / max((~known).sum(), 1))
-        ratio = self.log_likelihood_ratio(residual)
+        ratio = self.log_likelihood_ratio(residual, redundancy)
         return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
 
-    def best(self, residual: Floats) -> list[tuple[float, NoiseHypothesis]]:
+    def best(self, residual: Floats, redundancy: Floats) -> list[tuple[float, NoiseHypothesis]]:
         """Families in the order of their evidence, each with its likeliest hypothesis."""
-        evidence = self.family_evidence(residual[:, None])[:, 0]
-        ratio = self.log_likelihood_ratio(residual[:, None])[:, 0]
+        evidence = self.family_evidence(residual[:, None], redundancy)[:, 0]
+        ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
         found = []
         for family in np.argsort(-evidence)[:COMPARED]:
             members = np.flatnonzero(self.family == family)
@@ -246,15 +242,13 @@ def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis
     stated : (n, 3) float
         Standard deviations without it.
     """
-    return replace(most_likely(space, stated, hypothesis, space.residual), drop=hypothesis.drop)
+    return replace(most_likely(space, stated, hypothesis), drop=hypothesis.drop)
 
 
-def most_likely(
-    space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis, residual: Floats
-) -> NoiseHypothesis:
+def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
 
-    Variances are those of the hypothesis on the `stated` (n, 3) ones; the residuals are whitened by the space's own.
+    Variances are those of the hypothesis on the `stated` (n, 3) ones; residuals are whitened by the space's own.
 
     The maximum is found by moving every parameter of the effect in turn; sizes and standard deviations are those of the
     posterior around it, since the likelihood of a variance is skew and ends at zero.
@@ -263,7 +257,7 @@ def most_likely(
     repeating = bool(getattr(hypothesis.effect, "repeating", False))
     means = repeat_means(space) if repeating else None
     share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
-    squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
+    squares = space.residual[: len(share)] ** 2 if means is None else (means @ space.residual) ** 2
 
     def gain(values: Floats) -> float:
         variance = hypothesis.effect.variance(space.sightings, stated, values)

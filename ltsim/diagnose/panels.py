@@ -18,6 +18,7 @@ from ltsim.diagnose.carriers import Carrier, carrier_designs
 from ltsim.diagnose.drivers import (
     CONSTANT,
     LOW,
+    MODES,
     Driver,
     across_the_room,
     edges,
@@ -37,6 +38,8 @@ CHUNK = 1000
 """Pointings whose products are held at once."""
 MOST_STATIONS, MOST_TARGETS = 400, 400
 """Places up to whose number each is tried on its own."""
+ROOM = 4
+"""Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
 NEIGHBOURS = (3, 6, 9)
 """Targets that stand together: one with so many around it."""
 
@@ -115,7 +118,7 @@ class Panel:
         """
         rows = self.places[number].rows
         scores = self._sums(probe, rows)
-        score, _, trials, _ = probe.split(scores)
+        score, trials, _ = probe.split(scores)
         if probe.fresh:
             self._forms[number] = self._turned(probe.gram(scores, self._own(rows)))
         null = np.full(probe.scored, -np.inf)
@@ -194,6 +197,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     targets = tuple(_targets(s)) if 1 < len(s.target_names) <= MOST_TARGETS else ()
     groups = tuple(_groups(s)) if 12 <= len(s.target_names) <= 100 else ()
     general = general_drivers(s)
+    visits = float(np.median([len(place.rows) for place in stations] or [0]))
+    there = general if visits > ROOM * MODES else general_drivers(s, LOW)
     clock = [smooth(n, LOW) for n in ("time", *further(s)) if np.ptp(s.quantities[n]) > 0]
     plain = [CONSTANT, *(simple(n, "power") for n in ("time", "distance", "elevation") if np.ptp(s.quantities[n]) > 0)]
     plain += [simple(n, "power") for n in further(s)]
@@ -202,7 +207,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     here, moved = ("reading", "instrument", "stand", "air"), ("reading", "target")
     requests = [
         ("anywhere", general, everywhere, tuple(KINDS)),
-        ("station", general, stations, here),
+        ("station", there, stations, here),
         ("instrument", general, instruments, here),
         ("product", list(products(s)), everywhere, ("reading",)),
         ("wave", list(waves(s)), everywhere, ("reading", "vertical index")),

@@ -18,6 +18,7 @@ import numpy as np
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
+from ltsim.diagnose.carriers import CARRIERS
 from ltsim.diagnose.diagnosis import Estimate
 from ltsim.diagnose.evidence import PRIOR, evidence_with, log_average, posterior, sign_weight
 from ltsim.diagnose.law import Law, card_of, law_of, told_of
@@ -46,13 +47,16 @@ class Searcher:
         """A search; with `cards` of one on the same readings with other weights, which is judged already."""
         self.space = space
         self.probe = Probe.of(space, seed, judged=cards is None)
-        self._most = REFINED if self.probe.basis is not None else FEW
+        self._large = self.probe.basis is None
+        self._most = FEW if self._large else REFINED
         self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self._grams: dict[str, Floats] = {}
+        self._carried: dict[str, Floats] = {}
+        self._pointing = np.nonzero(space.use)[0]
         self.first = self.rank(self.empty)
 
     def rank(self, base: Found) -> Ranking:
@@ -166,12 +170,30 @@ class Searcher:
         Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
         products with itself alone, and these are the same beside every set.
         """
-        signature, key = self.space.signature(effect), repr(effect)
+        signature, key = self._signature(effect), repr(effect)
         if key not in self._grams:
-            left = self.space.project(signature)
-            self._grams[key] = left.T @ left
+            self._project([(key, signature)])
         beside = base.extension.T @ signature
         return self._grams[key] - beside.T @ beside, signature.T @ base.residual
+
+    def _project(self, signatures: Sequence[tuple[str, Floats]]) -> None:
+        """Gram matrices of what the adjustment leaves of signatures, all in one go."""
+        left = self.space.project(np.hstack([signature for _, signature in signatures]))
+        edges = np.cumsum([0, *(signature.shape[1] for _, signature in signatures)])
+        for (key, _), low, high in zip(signatures, edges[:-1], edges[1:], strict=True):
+            self._grams[key] = left[:, low:high].T @ left[:, low:high]
+
+    def _signature(self, effect: Tunable) -> Floats:
+        """Whitened signature (m, k); that of a law's carrier is computed once."""
+        if not isinstance(effect, Law):
+            return self.space.signature(effect)
+        name = effect.carrier.name
+        if name not in self._carried:
+            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
+        columns = effect.columns(self.space.sightings)[self._pointing]
+        found = np.zeros((self.space.size, self._carried[name].shape[1], columns.shape[1]))
+        found[: len(columns)] = self._carried[name][: len(columns), :, None] * columns[:, None, :]
+        return found.reshape(self.space.size, -1)
 
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
@@ -199,6 +221,8 @@ class Searcher:
     def _form(self, law: Law, prior: float, base: Found) -> Hypothesis:
         """The likeliest of the forms of a law at its place, with the evidence of all."""
         forms = law.forms(self.space.sightings)
+        new = {repr(scales[0]): scales[0] for alike in forms.values() for scales in alike}
+        self._project([(key, self._signature(one)) for key, one in new.items() if key not in self._grams])
         whole = sum(FORMS[kind] for kind in forms)
         tried = []
         for kind, alike in forms.items():
@@ -241,11 +265,15 @@ class Searcher:
         parts = [self._left_of(h) for h in members]
         return Found(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
 
+    def without(self, found: Found, member: int) -> Found:
+        """A set less one of its members."""
+        return self.with_members(found.members[:member] + found.members[member + 1 :])
+
     def _left_of(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """What the adjustment leaves of a signature, and the lengths of its columns; the last few are kept."""
         key = hypothesis.key
         if key not in self._left:
-            whole = self.space.signature(hypothesis.effect)
+            whole = self._signature(hypothesis.effect)
             self._left[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
         self._left.move_to_end(key)
         if len(self._left) > KEPT:
@@ -259,12 +287,13 @@ class Searcher:
             if ranking.total < threshold and (depth or not something):
                 break
             made = [self.with_members((*best.members, h)) for h in ranking.entries[:3]]
-            grown = self.reexamined(max(made, key=lambda s: s.score))
+            grown = max(made, key=lambda s: s.score)
+            grown = grown if self._large else self.reexamined(grown)
             if depth and grown.score < best.score + threshold:
                 break
             best = grown
             ranking = self.rank(best)
-        return self._renamed(best, threshold)
+        return self._renamed(self.reexamined(best) if self._large else best, threshold)
 
     def _renamed(self, found: Found, threshold: float) -> Found:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
@@ -286,7 +315,7 @@ class Searcher:
         """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
         for turn in range(2):
             before = found.score
-            for size in (1,) if turn or self.probe.basis is None else (1, 2):
+            for size in (1,) if turn or self._large else (1, 2):
                 for some in combinations(range(len(found.members)), size):
                     if len(found.members) < 2 or max(some) >= len(found.members):
                         continue

@@ -37,7 +37,11 @@ def scattered(space, pair, *, shared):
 def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     space, pair, bank = repeated
     evidence = dict(
-        zip(bank.families, bank.family_evidence(scattered(space, pair, shared=shared)[:, None])[:, 0], strict=True)
+        zip(
+            bank.families,
+            bank.family_evidence(scattered(space, pair, shared=shared)[:, None], space.redundancy)[:, 0],
+            strict=True,
+        )
     )
     more = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more > 20.0 if shared else more < -20.0
@@ -47,14 +51,20 @@ def test_what_looks_like_noise_may_still_be_a_law(repeated):
     """Scatter alone is as good an explanation as a noise level; only the prior odds tell them apart."""
     space, pair, bank = repeated
     evidence = dict(
-        zip(bank.families, bank.family_evidence(scattered(space, pair, shared=False)[:, None])[:, 0], strict=True)
+        zip(
+            bank.families,
+            bank.family_evidence(scattered(space, pair, shared=False)[:, None], space.redundancy)[:, 0],
+            strict=True,
+        )
     )
     assert -6.0 < evidence["unknown:noise:scatter"] - evidence["noise-level"] < 0.0
 
 
 def test_quiet_residuals_are_no_law(repeated):
     space, _, bank = repeated
-    evidence = dict(zip(bank.families, bank.family_evidence(0.6 * space.residual[:, None])[:, 0], strict=True))
+    evidence = dict(
+        zip(bank.families, bank.family_evidence(0.6 * space.residual[:, None], space.redundancy)[:, 0], strict=True)
+    )
     assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
 
 
@@ -62,7 +72,7 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
     white = space.project(stream(2, "white").standard_normal((space.size, 200)))
-    mean = np.log(np.exp(bank.family_evidence(white)).mean(axis=1).sum())
+    mean = np.log(np.exp(bank.family_evidence(white, space.redundancy)).mean(axis=1).sum())
     assert mean < np.log(PRIOR["noise"] + PRIOR["scatter"]) + 1.0
 
 

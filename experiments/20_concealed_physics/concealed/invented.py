@@ -15,7 +15,10 @@ from ltsim.units import MICROMETRE, MICRORADIAN
 from .laws import first, last, later, latest, motions, newest
 
 Laws = Literal["first", "later", "latest", "last", "newest", "motions", "all"]
-"""Which of the invented laws are drawn; all: those of the first four sets, so that its recordings stay the same; motions: a set for tuning."""
+"""Which of the invented laws are drawn.
+
+all: those of the first four sets, so that its recordings stay the same; motions: for tuning.
+"""
 
 SETS_OF_LAWS = {"first": first, "later": later, "latest": latest, "last": last, "newest": newest, "motions": motions}
 ALL = {name: law for part in SETS_OF_LAWS.values() for name, law in part.LAWS.items()}

@@ -1,4 +1,4 @@
-"""A set of laws for tuning, by somebody who knows the search: stands, targets and constants of the instrument that vary."""
+"""Laws for tuning, by somebody who knows the search: stands, targets and constants of the instrument that vary."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.scene.sightings import Sightings
 
-from .law import Law, Words, hours, level, share, turn
+from .law import Law, Words, level, share, turn
 
 UP = np.array([0.0, 0.0, 1.0])
 TURNS = ("azimuth", "elevation")
@@ -114,7 +114,11 @@ LAWS: dict[str, tuple[str, tuple[str, ...], Law]] = {
     "transit tilt runs away": ("azimuth", ("time",), lambda s, u: s.face_sign * np.tan(s.elevation) * share(s) ** 2),
     "azimuth wanders": ("azimuth", ("time",), _walk),
     "range offset settles": ("distance", ("time",), lambda s, u: np.sqrt(s.station_time / 600.0)),
-    "range by elevation and load": ("distance", ("elevation", "table_load_kg"), lambda s, u: np.sin(s.elevation) * _load(s)),
+    "range by elevation and load": (
+        "distance",
+        ("elevation", "table_load_kg"),
+        lambda s, u: np.sin(s.elevation) * _load(s),
+    ),
     "elevation by nearness": ("elevation", ("distance",), lambda s, u: 2.0 / s.range_),
 }
 WORDS = {
