@@ -24,7 +24,7 @@ MODES, LOW, FINE = 9, 4, 32
 EDGE = 1.25
 """Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
-"""Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; round a circle, a radian."""
+"""Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; of a circle, a radian."""
 MEMORY = ("approach-", "move-", "last-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {

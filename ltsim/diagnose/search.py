@@ -178,6 +178,8 @@ class Searcher:
 
     def _project(self, signatures: Sequence[tuple[str, Floats]]) -> None:
         """Gram matrices of what the adjustment leaves of signatures, all in one go."""
+        if not signatures:
+            return
         left = self.space.project(np.hstack([signature for _, signature in signatures]))
         edges = np.cumsum([0, *(signature.shape[1] for _, signature in signatures)])
         for (key, _), low, high in zip(signatures, edges[:-1], edges[1:], strict=True):
@@ -221,13 +223,13 @@ class Searcher:
     def _form(self, law: Law, prior: float, base: Found) -> Hypothesis:
         """The likeliest of the forms of a law at its place, with the evidence of all."""
         forms = law.forms(self.space.sightings)
-        new = {repr(scales[0]): scales[0] for alike in forms.values() for scales in alike}
+        new = {repr(scales[0]): scales[0] for some in forms.values() for scales in some}
         self._project([(key, self._signature(one)) for key, one in new.items() if key not in self._grams])
         whole = sum(FORMS[kind] for kind in forms)
         tried = []
-        for kind, alike in forms.items():
-            share = prior + float(np.log(FORMS[kind] / whole / len(alike)))
-            for scales in alike:
+        for kind, some in forms.items():
+            share = prior + float(np.log(FORMS[kind] / whole / len(some)))
+            for scales in some:
                 if len(scales) == 1:
                     best, value = self._uphill(scales[0], base)
                 else:
