@@ -13,10 +13,17 @@ from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
-from ltsim.diagnose.diagnosis import Diagnosis, Finding, Fit
-from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_finding, mean_finding, noise_finding
+from ltsim.diagnose.diagnosis import Diagnosis, Equivalent, Finding, Fit
+from ltsim.diagnose.findings import (
+    NOT_EXCLUDED,
+    equivalents_of,
+    gross_finding,
+    instrument_finding,
+    mean_finding,
+    noise_finding,
+)
 from ltsim.diagnose.gross import GrossFinding, explain_gross
-from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds, station_target_folds
+from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses, remeasured
 from ltsim.diagnose.refit import Refit, refit
@@ -149,7 +156,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     for (_, one), w in zip(ranked, weight[2:], strict=True):
         total[one.effect.name] = total.get(one.effect.name, 0.0) + float(w)
     probability = total.pop(best.effect.name)
-    others = sorted(((n, p) for n, p in total.items() if p > 0.01), key=lambda pair: -pair[1])
+    others = sorted((Equivalent(n, p) for n, p in total.items() if p > NOT_EXCLUDED), key=lambda e: -e.probability)
     return replace(best, probability=probability, equivalents=tuple(others[:3]))
 
 
@@ -282,7 +289,7 @@ class _Report:
         advice = separating_measurement(self.baseline, hypothesis.name, rivals, beside) if named else ""
         told = self.case.searcher.estimates(hypothesis, others, fitted.estimates[member])
         return mean_finding(
-            hypothesis, told, others, self.found, ranking, self.detection, self.case.searcher.space, advice,
+            hypothesis, told, others, self.found, ranking, self.detection, self.case.searcher, advice,
             clock=self.case.recording.has_clock,
         )  # fmt: skip
 
@@ -297,12 +304,7 @@ class _Report:
 def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
     """Chi2 and held-out error; the latter of another adjustment where one is given."""
     space = ResidualSpace.of(predicting or adjustment)
-    held_out = {
-        "pointings": held_out_rms(space, pointing_folds(space)),
-        "station-target pairs": held_out_rms(space, pair_folds(space)),
-        "a quarter of a station's targets": held_out_rms(space, station_target_folds(space)),
-    }
-    return Fit(adjustment.chi2, dof, held_out["station-target pairs"], held_out)
+    return Fit(adjustment.chi2, dof, held_out_rms(space, pair_folds(space)))
 
 
 __all__ = ["diagnose"]

@@ -6,7 +6,7 @@ does (a vertical index that follows the clock is `index-drift`), it bears that n
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
 from ltsim.diagnose.diagnosis import Curve, Estimate
-from ltsim.diagnose.drivers import CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
+from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -53,11 +53,9 @@ class Law(Tunable):
     def parameters(self) -> tuple[Parameter, ...]:
         """One coefficient a component of the carrier, set-up, and column of the driver, with its prior deviation."""
         spread = self.driver.spreads[self.scale] * self.carrier.size
-        columns = list(zip(column_names(self.driver), spread, strict=True))
-        places = self.stations if self.each else ("",)
+        spreads = np.tile(spread, len(self.carrier.ways) * (len(self.stations) if self.each else 1))
         return tuple(
-            Parameter(" ".join(filter(None, (name, way, place))), self.carrier.unit, "coefficient", float(s))
-            for way, place, (name, s) in product(self.carrier.ways, places, columns)
+            Parameter(f"coefficient {i + 1}", self.carrier.unit, "coefficient", float(s)) for i, s in enumerate(spreads)
         )
 
     @property
@@ -164,66 +162,28 @@ OF_A_SET_UP = ("reading", "instrument", "stand")
 """Kinds of carriers that may do the same at every set-up, each in its own way."""
 MOST_SET_UPS = 12
 """Up to so many: a law for each has as many times its coefficients."""
-ANGULAR = ("azimuth", "elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-SHARES = (0.05, 0.15, 0.5)
+ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
 
 
 def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Driver]:
-    """Short drivers in a covariate."""
-    x = sightings.quantities[name]
-    span = float(np.ptp(x))
-    if name in ("azimuth", "nest-direction"):
-        for order in (1.0, 2.0, 3.0) if few else (1.0, 2.0, 3.0, 4.0, 5.0, 6.0):
-            yield Driver("wave", (name,), constant=order)
-        if few:
-            return
-    yield simple(name, "power", 1.0)
-    if name in ANGULAR and name != "azimuth":
-        for function, order in (
-            ("sin", 1.0),
-            ("cos", 1.0),
-            ("sin", 2.0),
-            ("cos", 2.0),
-            ("sin", 3.0),
-            ("cos", 3.0),
-            ("tan", 1.0),
-        ):
-            yield simple(name, function, order)
-    yield simple(name, "power", 2.0)
-    if few:
-        return
-    yield simple(name, "power", 3.0)
-    if name in ("distance",):
-        yield simple(name, "power", -1.0)
-    if name.startswith("move-"):
-        yield simple(name, "abs")
-    for share in SHARES:
-        if name in ("station-time", "time", "lapse"):
-            yield simple(name, "decay", share * span)
-        if name.startswith("move-"):
-            yield simple(name, "saturated", share * span)
-
-
-def column_names(driver: Driver) -> list[str]:
-    """A word for each column of a driver."""
-    match driver.kind:
-        case "constant":
-            return ["constant"]
-        case "simple":
-            return [describe(driver)]
-        case "wave":
-            phase = _phase(driver)
-            return [f"cos({phase})", f"sin({phase})"]
-        case "field":
-            return [f"field {i + 1}" for i in range(driver.size)]
-        case "smooth":
-            return [f"curve {i + 1}" for i in range(driver.size)]
-    names = [""]
-    for factor in driver.factors:
-        part = [*(["alone"] if factor.kind == "smooth" else []), *column_names(factor)]
-        names = [f"{a} {b}".strip() for a in names for b in part]
-    return names
+    """Short drivers in a covariate; `few` where several are tried together."""
+    shares = SHARES * float(np.ptp(sightings.quantities[name]))
+    circular = name in CIRCULAR
+    if circular:
+        for order in range(1, 4 if few else 7):
+            yield Driver("wave", (name,), constant=float(order))
+    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
+    if name in ANGULAR and not (circular and few):
+        tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
+    if not few:
+        tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
+        tried += [("decay", shares)] if name in ("station-time", "time", "lapse") else []
+        tried += [("abs", (1.0,)), ("saturated", shares)] if name.startswith("move-") else []
+    for function, constants in tried:
+        for constant in constants:
+            yield simple(name, function, float(constant))
 
 
 UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
@@ -242,13 +202,6 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
     if UNITS.get(name) == "m":
         return f"{1e3 * value:.4g} mm" if abs(value) < 1 else f"{value:.3g} m"
     return f"{value:.4g}"
-
-
-def _phase(driver: Driver) -> str:
-    name, rate = driver.covariates[0], driver.constant
-    if name.endswith(("azimuth", "elevation", "nest-direction")):
-        return name if rate == 1.0 else f"{rate:.4g} {name}"
-    return f"2 pi {name} / {value_of(name, 2 * np.pi / rate)}"
 
 
 def _wave_words(driver: Driver, clock: bool) -> str:

@@ -8,15 +8,15 @@ Sizes are averaged over a grid, so these hypotheses compete with mean shifts by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import minimize_scalar
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
+from ltsim.diagnose.diagnosis import Equivalent
 from ltsim.diagnose.drivers import further
 from ltsim.diagnose.evidence import PRIOR, log_means
 from ltsim.effects import CATALOGUE
@@ -85,7 +85,7 @@ class NoiseHypothesis:
     sigma: tuple[float, ...] = ()
     drop: float = 0.0
     probability: float = 0.0
-    equivalents: tuple[tuple[str, float], ...] = ()
+    equivalents: tuple[Equivalent, ...] = ()
     separate_by: str = ""
 
 
@@ -225,10 +225,6 @@ LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
 
 
-LARGEST = 400.0
-"""Upper bound of a parameter in units of its prior sigma."""
-
-
 def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """A hypothesis with its sizes estimated in an adjustment that is weighted by it already.
 
@@ -245,76 +241,46 @@ def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis
     return replace(most_likely(space, stated, hypothesis), drop=hypothesis.drop)
 
 
+LARGEST = 400.0
+"""Upper bound of a size in units of its plausible one."""
+GRID, REACH, ZOOMS = 7, 4.0, 9
+"""Points an axis of the grid on which the posterior of sizes is summed, deviations it reaches, and how often it is
+drawn anew: sums over a bell curve are exact from spacings of a deviation and a half on, and nine grids shrink to the
+narrowest one there is."""
+
+
 def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
 
-    Variances are those of the hypothesis on the `stated` (n, 3) ones; residuals are whitened by the space's own.
-
-    The maximum is found by moving every parameter of the effect in turn; sizes and standard deviations are those of the
-    posterior around it, since the likelihood of a variance is skew and ends at zero.
+    Variances are those of the hypothesis on the `stated` (n, 3) ones; residuals are whitened by the space's own. Sizes
+    and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a priori all
+    factors on a variance are alike, by their logarithm.
     """
-    used = space.use
-    repeating = bool(getattr(hypothesis.effect, "repeating", False))
-    means = repeat_means(space) if repeating else None
+    effect, used = hypothesis.effect, space.use
+    means = repeat_means(space) if getattr(effect, "repeating", False) else None
     share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
     squares = space.residual[: len(share)] ** 2 if means is None else (means @ space.residual) ** 2
 
     def gain(values: Floats) -> float:
-        variance = hypothesis.effect.variance(space.sightings, stated, values)
-        factor = (variance / space.sigma**2)[used]
+        factor = (effect.variance(space.sightings, stated, values) / space.sigma**2)[used]
         if float(factor.min()) <= 0.0:
             return -np.inf
         factor = factor if means is None else _grown(means, factor)
         return float(squares @ (1 - 1 / factor) - share @ np.log(factor))
 
-    values = np.array(hypothesis.values, dtype=np.float64)
-    scale = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
-    for _ in range(3):
-        for k in range(len(values)):
-
-            def lost(log_size: float, at: int = k) -> float:
-                tried = values.copy()
-                tried[at] = scale[at] * (np.exp(log_size) - 1.0)
-                return -gain(tried)
-
-            bounds = (np.log1p(hypothesis.effect.least), np.log1p(LARGEST))
-            found = minimize_scalar(lost, bounds=bounds, method="bounded")
-            if -found.fun > gain(values):
-                values[k] = scale[k] * (np.exp(found.x) - 1.0)
-    reach = np.array([_reach(gain, values, k, scale[k]) for k in range(len(values))])
-    least = hypothesis.effect.least * scale
-    mean, sigma = _posterior(lambda v: gain(v) - 2.0 * float(np.log1p(v / scale).sum()), values, reach, least)
-    return replace(hypothesis, values=tuple(mean.tolist()), drop=gain(values), sigma=tuple(sigma.tolist()))
-
-
-def _reach(gain: Callable[[Floats], float], values: Floats, k: int, scale: float) -> float:
-    """How far upward a parameter can go before its likelihood falls by a factor of e^-2 (two standard deviations)."""
-    top, step = gain(values), 0.05 * max(abs(float(values[k])), 0.2 * scale)
-    while step < LARGEST * scale:
-        tried = values.copy()
-        tried[k] += step
-        if gain(tried) < top - 4.0:
-            return step
-        step *= 1.5
-    return step
-
-
-GRID = 9
-"""Points an axis of the grid on which the posterior of the sizes is summed: a good deviation apart, sums are exact."""
-
-
-def _posterior(
-    twice_log: Callable[[Floats], float], values: Floats, reach: Floats, least: Floats
-) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (q,) of sizes above the `least` ones, around the maximum of the likelihood."""
-    mean, sigma = values, 0.5 * reach
-    for width in (4.0, 4.5):
-        low = np.maximum(least, mean - width * sigma)
-        axes = [np.linspace(a, b, GRID) for a, b in zip(low, mean + width * sigma, strict=True)]
+    scale = np.array([p.prior_sigma for p in effect.parameters])
+    least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
+    low, high = least, most
+    for _ in range(ZOOMS):
+        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
         points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-        logs = 0.5 * np.array([twice_log(point) for point in points])
+        sizes = scale * np.expm1(points)
+        logs = 0.5 * np.array([gain(one) for one in sizes])
         weight = np.exp(logs - logs.max())
         weight /= weight.sum()
         mean = weight @ points
-        sigma = np.sqrt(weight @ (points - mean) ** 2)
-    return mean, sigma
+        spread = np.maximum(np.sqrt(weight @ (points - mean) ** 2), 0.4 * (high - low) / (GRID - 1))
+        low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
+    values = weight @ sizes
+    sigma = np.sqrt(weight @ (sizes - values) ** 2)
+    return replace(hypothesis, values=tuple(values.tolist()), drop=gain(values), sigma=tuple(sigma.tolist()))

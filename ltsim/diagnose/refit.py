@@ -59,36 +59,18 @@ class FirstOrder(Tunable):
 
     base: Tunable
     at: Floats = field(compare=False, repr=False)
+    name: str = ""
+    parameters: tuple[Parameter, ...] = ()
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    observables: tuple[str, ...] = ()
+    covariates: tuple[str, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """That of the effect, like all that follows."""
-        return self.base.name
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The effect's parameters."""
-        return self.base.parameters
-
-    @property
-    def stations(self) -> tuple[str, ...]:
-        """The effect's stations."""
-        return self.base.stations
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """The effect's targets."""
-        return self.base.targets
-
-    @property
-    def observables(self) -> tuple[str, ...]:
-        """The effect's observables."""
-        return self.base.observables
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        """The effect's covariates."""
-        return self.base.covariates
+    @classmethod
+    def of(cls, base: Tunable, sightings: Sightings) -> FirstOrder:
+        """An effect at a state of the network."""
+        told = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
+        return cls(base, base.design(sightings), *told)
 
     def design(self, sightings: Sightings) -> Floats:
         """The design (n, 3, p) of the effect as it was."""
@@ -151,7 +133,7 @@ def refit(
     found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
         sightings = MeasurementModel(recording, construction).sightings(plain)
-        current = [FirstOrder(effect, effect.design(sightings)) for effect in current]
+        current = [FirstOrder.of(effect, sightings) for effect in current]
         found = adjusted(effects=current, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     joint, best = found, (found, list(current))

@@ -244,7 +244,7 @@ class Searcher:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
         effect = hypothesis.effect
         if isinstance(effect, Law):
-            return self._of_law(effect, others)
+            return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
         found = shape_posterior(self, effect, others, {e.name: e.sigma for e in told})
         wider = any(found[e.name][1] > WIDER * e.sigma for e in told if e.name in found)
         rows = [
@@ -254,11 +254,10 @@ class Searcher:
             rows.append(Estimate("time", *found["time"], "s"))
         return tuple(rows)
 
-    def _of_law(self, law: Law, others: Found) -> tuple[Estimate, ...]:
-        """What a person asks of a law: its size, how large it gets, its phase."""
+    def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:
+        """Mean (k,) and covariance (k, k) of a law's coefficients beside a set."""
         gram, score = self.moments(law, others)
-        mean, covariance, *_ = posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))
-        return told_of(law, self.space.sightings, mean, covariance)
+        return posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))[:2]
 
     def with_members(self, members: Sequence[Hypothesis]) -> Found:
         """The set of some hypotheses, scored together."""
