@@ -18,7 +18,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.scene.sightings import Sightings
 
-CIRCULAR = ("azimuth", "nest-direction")
+CIRCULAR = ("azimuth", "bearing", "nest-direction")
 MODES, LOW, FINE = 9, 4, 32
 """Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
 EDGE = 1.25
@@ -33,6 +33,9 @@ WORDS = {
     "y": "place",
     "z": "place",
     "station-time": "time",
+    "repeat": "time",
+    "parity": "approach",
+    "bearing": "azimuth",
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
@@ -198,7 +201,7 @@ def smooth(name: str, modes: int = MODES) -> Driver:
 
 def covariates_of(sightings: Sightings) -> list[str]:
     """What a smooth driver may follow here."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
+    names = ["azimuth", "elevation", "distance", "time", "station-time", "height", "bearing", "x", "y"]
     if np.isfinite(sightings.incidence).any():
         names += ["incidence", "nest-direction"]
     names += [
@@ -216,7 +219,8 @@ def covariates_of(sightings: Sightings) -> list[str]:
 
 def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     """Drivers of every carrier: constants, signs, clocks that decay, smooth in every covariate."""
-    signs = [s for s in ("face", "approach-azimuth", "approach-elevation") if np.ptp(sightings.quantities[s]) > 0]
+    tried = ("face", "approach-azimuth", "approach-elevation", "parity", "repeat")
+    signs = [s for s in tried if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
     for name in ("time", "station-time"):
         span = float(np.ptp(sightings.quantities[name]))
@@ -234,7 +238,7 @@ _HEAD = (*_AXES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "la
 _CLOCKS = ("time", "station-time", "lapse")
 _BALL = ("incidence", "nest-direction")
 DRIVES: dict[str, tuple[str, ...]] = {
-    "instrument": (*_CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance"),
+    "instrument": (*_CLOCKS, *_HEAD, "parity", "repeat", "distance", "height", "move-distance", "last-distance"),
     "stand": _CLOCKS,
     "target": ("time",),
     "reflector": ("time", *_BALL),
@@ -251,7 +255,7 @@ def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
 
 def products(sightings: Sightings) -> Iterator[Driver]:
     """Products of two drivers: a sign and a smooth one, and two smooth ones in different covariates."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
+    names = ["azimuth", "elevation", "distance", "time", "station-time", "height", "bearing"]
     if np.isfinite(sightings.incidence).any():
         names += ["incidence", "nest-direction"]
     names = [n for n in [*names, *further(sightings)] if np.ptp(sightings.quantities[n]) > 0]
@@ -265,7 +269,7 @@ def products(sightings: Sightings) -> Iterator[Driver]:
                 for name in ("distance", "elevation"):
                     yield Driver("product", factors=(simple(length, function), simple(name, "power")))
     for one, other in combinations(names, 2):
-        if {one, other} != {"time", "station-time"}:
+        if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}):
             yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))
 
 

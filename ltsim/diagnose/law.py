@@ -193,7 +193,7 @@ UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
     """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
-    if name.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
+    if name.endswith(("azimuth", "bearing", "elevation", "incidence", "nest-direction")):
         return f"{np.degrees(value):.3g} deg"
     if UNITS.get(name) == "s" and not clock:
         return f"{value:.3g} rows"
@@ -206,7 +206,7 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
 
 def _wave_words(driver: Driver, clock: bool) -> str:
     name, rate = driver.covariates[0], driver.constant
-    if name.endswith(("azimuth", "elevation", "nest-direction")):
+    if name.endswith(("azimuth", "bearing", "elevation", "nest-direction")):
         return f"a wave in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
     return f"a wave in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
 
@@ -266,6 +266,8 @@ def card_of(law: Law) -> str:
     driver, carrier = law.driver, law.carrier.name
     if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > GRADUATED:
         return "encoder-interpolation"
+    if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
+        return "range-cyclic"
     if driver.kind == "simple" and driver.function in DECAYING:
         for carriers, covariates, name in NAMED:
             if carrier in carriers and driver.covariates[0] in covariates:

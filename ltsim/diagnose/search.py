@@ -29,6 +29,8 @@ from ltsim.diagnose.shapes import shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 
 MOST_MEMBERS = 5
+FLEXIBLE = 10
+"""Coefficients of the curve of one quantity; more can imitate several effects."""
 REFINED = 7
 """Cards, and laws, that are computed exactly in each round."""
 CELLS = 11
@@ -282,19 +284,30 @@ class Searcher:
         return self._left[key]
 
     def search(self, threshold: float, *, something: bool) -> Found:
-        """The best set: each further finding must raise the evidence of all there is by `threshold`."""
-        best, ranking = self.empty, self.first
-        for depth in range(MOST_MEMBERS):
+        """The best set: each further finding must raise the evidence of all there is by `threshold`.
+
+        A curve with many coefficients can imitate several effects: the search begins again with the best of those that
+        have few, and what gains more is told.
+        """
+        best = self._grown(self.empty, threshold, something=something)
+        stiff = [h for h in self.first.entries if len(h.spread) <= FLEXIBLE]
+        if stiff and any(len(h.spread) > FLEXIBLE for h in best.members):
+            made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
+            best = max(made, key=lambda s: s.score - threshold * len(s.members))
+        return self._renamed(best, threshold)
+
+    def _grown(self, best: Found, threshold: float, *, something: bool) -> Found:
+        """A set with findings added one at a time."""
+        for depth in range(len(best.members), MOST_MEMBERS):
+            ranking = self.rank(best)
             if ranking.total < threshold and (depth or not something):
                 break
-            made = [self.with_members((*best.members, h)) for h in ranking.entries[:3]]
-            grown = max(made, key=lambda s: s.score)
+            grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
             grown = grown if self._large else self.reexamined(grown)
             if depth and grown.score < best.score + threshold:
                 break
             best = grown
-            ranking = self.rank(best)
-        return self._renamed(self.reexamined(best) if self._large else best, threshold)
+        return self.reexamined(best) if self._large else best
 
     def _renamed(self, found: Found, threshold: float) -> Found:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
