@@ -78,10 +78,10 @@ class _Case:
 
     def search(self, adjustment: Adjustment) -> None:
         """Score everything beside an adjustment; what was scored before is let go."""
-        space, before = ResidualSpace.of(adjustment), getattr(self, "searcher", None)
-        cards = before.cards.reweighted(before.space, space) if before else None
-        del before
-        self.__dict__.pop("searcher", None)
+        space, cards = ResidualSpace.of(adjustment), None
+        if hasattr(self, "searcher"):
+            cards = self.searcher.cards.reweighted(self.searcher.space, space)
+            del self.searcher
         self.searcher = Searcher(space, self.seed, cards=cards)
         self.bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
 
@@ -269,16 +269,15 @@ class _Report:
 
     def _ranking(self, member: int) -> Ranking:
         """Everything that could stand in a member's place, changes of the noise among it."""
-        others = self.case.searcher.without(self.found, member)
-        ranking = self.case.searcher.rank(others)
-        redundancy = self.case.searcher.space.redundancy - np.sum(others.extension**2, axis=1)
-        logs = self.case.bank.family_evidence(others.residual[:, None], redundancy)[:, 0]
+        searcher, bank = self.case.searcher, self.case.bank
+        others = searcher.without(self.found, member)
+        redundancy = searcher.space.redundancy - np.sum(others.extension**2, axis=1)
+        logs = bank.family_evidence(others.residual[:, None], redundancy)[:, 0]
         rivals = [
-            Hypothesis(self.case.bank.hypotheses[int(np.argmax(self.case.bank.family == f))].effect, 0.0, float(v), n)
-            for f, (n, v) in enumerate(zip(self.case.bank.families, logs, strict=True))
+            Hypothesis(bank.hypotheses[int(np.argmax(bank.family == f))].effect, 0.0, float(v), n.partition(":")[0])
+            for f, (n, v) in enumerate(zip(bank.families, logs, strict=True))
         ]
-        rivals = [replace(h, name="unknown") if h.name.startswith("unknown") else h for h in rivals]
-        return ranking.beside(rivals)
+        return searcher.rank(others).beside(rivals)
 
     def _finding(self, member: int, ranking: Ranking, fitted: Refit) -> Finding:
         hypothesis = replace(self.found.members[member], effect=fitted.effects[member])

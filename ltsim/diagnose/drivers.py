@@ -8,7 +8,7 @@ waves. Several length scales share the columns and differ in the variances; so d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations, combinations_with_replacement
@@ -47,7 +47,6 @@ SIMPLE = {
     "sin": lambda x, k: np.sin(k * x),
     "tan": lambda x, k: np.tan(k * x),
     "step": lambda x, k: (x > k).astype(np.float64),
-    "bend": lambda x, k: np.maximum(x - k, 0.0),
     "saturated": lambda x, k: x / (k + np.abs(x)),
     "decay": lambda x, k: np.exp(-x / k),
 }
@@ -199,22 +198,21 @@ def smooth(name: str, modes: int = MODES) -> Driver:
     return Driver("smooth", (name,), constant=modes)
 
 
+_OWN = ("azimuth", "elevation", "distance", "time", "station-time", "height", "bearing")
+_BALL = ("incidence", "nest-direction")
+_BEFORE = (*(f"{when}-{axis}" for when in ("move", "last") for axis in ("azimuth", "elevation", "distance")), "lapse")
+
+
+def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
+    """What of some covariates, and which further columns, vary here."""
+    seen = np.isfinite(sightings.incidence).any()
+    asked = [n for n in (*names, *further(sightings)) if seen or n not in _BALL]
+    return [n for n in asked if np.ptp(sightings.quantities[n]) > 0]
+
+
 def covariates_of(sightings: Sightings) -> list[str]:
     """What a smooth driver may follow here."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height", "bearing", "x", "y"]
-    if np.isfinite(sightings.incidence).any():
-        names += ["incidence", "nest-direction"]
-    names += [
-        "move-azimuth",
-        "move-elevation",
-        "move-distance",
-        "last-azimuth",
-        "last-elevation",
-        "last-distance",
-        "lapse",
-    ]
-    names += further(sightings)
-    return [n for n in names if np.ptp(sightings.quantities[n]) > 0]
+    return _varying(sightings, (*_OWN, "x", "y", *_BALL, *_BEFORE))
 
 
 def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
@@ -236,7 +234,6 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
 _AXES = ("azimuth", "elevation")
 _HEAD = (*_AXES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
 _CLOCKS = ("time", "station-time", "lapse")
-_BALL = ("incidence", "nest-direction")
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*_CLOCKS, *_HEAD, "parity", "repeat", "distance", "height", "move-distance", "last-distance"),
     "stand": _CLOCKS,
@@ -255,10 +252,7 @@ def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
 
 def products(sightings: Sightings) -> Iterator[Driver]:
     """Products of two drivers: a sign and a smooth one, and two smooth ones in different covariates."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height", "bearing"]
-    if np.isfinite(sightings.incidence).any():
-        names += ["incidence", "nest-direction"]
-    names = [n for n in [*names, *further(sightings)] if np.ptp(sightings.quantities[n]) > 0]
+    names = _varying(sightings, (*_OWN, *_BALL))
     for sign in ("face", "approach-azimuth", "approach-elevation"):
         if np.ptp(sightings.quantities[sign]) > 0:
             for name in names:
@@ -293,13 +287,12 @@ def waves(sightings: Sightings) -> Iterator[Driver]:
 
 
 EDGES = 20
-"""Values of a covariate at which a step or a bend is tried."""
+"""Values of a covariate at which a step is tried."""
 
 
 def edges(sightings: Sightings) -> Iterator[Driver]:
-    """Steps and bends where a covariate passes a value."""
+    """Steps where a covariate passes a value."""
     for name in (*covariates_of(sightings),):
         values = np.unique(np.quantile(sightings.quantities[name], np.linspace(0.0, 1.0, EDGES + 2)[1:-1]))
         for edge in values:
-            for function in ("step", "bend"):
-                yield simple(name, function, float(edge))
+            yield simple(name, "step", float(edge))

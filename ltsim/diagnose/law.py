@@ -90,7 +90,7 @@ class Law(Tunable):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if driver.function in ("step", "bend"):
+        if driver.function == "step":
             values = np.unique(sightings.quantities[driver.covariates[0]])
             middles = 0.5 * (values[1:] + values[:-1])
             near = middles[np.argsort(np.abs(middles - driver.constant))[:12]]
@@ -131,18 +131,7 @@ class Law(Tunable):
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
 
     def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
-        """The law along the component, and at the set-up, where it does most.
-
-        Returns
-        -------
-        law : Law
-            At that set-up alone.
-        way : (c,) float
-            Unit vector.
-        mean : (c, k) float
-            Coefficients of each component there.
-        covariance : (c, k, c, k) float
-        """
+        """Where a law does most: at which set-up, in which direction (c,), coefficients (c, k) and their covariance."""
         ways, k = len(self.carrier.ways), self.driver.size
         shape = (ways, len(mean) // (ways * k), k)
         means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
@@ -235,8 +224,8 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
             return f"exp(-{name} / {value_of(name, k, clock=clock)})"
         case "saturated":
             return f"saturation({name}, half at {value_of(name, k, clock=clock)})"
-        case "step" | "bend":
-            return f"{driver.function}({name} above {value_of(name, k, clock=clock)})"
+        case "step":
+            return f"step({name} above {value_of(name, k, clock=clock)})"
     return f"{driver.function}({'' if k == 1 else f'{k:.4g} '}{name})"
 
 

@@ -30,7 +30,7 @@ from ltsim.diagnose.drivers import (
     smooth,
     waves,
 )
-from ltsim.diagnose.evidence import forms_of, log_average, log_evidence_of, simulated_total
+from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
 from ltsim.diagnose.probe import Probe
 from ltsim.scene.sightings import Sightings
 
@@ -124,7 +124,7 @@ class Panel:
         null = np.full(probe.scored, -np.inf)
         every = []
         for strength, forms, turn in self._forms[number]:
-            every.append(log_evidence_of((turn @ score[..., None])[..., 0] ** 2, forms))
+            every.append(log_average(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1))
             if len(null):
                 null = np.logaddexp(null, simulated_total(turn @ trials, strength) + self.log_prior)
         return log_average(np.stack(every)) + self.log_prior, null
@@ -178,7 +178,7 @@ SHARES = {
     "wave": 0.08,  # a reading that swings
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
-    "edge": 0.04,  # a reading that jumps or bends
+    "edge": 0.04,  # a reading that jumps
     "target": 0.04,  # one target
     "group": 0.03,  # targets that stand together
 }
@@ -192,9 +192,14 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     made = _Maker(space)
     s = space.sightings
     everywhere = (Place((), (), np.arange(len(s))),)
-    stations = tuple(_stations(s)) if 1 < len(s.station_names) <= MOST_STATIONS else ()
-    instruments = tuple(_instruments(space)) if s.instrument.max() > 0 else ()
-    targets = tuple(_targets(s)) if 1 < len(s.target_names) <= MOST_TARGETS else ()
+    stations: tuple[Place, ...] = ()
+    targets: tuple[Place, ...] = ()
+    if 1 < len(s.station_names) <= MOST_STATIONS:
+        stations = tuple(Place((name,), (), rows) for name, rows in _each(s.station_names, s.station))
+    if 1 < len(s.target_names) <= MOST_TARGETS:
+        targets = tuple(Place((), (name,), rows) for name, rows in _each(s.target_names, s.target))
+    trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
+    instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
     groups = tuple(_groups(s)) if 12 <= len(s.target_names) <= 100 else ()
     general = general_drivers(s)
     visits = float(np.median([len(place.rows) for place in stations] or [0]))
@@ -262,26 +267,14 @@ def at_noise(carrier: Carrier, weights: Floats) -> Carrier:
     return replace(carrier, size=max(carrier.size, 1.0 / felt)) if felt > 0 else carrier
 
 
-def _stations(s: Sightings) -> Iterator[Place]:
-    for i, name in enumerate(s.station_names):
-        rows = np.flatnonzero(s.station == i)
-        if len(rows):
-            yield Place((name,), (), rows)
+def _each(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+    """Names with their pointings, where they have any."""
+    rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
+    return (pair for pair in rows if len(pair[1]))
 
 
-def _instruments(space: ResidualSpace) -> Iterator[Place]:
-    s, names = space.sightings, space.adjustment.recording.instruments
-    for i, name in enumerate(names):
-        rows = np.flatnonzero(s.instrument == i)
-        if len(rows):
-            yield Place(tuple(s.station_names[k] for k in np.unique(s.station[rows])), (), rows, (name,))
-
-
-def _targets(s: Sightings) -> Iterator[Place]:
-    for i, name in enumerate(s.target_names):
-        rows = np.flatnonzero(s.target == i)
-        if len(rows):
-            yield Place((), (name,), rows)
+def _stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
+    return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
 
 
 def _groups(s: Sightings) -> Iterator[Place]:

@@ -17,6 +17,7 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
 
 ITERATIONS = 4
 SHAPE_STEP = 1e-3
@@ -197,12 +198,8 @@ def _estimates(
         for direction in group:
             shape = next(s for s in type(effect).shape if s.name == direction.constant)
             now = float(getattr(effect, shape.name))
-            row.append(_shape_estimate(shape.name, shape.unit, now, float(sigma[shape_at]) * abs(now)))
+            size = FACTOR[shape.unit]
+            row.append(Estimate(shape.name, now / size, float(sigma[shape_at]) * abs(now) / size, shape.unit))
             shape_at += 1
         rows.append(tuple(row))
     return tuple(rows)
-
-
-def _shape_estimate(name: str, unit: str, value: float, sigma: float) -> Estimate:
-    factor = Parameter(name, unit, "", 1.0).factor
-    return Estimate(name, value / factor, sigma / factor, unit)

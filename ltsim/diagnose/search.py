@@ -318,8 +318,7 @@ class Searcher:
             if others and ranking.total < threshold:
                 found = self.with_members(others)
                 continue
-            probability = ranking.probabilities()
-            likeliest = max(probability, key=lambda name: probability[name])
+            likeliest = ranking.name()
             if likeliest != member.name:
                 better = next(h for h in ranking.entries if h.name == likeliest)
                 found = self.with_members((*found.members[:i], better, *found.members[i + 1 :]))

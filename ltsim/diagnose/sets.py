@@ -118,6 +118,12 @@ class Ranking:
         total = float(log_average(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total, self.statistic, self.null)
 
+    def name(self) -> str:
+        """The likeliest name; `unknown` where that is likelier than all names together."""
+        named = self.probabilities()
+        unknown = named.pop("unknown", 0.0)
+        return "unknown" if unknown > sum(named.values()) else max(named, key=lambda name: named[name])
+
     def probabilities(self) -> dict[str, float]:
         """Posterior probability of each name among everything that was tried, nothing at all included."""
         logs = np.array([h.value for h in self.entries])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -35,18 +34,10 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-@dataclass(frozen=True)
-class Shaped:
-    """An effect with one set of its constants, weighed, and what its parameters are then.
+class Shaped(NamedTuple):
+    """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
 
-    Attributes
-    ----------
-    effect : Tunable
-    log_weight : float
-        Evidence, and the room that the constants stand for.
-    constants : dict of str to float
-        [SI]; the time of a change among them.
-    mean, variance : (q,) float
+    The weight is the evidence and the room that the constants stand for; the time of a change is one of them.
     """
 
     effect: Tunable
