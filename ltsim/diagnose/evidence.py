@@ -36,7 +36,8 @@ PRIOR = {
 }
 """What is missing where something is missing; shared among all that is tried."""
 SECOND_ALIKE = np.log(0.03)
-"""Log odds of a second effect of a kind that hardly comes twice (two windows), against any other second effect."""
+"""Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
+other second effect."""
 
 
 def log_average(values: Floats, axis: int = 0) -> Floats:

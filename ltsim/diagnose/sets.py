@@ -157,6 +157,6 @@ def _at_best_sizes(found: Found) -> float:
 
 def alike(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
     """Log odds of a second effect of a kind that hardly comes twice."""
-    if not hypothesis.known or hypothesis.name not in {h.name for h in others}:
+    if hypothesis.name not in {h.name for h in others}:
         return 0.0
-    return 0.0 if find_effect(hypothesis.name).plural else SECOND_ALIKE
+    return 0.0 if hypothesis.known and find_effect(hypothesis.name).plural else SECOND_ALIKE
