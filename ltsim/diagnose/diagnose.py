@@ -130,15 +130,13 @@ def _explain(case: _Case, detection: Detection) -> Found:
         kept += [searcher.empty] if len(members) > 1 else []
         spaces = [_beside(searcher.space, one.members) for one in kept]
         ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
-        lost = np.array([found.score - one.score for one in kept])
-        instead = [searcher.rank(one).total for one in kept[: len(members) + 1]]
-        lost[1 : len(instead)] = np.minimum(lost[1 : len(instead)], instead[1:])
-        gains = [noise[0][0] for noise in ranked] - lost
+        rest = [min(searcher.rank(found).total, threshold), *(searcher.rank(one).total for one in kept[1:])]
+        lost = [0.0, *rest[1 : len(members) + 1], *(found.score - one.score for one in kept[len(members) + 1 :])]
+        gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
         if gains[most] < (threshold if not most and (case.noise or members) else 0.0):
             break
-        rest = min(instead[0], threshold) if not most else searcher.rank(kept[most]).total
-        likeliest = _with_probability(ranked[most], rest)
+        likeliest = _with_probability(ranked[most], rest[most])
         case.noise = _joined(case.noise, most_likely(spaces[most], searcher.space.sigma, likeliest))
         case.sigma = case.weighted(case.noise)
         case.search(_reweighted(case, kept[most].members))
