@@ -13,15 +13,8 @@ from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
-from ltsim.diagnose.diagnosis import Diagnosis, Equivalent, Finding, Fit
-from ltsim.diagnose.findings import (
-    NOT_EXCLUDED,
-    equivalents_of,
-    gross_finding,
-    instrument_finding,
-    mean_finding,
-    noise_finding,
-)
+from ltsim.diagnose.diagnosis import NOT_EXCLUDED, Diagnosis, Equivalent, Finding, Fit
+from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_finding, mean_finding, noise_finding
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries

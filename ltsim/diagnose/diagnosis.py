@@ -78,6 +78,10 @@ class InstrumentEntry:
     determined: tuple[Combination, ...]
 
 
+NOT_EXCLUDED = 0.01
+"""Probability above which another effect is stated as an equivalent."""
+
+
 class Equivalent(NamedTuple):
     """An effect that a recording cannot exclude."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.diagnosis import Curve, Equivalent, Estimate, Evidence, Finding, Where
+from ltsim.diagnose.diagnosis import NOT_EXCLUDED, Curve, Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.evidence import carried_by
 from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.instruments import Contradiction
@@ -21,8 +21,6 @@ from ltsim.effects import BASELINE
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
-NOT_EXCLUDED = 0.01
-"""Probability above which another effect is stated as an equivalent."""
 MOST_EQUIVALENTS = 3
 
 
@@ -136,7 +134,6 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
         evidence=Evidence(hypothesis.drop, len(rows), detection.p_value, hypothesis.probability),
         sentence=finding_sentence(name, where, rows, hypothesis.probability, law),
         equivalents=hypothesis.equivalents,
-        separate_by=hypothesis.separate_by,
         formula=law,
     )
 

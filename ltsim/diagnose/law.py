@@ -229,12 +229,6 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     return f"{driver.function}({'' if k == 1 else f'{k:.4g} '}{name})"
 
 
-def law_of(effect: Tunable) -> Law:
-    """An effect that is known to be a law."""
-    assert isinstance(effect, Law)
-    return effect
-
-
 _CLOCK = ("time", "station-time")
 NAMED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
     (("vertical index",), _CLOCK, "index-drift"),
@@ -250,8 +244,9 @@ GRADUATED = 20.0
 DECAYING = ("decay", "power")
 
 
-def card_of(law: Law) -> str:
+def card_of(law: Tunable) -> str:
     """The name that the catalogue has for a law; `unknown` where it has none."""
+    assert isinstance(law, Law)
     driver, carrier = law.driver, law.carrier.name
     if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > GRADUATED:
         return "encoder-interpolation"

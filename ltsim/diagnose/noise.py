@@ -86,7 +86,6 @@ class NoiseHypothesis:
     drop: float = 0.0
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
-    separate_by: str = ""
 
 
 def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:

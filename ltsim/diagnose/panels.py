@@ -36,8 +36,8 @@ from ltsim.scene.sightings import Sightings
 
 CHUNK = 1000
 """Pointings whose products are held at once."""
-MOST_STATIONS, MOST_TARGETS = 400, 400
-"""Places up to whose number each is tried on its own."""
+MOST_PLACES = 400
+"""Set-ups, or targets, up to whose number each is tried on its own."""
 ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
 NEIGHBOURS = (3, 6, 9)
@@ -194,9 +194,9 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     everywhere = (Place((), (), np.arange(len(s))),)
     stations: tuple[Place, ...] = ()
     targets: tuple[Place, ...] = ()
-    if 1 < len(s.station_names) <= MOST_STATIONS:
+    if 1 < len(s.station_names) <= MOST_PLACES:
         stations = tuple(Place((name,), (), rows) for name, rows in _each(s.station_names, s.station))
-    if 1 < len(s.target_names) <= MOST_TARGETS:
+    if 1 < len(s.target_names) <= MOST_PLACES:
         targets = tuple(Place((), (name,), rows) for name, rows in _each(s.target_names, s.target))
     trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
     instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)

@@ -21,7 +21,7 @@ from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.carriers import CARRIERS
 from ltsim.diagnose.diagnosis import Estimate
 from ltsim.diagnose.evidence import PRIOR, evidence_with, log_average, posterior, sign_weight
-from ltsim.diagnose.law import Law, card_of, law_of, told_of
+from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
@@ -238,7 +238,7 @@ class Searcher:
                     moments = self.moments(scales[0], base)
                     logs = np.array([evidence_of(one, *moments) for one in scales])
                     best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
-                tried.append(Hypothesis(best, share, value + share, card_of(law_of(best))))
+                tried.append(Hypothesis(best, share, value + share, card_of(best)))
         total = float(log_average(np.array([h.value for h in tried])))
         return replace(max(tried, key=lambda h: h.value), value=total)
 
@@ -312,16 +312,13 @@ class Searcher:
     def _renamed(self, found: Found, threshold: float) -> Found:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
         for member in found.members[::-1]:
-            i = found.members.index(member)
-            others = found.members[:i] + found.members[i + 1 :]
-            ranking = self.rank(self.with_members(others))
-            if others and ranking.total < threshold:
-                found = self.with_members(others)
-                continue
-            likeliest = ranking.name()
-            if likeliest != member.name:
+            others = self.without(found, found.members.index(member))
+            ranking = self.rank(others)
+            if others.members and ranking.total < threshold:
+                found = others
+            elif (likeliest := ranking.name()) != member.name:
                 better = next(h for h in ranking.entries if h.name == likeliest)
-                found = self.with_members((*found.members[:i], better, *found.members[i + 1 :]))
+                found = self.with_members((*others.members, better))
         return found
 
     def reexamined(self, found: Found) -> Found:
@@ -333,10 +330,9 @@ class Searcher:
                     if len(found.members) < 2 or max(some) >= len(found.members):
                         continue
                     others = tuple(h for i, h in enumerate(found.members) if i not in some)
-                    ranking = self.rank(self.with_members(others)) if others else self.first
-                    made = [self.with_members((*others, h)) for h in ranking.entries[: 2 if others else 6]]
-                    made += [self.with_members(others)] if others else []
-                    found = max([found, *made], key=lambda s: s.score)
+                    rest = self.with_members(others)
+                    made = [self.with_members((*others, h)) for h in self.rank(rest).entries[: 2 if others else 6]]
+                    found = max([found, *made, *([rest] if others else [])], key=lambda s: s.score)
             if found.score <= before + 1e-6:
                 break
         return found
