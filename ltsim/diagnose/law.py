@@ -125,8 +125,8 @@ class Law(Tunable):
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        several = self.driver.kind == "product" or self.carrier.kind not in OF_A_SET_UP
-        if confined or several or len(stations) < 2:
+        once = self.driver.kind == "product" or self.driver.function == "step" or self.carrier.kind not in OF_A_SET_UP
+        if confined or once or len(stations) < 2:
             return None
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
 
