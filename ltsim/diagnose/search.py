@@ -155,6 +155,7 @@ class Searcher:
             near = effect.finer(self.space.sightings)
             if not near:
                 return effect, value
+            self._prepare(near)
             logs = np.array([self.evidence(one, base) for one in near])
             mean = float(log_average(np.append(logs, value)) - np.log(len(logs) + 1))
             if logs.max() <= value:
@@ -172,20 +173,20 @@ class Searcher:
         Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
         products with itself alone, and these are the same beside every set.
         """
-        signature, key = self._signature(effect), repr(effect)
-        if key not in self._grams:
-            self._project([(key, signature)])
+        self._prepare([effect])
+        signature = self._signature(effect)
         beside = base.extension.T @ signature
-        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
+        return self._grams[repr(effect)] - beside.T @ beside, signature.T @ base.residual
 
-    def _project(self, signatures: Sequence[tuple[str, Floats]]) -> None:
-        """Gram matrices of what the adjustment leaves of signatures, all in one go."""
-        if not signatures:
+    def _prepare(self, effects: Sequence[Tunable]) -> None:
+        """Gram matrices of what the adjustment leaves of the signatures of effects, all in one go."""
+        new = {repr(one): self._signature(one) for one in effects if repr(one) not in self._grams}
+        if not new:
             return
-        left = self.space.project(np.hstack([signature for _, signature in signatures]))
-        edges = np.cumsum([0, *(signature.shape[1] for _, signature in signatures)])
-        for (key, _), low, high in zip(signatures, edges[:-1], edges[1:], strict=True):
-            self._grams[key] = left[:, low:high].T @ left[:, low:high]
+        left = self.space.project(np.hstack(list(new.values())))
+        edges = np.cumsum([signature.shape[1] for signature in new.values()])[:-1]
+        for key, part in zip(new, np.split(left, edges, axis=1), strict=True):
+            self._grams[key] = part.T @ part
 
     def _signature(self, effect: Tunable) -> Floats:
         """Whitened signature (m, k); that of a law's carrier is computed once."""
@@ -225,8 +226,7 @@ class Searcher:
     def _form(self, law: Law, prior: float, base: Found) -> Hypothesis:
         """The likeliest of the forms of a law at its place, with the evidence of all."""
         forms = law.forms(self.space.sightings)
-        new = {repr(scales[0]): scales[0] for some in forms.values() for scales in some}
-        self._project([(key, self._signature(one)) for key, one in new.items() if key not in self._grams])
+        self._prepare([scales[0] for some in forms.values() for scales in some])
         whole = sum(FORMS[kind] for kind in forms)
         tried = []
         for kind, some in forms.items():
@@ -291,7 +291,7 @@ class Searcher:
         """
         best = self._grown(self.empty, threshold, something=something)
         stiff = [h for h in self.first.entries if len(h.spread) <= FLEXIBLE]
-        if stiff and any(len(h.spread) > FLEXIBLE for h in best.members):
+        if stiff and not self._large and any(len(h.spread) > FLEXIBLE for h in best.members):
             made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
             best = max(made, key=lambda s: s.score - threshold * len(s.members))
         return self._renamed(best, threshold)
