@@ -18,7 +18,7 @@ from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_fi
 from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries
-from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses, remeasured
+from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
@@ -162,12 +162,15 @@ def _joined(known: Sequence[NoiseHypothesis], further: NoiseHypothesis) -> list[
 
 
 def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
-    """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out; updates the case."""
+    """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out; updates the case.
+
+    This ends at the restricted maximum likelihood (Foerstner 1979).
+    """
     for _ in range(REWEIGHTINGS):
         space = _beside(ResidualSpace.of(case.adjustment()), beside)
         for i, one in enumerate(case.noise):
             stated = case.weighted([*case.noise[:i], *case.noise[i + 1 :]])
-            case.noise[i] = remeasured(space, stated, one)
+            case.noise[i] = replace(most_likely(space, stated, one), drop=one.drop)
         case.sigma = case.weighted(case.noise)
     return case.adjustment()
 

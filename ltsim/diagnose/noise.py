@@ -224,22 +224,6 @@ LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
 
 
-def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """A hypothesis with its sizes estimated in an adjustment that is weighted by it already.
-
-    Repeated, this ends at the restricted maximum likelihood (Foerstner 1979): residuals of other readings no longer
-    water down what the noisy ones say.
-
-    Parameters
-    ----------
-    space : ResidualSpace
-        Of an adjustment with the variances of the hypothesis.
-    stated : (n, 3) float
-        Standard deviations without it.
-    """
-    return replace(most_likely(space, stated, hypothesis), drop=hypothesis.drop)
-
-
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
