@@ -8,16 +8,19 @@ Science 14). The covariance adds what the explanations disagree by.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, wide_posterior
+from ltsim.diagnose.law import Law
 from ltsim.diagnose.noise import NoisePattern
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
+from ltsim.diagnose.shapes import all_shapes, weights_of
 from ltsim.effects.effect import NoiseEffect
 
 MOST_OPEN = 12
@@ -30,10 +33,11 @@ def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Rankin
     adjusted = fitted.adjustment
     points, covariance = adjusted.state.points.copy(), adjusted.target_covariance.copy()
     for i, ranking in enumerate(rankings):
-        others = searcher.with_members(found.members[:i] + found.members[i + 1 :])
+        others = searcher.without(found, i)
         weights, shifts = _open(searcher, others, found.members[i], ranking)
         mean = np.einsum("k,kti->ti", weights, shifts)
-        points += mean - shift_of(searcher, others, found.members[i], wide=True)
+        refitted = replace(found.members[i], effect=fitted.effects[i])
+        points += mean - shift_of(searcher, others, refitted, wide=True)
         apart = shifts - mean
         covariance += np.einsum("k,kti,ktj->tij", weights, apart, apart)
     return Targets(points, covariance)
@@ -52,11 +56,20 @@ def _open(searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Rankin
     ]
     entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
-    shifts = [shift_of(searcher, others, chosen)]
-    shifts += [shift_of(searcher, others, h) for h, _ in entries]
+    told = _shaped(searcher, others, chosen)
+    shifts = [shift_of(searcher, others, h) for h, _ in (*told, *entries)]
     shifts.append(np.zeros_like(shifts[0]))
-    weights = np.array([rest, *(p for _, p in entries), none])
+    weights = np.array([*(rest * p for _, p in told), *(p for _, p in entries), none])
     return weights / weights.sum(), np.array(shifts)
+
+
+def _shaped(searcher: Searcher, others: Found, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
+    """An explanation with the likeliest of its shapes, and their probabilities."""
+    shapes = [] if isinstance(chosen.effect, Law) else all_shapes(searcher, chosen.effect, others, {}, plausible=True)
+    if not shapes:
+        return [(chosen, 1.0)]
+    ranked = sorted(zip(shapes, weights_of(shapes), strict=True), key=lambda pair: -pair[1])[:MOST_OPEN]
+    return [(replace(chosen, effect=one.effect), float(p)) for one, p in ranked if p > LEAST]
 
 
 def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide: bool = False) -> Floats:

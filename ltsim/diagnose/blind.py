@@ -2,51 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
+from ltsim.diagnose.cards import Cards
 from ltsim.diagnose.diagnosis import Undetectable
 from ltsim.effects.effect import Effect
-from ltsim.effects.signature import Signature
 from ltsim.geometry.rotations import cross_matrix
-from ltsim.remedies.detectability import MinimalSize, examine
+from ltsim.remedies.detectability import MinimalSize, information_left, seen_from, thinned
 from ltsim.remedies.words import advice
 
 OUT_OF_REACH = 10.0
 """An effect that would have to be so many times a bad but plausible size to be found is called invisible."""
 
 
-def sight_of(
-    space: ResidualSpace, laws: Iterable[Signature]
-) -> tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]:
+SINGLE = 1e-5
+"""Share of a squared length that single precision loses."""
+
+
+Sight = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
+
+
+def sight_of(space: ResidualSpace, cards: Cards) -> Sight:
     """Effects that can be found here, and those that cannot with the error of the targets that they would hide.
 
     Of an effect with several parameters the one that is found best for its plausible size is told, at a middling place.
 
     Parameters
     ----------
-    laws : iterable of Signature
-        All that the diagnosis looks for, at all places; those of the catalogue are told.
+    cards : Cards
+        All that was looked for, scored: what the adjustment leaves of each is known.
     """
-    families: dict[str, list[Effect]] = {}
-    for law in laws:
-        if isinstance(law, Effect):
-            families.setdefault(law.name, []).append(law)
     found, hidden = [], []
-    for places in families.values():
-        seen = examine(space, places, columns=False)
-        if seen is None:
-            continue
-        best = min(seen.table(), key=lambda row: row.typical / row.prior_sigma)
+    for places in cards.left():
+        best = min(seen_from(_seen(places), len(places)).table(), key=lambda row: row.typical / row.prior_sigma)
         times = best.typical / best.prior_sigma
         if times < OUT_OF_REACH:
             found.append(best)
         else:
-            hidden.append(_undetectable(space, places[(len(places) - 1) // 2], times))
+            hidden.append(_undetectable(space, places[(len(places) - 1) // 2][0], times))
     return tuple(found), tuple(hidden)
+
+
+def _seen(places: Sequence[tuple[Effect, Floats, Floats]]) -> list[tuple[Effect, Floats, float, int, Floats]]:
+    """Information, visible share and rank at some of the places."""
+    found = []
+    for effect, own, gram in thinned(places):
+        norm = np.sqrt(np.diag(own))
+        unit = np.where(norm > 0, norm, 1.0)
+        sizes = np.array([p.prior_sigma for p in effect.parameters])
+        told = information_left(gram / np.outer(unit, unit), norm / sizes, SINGLE)
+        found.append((effect, *told, np.zeros((0, 0))))
+    return found
 
 
 def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:

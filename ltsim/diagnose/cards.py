@@ -18,7 +18,7 @@ from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.evidence import log_evidence, log_means, simulated_evidence
 from ltsim.diagnose.probe import Probe, square
 from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
 from ltsim.scene.sightings import Sightings
 
@@ -122,8 +122,9 @@ class Cards:
             scores = scores.reshape(len(group.members), group.size, -1)
             if probe.fresh:
                 group.gram[:] = probe.gram(scores, group.own)
-            score, beside, trials, _ = probe.split(scores)
-            gram = group.gram - square(beside)
+            score, trials, _ = probe.split(scores)
+            beside = np.asarray(group.rows @ probe.extension.astype(np.float32)).astype(np.float64)
+            gram = group.gram - square(beside.reshape(*scores.shape[:2], -1))
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
@@ -135,6 +136,16 @@ class Cards:
             return values, np.zeros((0, probe.scored))
         back = np.argsort(np.concatenate(order))
         return values, log_means(np.vstack(chance)[back], self.family, len(self.families))
+
+    def left(self) -> list[list[tuple[Effect, Floats, Floats]]]:
+        """By family: each card with products (k, k) of its scaled signatures, whole and what the adjustment leaves."""
+        found: list[list[tuple[Effect, Floats, Floats]]] = [[] for _ in self.families]
+        at = {int(i): (group, k) for group in self.groups for k, i in enumerate(group.members)}
+        for i, effect in enumerate(self.effects):
+            group, k = at[i]
+            assert isinstance(effect, Effect)
+            found[self.family[i]].append((effect, group.own[k], group.gram[k]))
+        return found
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families,) with places and shapes averaged."""

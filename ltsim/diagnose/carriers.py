@@ -1,8 +1,8 @@
 """Carriers: what the forward model knows, and how a reading changes when it does.
 
-Each is a derivative of the readings: of the instrument's constants and pose along the kinematic chain, of the targets'
-coordinates, of the structure that carries them, of the air, of the reflector; and, when nothing physical carries a
-mismatch, a reading itself.
+Each is a derivative of the readings: of the instrument's constants along the kinematic chain, of a stand that turns or
+moves, of the targets' coordinates, of the air, of the reflector; and, when nothing physical carries a mismatch, a
+reading itself. What moves in space does so in any direction, which is one carrier and not three.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.motions import station_design
 from ltsim.effects.signature import by_displacement, on_readings
 from ltsim.effects.smr_centring import reflector_axes
 from ltsim.recording.recording import OBSERVABLES
@@ -39,7 +40,9 @@ class Carrier:
     observables : tuple of str
         What it mainly shows in; empty for all.
     kind : str
-        reading, instrument, stand, target, structure, air or reflector.
+        reading, instrument, stand, target, air or reflector.
+    ways : tuple of str
+        Its components in words; one of no name where it has no direction.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Carrier:
     size: float
     observables: tuple[str, ...] = ()
     kind: str = "instrument"
+    ways: tuple[str, ...] = ("",)
 
 
 _SLOTS = {
@@ -56,65 +60,40 @@ _SLOTS = {
     "beam-lateral": Carrier("lateral beam offset", "um", LENGTH, ("azimuth",)),
     "beam-vertical": Carrier("vertical beam offset", "um", LENGTH, ("elevation",)),
     "beam-tilt": Carrier("beam tilt", "urad", ANGLE, ("azimuth",)),
-    "standing-radial-x": Carrier("stand along x", "um", LENGTH, kind="stand"),
-    "standing-radial-y": Carrier("stand along y", "um", LENGTH, kind="stand"),
-    "standing-axial": Carrier("stand upwards", "um", LENGTH, kind="stand"),
-    "standing-tilt-x": Carrier("stand about x", "urad", ANGLE, kind="stand"),
-    "standing-tilt-y": Carrier("stand about y", "urad", ANGLE, kind="stand"),
 }
-"""Slots of the kinematic chain; the standing axis moves with the stand, along the axes of the instrument."""
+"""Slots of the kinematic chain."""
 _READINGS = tuple(
     Carrier(name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading")
     for name in OBSERVABLES
 )
 _SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
-_MOVES = tuple(Carrier(f"targets along {a}", "um", LENGTH, kind="target") for a in "xyz")
-_NORMAL = Carrier("targets along the nest", "um", LENGTH, kind="target")
-_FIELDS = tuple((a, b) for a in "xyz" for b in "xyz")
-"""Motions of the structure: along one axis, growing along another."""
-_AIR = Carrier("air gradient", "K/m", 1.0, kind="air")
-_VERTEX = tuple(Carrier(f"reflector {way}", "um", LENGTH, kind="reflector") for way in ("axially", "sideways", "up"))
+_LEAN = Carrier("lean of the stand", "urad", ANGLE, ("azimuth", "elevation"), "stand", ("about x", "about y"))
+_STAND = Carrier("place of the stand", "um", LENGTH, (), "stand", ("along x", "along y", "along z"))
+_TARGETS = Carrier("place of targets", "um", LENGTH, (), "target", ("along x", "along y", "along z"))
+_NORMAL = Carrier("height of targets in their nests", "um", LENGTH, (), "reflector")
+_AIR = Carrier("air gradient", "K/m", 1.0, (), "air")
+_VERTEX = Carrier("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
 
 
 def _reading(sightings: Sightings, observable: str) -> Floats:
-    return on_readings(sightings, **{observable: np.ones(len(sightings))})
+    return on_readings(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 
 def _slot(sightings: Sightings, slot: str) -> Floats:
-    return sightings.slot_responses[slot]
+    return sightings.slot_responses[slot][:, :, None]
 
 
 def _scale(sightings: Sightings) -> Floats:
-    return on_readings(sightings, distance=sightings.range_)
-
-
-def _moved(sightings: Sightings, axis: int) -> Floats:
-    return sightings.by_target[:, :, axis]
-
-
-def _grown(sightings: Sightings, a: str, b: str) -> Floats:
-    """Targets move along `a` by their distance from the middle along `b`."""
-    arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
-    moved: Floats = sightings.by_target[:, :, "xyz".index(a)] * arm[:, "xyz".index(b), None]
-    return moved
-
-
-def _air(sightings: Sightings) -> Floats:
-    return AirGradient().design(sightings)[:, :, 0]
+    return on_readings(sightings, distance=sightings.range_)[:, :, None]
 
 
 def _along_nest(sightings: Sightings) -> Floats:
     normal = np.nan_to_num(sightings.nest_normal[sightings.target])
-    return by_displacement(sightings, normal[:, :, None])[:, :, 0]
+    return by_displacement(sightings, normal[:, :, None])
 
 
-def _vertex(sightings: Sightings, axis: int) -> Floats:
-    return by_displacement(sightings, reflector_axes(sightings)[:, :, [axis]])[:, :, 0]
-
-
-def _field_carrier(a: str, b: str) -> Carrier:
-    words = f"structure stretched along {a}" if a == b else f"structure along {a} with {b}"
-    return Carrier(words, "ppm", STRAIN, kind="structure")
+def _vertex(sightings: Sightings) -> Floats:
+    return by_displacement(sightings, reflector_axes(sightings))
 
 
 Derivative = Callable[[Sightings], Floats]
@@ -125,24 +104,26 @@ def _registry() -> dict[str, tuple[Carrier, Derivative]]:
         *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
         *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
         (_SCALE, _scale),
-        *((carrier, partial(_moved, axis=i)) for i, carrier in enumerate(_MOVES)),
-        *((_field_carrier(a, b), partial(_grown, a=a, b=b)) for a, b in _FIELDS),
-        (_AIR, _air),
+        (_LEAN, lambda s: station_design(s)[:, :, 3:5]),
+        (_STAND, lambda s: station_design(s)[:, :, :3]),
+        (_TARGETS, lambda s: s.by_target),
+        (_AIR, AirGradient().design),
         (_NORMAL, _along_nest),
-        *((carrier, partial(_vertex, axis=i)) for i, carrier in enumerate(_VERTEX)),
+        (_VERTEX, _vertex),
     ]
     return {carrier.name: (carrier, derivative) for carrier, derivative in found}
 
 
 CARRIERS = _registry()
-"""Every carrier by name with the change (n, 3) of the raw readings per unit."""
-_NEED_NESTS = {c.name for c in (_NORMAL, *_VERTEX)}
+"""Every carrier by name with the change (n, 3, c) of the raw readings per unit of each of its components."""
+_NEED_NESTS = {_NORMAL.name, _VERTEX.name}
 
 
 def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
-    """Carriers by name with their designs (n, 3); one that equals an earlier one is left out.
+    """Carriers by name with their designs (n, 3, c); one that equals an earlier one is left out.
 
-    On a single face the vertical index is the elevation, say.
+    On a single face the vertical index is the elevation, say. A target that moves looks like a stand that does, but
+    they follow different things.
     """
     found: dict[str, tuple[Carrier, Floats]] = {}
     nests = bool(np.isfinite(sightings.nest_normal).any())
@@ -150,7 +131,8 @@ def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
         if name in _NEED_NESTS and not nests:
             continue
         design = derivative(sightings)
-        same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for _, other in found.values())
+        alike = (d for c, d in found.values() if d.shape == design.shape and c.kind != "stand")
+        same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in alike)
         if design.any() and not any(same):
             found[name] = carrier, design
     return found

@@ -62,8 +62,8 @@ class Detection:
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     """Test a residual space against all hypotheses at once."""
     space = searcher.space
-    own = noise.family_evidence(space.residual[:, None])[:, 0]
-    simulated = noise.family_evidence(searcher.probe.trials.astype(np.float64))
+    own = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
+    simulated = noise.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)
     statistic = float(log_average(np.append(own, searcher.first.statistic)))
     null = np.logaddexp(log_average(simulated), searcher.first.null)
     chi2, dof = float(space.residual @ space.residual), space.adjustment.dof

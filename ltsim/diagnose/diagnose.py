@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.averaging import averaged_targets
-from ltsim.diagnose.blind import sight_of
+from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
-from ltsim.diagnose.diagnosis import Diagnosis, Finding, Fit
+from ltsim.diagnose.diagnosis import NOT_EXCLUDED, Diagnosis, Equivalent, Finding, Fit
 from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_finding, mean_finding, noise_finding
 from ltsim.diagnose.gross import GrossFinding, explain_gross
-from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds, station_target_folds
+from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries
-from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, noise_hypotheses, remeasured
+from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
@@ -26,7 +26,6 @@ from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects.effect import Effect
-from ltsim.effects.signature import Tunable
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
@@ -52,6 +51,8 @@ class _Case:
     start: State
     seed: int
     noise: list[NoiseHypothesis]
+    searcher: Searcher = field(init=False)
+    bank: NoiseBank = field(init=False)
 
     @property
     def sightings(self) -> Sightings:
@@ -68,9 +69,14 @@ class _Case:
     def adjustment(self) -> Adjustment:
         return adjust(self.recording, self.construction, sigma=self.sigma, use=self.use, start=self.start)
 
-    def searched(self, adjustment: Adjustment, before: Searcher | None = None) -> tuple[Searcher, NoiseBank]:
-        space = ResidualSpace.of(adjustment)
-        return Searcher(space, self.seed, before=before), NoiseBank.of(space, noise_hypotheses(space.sightings))
+    def search(self, adjustment: Adjustment) -> None:
+        """Score everything beside an adjustment; what was scored before is let go."""
+        space, cards = ResidualSpace.of(adjustment), None
+        if hasattr(self, "searcher"):
+            cards = self.searcher.cards.reweighted(self.searcher.space, space)
+            del self.searcher
+        self.searcher = Searcher(space, self.seed, cards=cards)
+        self.bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
 
 
 @in_one_thread
@@ -100,33 +106,35 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     case = _Case(mended, construction, use, mended.sigma(), first.state, seed, [])
     baseline = case.adjustment() if gross else first
     case.start = baseline.state
-    last, noise = case.searched(baseline)
-    sought, detection = last.cards.effects, detect(last, noise)
-    found, mismatch = last.empty, detection.p_value < level
-    if mismatch:
-        found, last, noise = _explain(case, last, noise, detection)
-    return _Report(case, baseline, sought, last, noise, detection, found, tuple(gross), mismatch).diagnosis()
+    case.search(baseline)
+    sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
+    mismatch = detection.p_value < level
+    found = _explain(case, detection) if mismatch else case.searcher.empty
+    return _Report(case, baseline, sight, detection, found, tuple(gross), mismatch).diagnosis()
 
 
-def _explain(
-    case: _Case, searcher: Searcher, noise: NoiseBank, detection: Detection
-) -> tuple[Found, Searcher, NoiseBank]:
-    """Mean shifts and changes of the noise in turn, whichever explains more first."""
+def _explain(case: _Case, detection: Detection) -> Found:
+    """Mean shifts, and changes of the noise beside them, or in place of one or all, until nothing gains."""
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    found = searcher.search(threshold, something=True)
+    found = case.searcher.search(threshold, something=True)
     for _ in range(MOST_ROUNDS):
-        alone, beside = (noise.best(searcher.space, r) for r in (searcher.space.residual, found.residual))
-        noise_first = alone[0][0] > found.score
-        if max(alone[0][0] if noise_first else -np.inf, beside[0][0]) < threshold and (case.noise or not noise_first):
+        searcher, members = case.searcher, found.members
+        kept = [found, *(searcher.without(found, i) for i in range(len(members)))]
+        kept += [searcher.empty] if len(members) > 1 else []
+        spaces = [_beside(searcher.space, one.members) for one in kept]
+        ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
+        rest = [min(searcher.rank(found).total, threshold), *(searcher.rank(one).total for one in kept[1:])]
+        lost = [0.0, *rest[1 : len(members) + 1], *(found.score - one.score for one in kept[len(members) + 1 :])]
+        gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
+        most = int(np.argmax(gains))
+        if gains[most] < (threshold if not most and (case.noise or members) else 0.0):
             break
-        ranked = alone if noise_first else beside
-        rest = searcher.first.total if noise_first else min(searcher.rank(found).total, threshold)
-        case.noise = _joined(case.noise, _with_probability(ranked, rest))
+        likeliest = _with_probability(ranked[most], rest[most])
+        case.noise = _joined(case.noise, most_likely(spaces[most], searcher.space.sigma, likeliest))
         case.sigma = case.weighted(case.noise)
-        reweighted = _reweighted(case, () if noise_first else found.members)
-        searcher, noise = case.searched(reweighted, searcher)
-        found = searcher.search(threshold, something=False)
-    return found, searcher, noise
+        case.search(_reweighted(case, kept[most].members))
+        found = case.searcher.search(threshold, something=False)
+    return found
 
 
 def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
@@ -139,7 +147,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     for (_, one), w in zip(ranked, weight[2:], strict=True):
         total[one.effect.name] = total.get(one.effect.name, 0.0) + float(w)
     probability = total.pop(best.effect.name)
-    others = sorted(((n, p) for n, p in total.items() if p > 0.01), key=lambda pair: -pair[1])
+    others = sorted((Equivalent(n, p) for n, p in total.items() if p > NOT_EXCLUDED), key=lambda e: -e.probability)
     return replace(best, probability=probability, equivalents=tuple(others[:3]))
 
 
@@ -154,16 +162,22 @@ def _joined(known: Sequence[NoiseHypothesis], further: NoiseHypothesis) -> list[
 
 
 def _reweighted(case: _Case, beside: Sequence[Hypothesis]) -> Adjustment:
-    """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out; updates the case."""
+    """Adjust with the noise found until its sizes settle, mean effects `beside` it taken out; updates the case.
+
+    This ends at the restricted maximum likelihood (Foerstner 1979).
+    """
     for _ in range(REWEIGHTINGS):
-        space = ResidualSpace.of(case.adjustment())
-        if beside:
-            space = space.extended(np.hstack([space.signature(h.effect) for h in beside]))
+        space = _beside(ResidualSpace.of(case.adjustment()), beside)
         for i, one in enumerate(case.noise):
             stated = case.weighted([*case.noise[:i], *case.noise[i + 1 :]])
-            case.noise[i] = remeasured(space, stated, one)
+            case.noise[i] = replace(most_likely(space, stated, one), drop=one.drop)
         case.sigma = case.weighted(case.noise)
     return case.adjustment()
+
+
+def _beside(space: ResidualSpace, members: Sequence[Hypothesis]) -> ResidualSpace:
+    """The space in which some effects are estimated too."""
+    return space.extended(np.hstack([space.signature(h.effect) for h in members])) if members else space
 
 
 @dataclass
@@ -172,9 +186,7 @@ class _Report:
 
     case: _Case
     baseline: Adjustment
-    sought: Sequence[Tunable]
-    last: Searcher
-    noise: NoiseBank
+    sight: Sight
     detection: Detection
     found: Found
     gross: tuple[GrossFinding, ...]
@@ -198,8 +210,8 @@ class _Report:
             dof = self.baseline.dof - found.extension.shape[1]
             after = _fit(fitted.adjustment, dof, self._in_stated_noise(fitted))
         verdict = "mismatch" if self.mismatch or self.gross or odd else "consistent"
-        detectable, undetectable = sight_of(ResidualSpace.of(self.baseline), self.sought)
-        targets = averaged_targets(self.last, found, rankings, fitted)
+        detectable, undetectable = self.sight
+        targets = averaged_targets(self.case.searcher, found, rankings, fitted)
         return Diagnosis(
             verdict=verdict,
             summary=summarise(verdict, findings, self.detection.p_value, before, after),
@@ -237,9 +249,7 @@ class _Report:
         found = self.found
         fitted = self._with_effects(found, self.case.sigma)
         while len(found.members) > 1:
-            rest = [
-                self.last.with_members(found.members[:i] + found.members[i + 1 :]) for i in range(len(found.members))
-            ]
+            rest = [self.case.searcher.without(found, i) for i in range(len(found.members))]
             without = [self._with_effects(one, self.case.sigma) for one in rest]
             gains = [
                 0.5 * (one.adjustment.chi2 - fitted.adjustment.chi2) + h.log_prior
@@ -251,32 +261,28 @@ class _Report:
             found, fitted = rest[least], without[least]
         return found, fitted
 
-    def _others(self, member: int) -> Found:
-        members = self.found.members
-        return self.last.with_members(members[:member] + members[member + 1 :])
-
     def _ranking(self, member: int) -> Ranking:
         """Everything that could stand in a member's place, changes of the noise among it."""
-        others = self._others(member)
-        ranking = self.last.rank(others)
-        logs = self.noise.family_evidence(others.residual[:, None])[:, 0]
+        searcher, bank = self.case.searcher, self.case.bank
+        others = searcher.without(self.found, member)
+        redundancy = searcher.space.redundancy - np.sum(others.extension**2, axis=1)
+        logs = bank.family_evidence(others.residual[:, None], redundancy)[:, 0]
         rivals = [
-            Hypothesis(self.noise.hypotheses[int(np.argmax(self.noise.family == f))].effect, 0.0, float(v), n)
-            for f, (n, v) in enumerate(zip(self.noise.families, logs, strict=True))
+            Hypothesis(bank.hypotheses[int(np.argmax(bank.family == f))].effect, 0.0, float(v), n.partition(":")[0])
+            for f, (n, v) in enumerate(zip(bank.families, logs, strict=True))
         ]
-        rivals = [replace(h, name="unknown") if h.name.startswith("unknown") else h for h in rivals]
-        return ranking.beside(rivals)
+        return searcher.rank(others).beside(rivals)
 
     def _finding(self, member: int, ranking: Ranking, fitted: Refit) -> Finding:
         hypothesis = replace(self.found.members[member], effect=fitted.effects[member])
-        others = self._others(member)
+        others = self.case.searcher.without(self.found, member)
         rivals = [name for name, _ in equivalents_of(ranking, hypothesis.name)[1]]
         beside = [e for k, e in enumerate(fitted.effects) if k != member]
         named = isinstance(hypothesis.effect, Effect)
         advice = separating_measurement(self.baseline, hypothesis.name, rivals, beside) if named else ""
-        told = self.last.estimates(hypothesis, others, fitted.estimates[member])
+        told = self.case.searcher.estimates(hypothesis, others, fitted.estimates[member])
         return mean_finding(
-            hypothesis, told, others, self.found, ranking, self.detection, self.last.space, advice,
+            hypothesis, told, others, self.found, ranking, self.detection, self.case.searcher, advice,
             clock=self.case.recording.has_clock,
         )  # fmt: skip
 
@@ -291,12 +297,7 @@ class _Report:
 def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
     """Chi2 and held-out error; the latter of another adjustment where one is given."""
     space = ResidualSpace.of(predicting or adjustment)
-    held_out = {
-        "pointings": held_out_rms(space, pointing_folds(space)),
-        "station-target pairs": held_out_rms(space, pair_folds(space)),
-        "a quarter of a station's targets": held_out_rms(space, station_target_folds(space)),
-    }
-    return Fit(adjustment.chi2, dof, held_out["station-target pairs"], held_out)
+    return Fit(adjustment.chi2, dof, held_out_rms(space, pair_folds(space)))
 
 
 __all__ = ["diagnose"]

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
@@ -63,9 +61,9 @@ class Curve:
 
 @dataclass(frozen=True)
 class Combination:
-    """A combination of constants that a recording determines better than each of them."""
+    """A combination of constants, with their weights, that a recording determines better than each of them."""
 
-    weights: tuple[tuple[str, float], ...]
+    combination: dict[str, float]
     value: float
     sigma: float
     unit: str
@@ -78,6 +76,17 @@ class InstrumentEntry:
     name: str
     parameters: tuple[Estimate, ...]
     determined: tuple[Combination, ...]
+
+
+NOT_EXCLUDED = 0.01
+"""Probability above which another effect is stated as an equivalent."""
+
+
+class Equivalent(NamedTuple):
+    """An effect that a recording cannot exclude."""
+
+    effect: str
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -98,8 +107,7 @@ class Finding:
         Id of the catalogue, or `unknown`.
     formula : str
         The proposed term of an unknown effect.
-    equivalents : tuple of (str, float)
-        Other effects that this recording cannot exclude, with their probability.
+    equivalents : tuple of Equivalent
     carrier, driver : str
         What of the model varies and what it follows, where no card names the finding.
     curve : Curve, optional
@@ -111,7 +119,7 @@ class Finding:
     parameters: tuple[Estimate, ...]
     evidence: Evidence
     sentence: str
-    equivalents: tuple[tuple[str, float], ...] = ()
+    equivalents: tuple[Equivalent, ...] = ()
     separate_by: str = ""
     formula: str = ""
     carrier: str = ""
@@ -126,7 +134,6 @@ class Fit:
     chi2: float
     dof: int
     held_out_rms: float
-    held_out: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -192,86 +199,20 @@ class Diagnosis(Shown):
 
     def to_json(self) -> dict[str, Any]:
         """The contents of diagnosis.json (format ltsim-diagnosis/1)."""
-        return {
-            "format": "ltsim-diagnosis/1",
-            "verdict": self.verdict,
-            "summary": self.summary,
+        from ltsim.diagnose.schema import DiagnosisFile
+
+        told = vars(self) | {
             "global_test": {
                 "statistic": self.statistic,
                 "dof": self.dof,
-                "p_value": _finite(self.p_value),
+                "p_value": self.p_value,
                 "search_p_value": self.search_p_value,
             },
-            "findings": [_finding_json(f) for f in self.findings],
-            "instruments": [_instrument_json(i) for i in self.instruments],
-            "fit": {"before": _fit_json(self.before), "after": _fit_json(self.after)},
-            "undetectable": [
-                {"effect": u.effect, "reason": u.reason, "hides_um": u.hides_um, "cure": u.cure}
-                for u in self.undetectable
-            ],
+            "findings": [{k: v for k, v in vars(f).items() if v not in ("", None)} for f in self.findings],
+            "fit": {"before": self.before, "after": self.after},
             "detectable": [
                 {"effect": d.effect, "parameter": d.parameter, "size": d.typical / FACTOR[d.unit], "unit": d.unit}
                 for d in self.detectable
             ],
         }
-
-
-def _instrument_json(entry: InstrumentEntry) -> dict[str, Any]:
-    return {
-        "name": entry.name,
-        "parameters": [_estimate_json(p) for p in entry.parameters],
-        "determined": [
-            {"combination": dict(c.weights), "value": c.value, "sigma": c.sigma, "unit": c.unit}
-            for c in entry.determined
-        ],
-    }
-
-
-def _estimate_json(estimate: Estimate) -> dict[str, Any]:
-    return {"name": estimate.name, "value": estimate.value, "sigma": estimate.sigma, "unit": estimate.unit}
-
-
-def _fit_json(fit: Fit) -> dict[str, Any]:
-    return {
-        "chi2": fit.chi2,
-        "dof": fit.dof,
-        "held_out_rms": _finite(fit.held_out_rms),
-        "held_out": {name: _finite(value) for name, value in fit.held_out.items()},
-    }
-
-
-def _finite(value: float) -> float | None:
-    """A number, or nothing where there is none: JSON has no NaN."""
-    return value if np.isfinite(value) else None
-
-
-def _finding_json(finding: Finding) -> dict[str, Any]:
-    where, evidence = finding.where, finding.evidence
-    data: dict[str, Any] = {
-        "effect": finding.effect,
-        "known": finding.known,
-        "sentence": finding.sentence,
-        "where": {
-            "observables": list(where.observables),
-            "stations": list(where.stations),
-            "targets": list(where.targets),
-            "covariates": list(where.covariates),
-            "instruments": list(where.instruments),
-        },
-        "parameters": [_estimate_json(p) for p in finding.parameters],
-        "evidence": {
-            "chi2_drop": evidence.chi2_drop,
-            "parameters": evidence.parameters,
-            "p_value": evidence.p_value,
-            "probability": evidence.probability,
-        },
-        "equivalents": [{"effect": e, "probability": p} for e, p in finding.equivalents],
-        "separate_by": finding.separate_by,
-    }
-    if finding.formula:
-        data["formula"] = finding.formula
-    if finding.carrier:
-        data |= {"carrier": finding.carrier, "driver": finding.driver}
-    if finding.curve is not None:
-        data["curve"] = dict(vars(finding.curve))
-    return data
+        return DiagnosisFile.model_validate(told, from_attributes=True).content()

@@ -8,23 +8,23 @@ waves. Several length scales share the columns and differ in the variances; so d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.scene.sightings import Sightings
 
-CIRCULAR = ("azimuth", "nest-direction")
-MODES = 9
-"""Eigenfunctions of a smooth driver."""
+CIRCULAR = ("azimuth", "bearing", "nest-direction")
+MODES, LOW, FINE = 9, 4, 32
+"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
 EDGE = 1.25
 """Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
-SCALES = {"long": 0.9, "middle": 0.4, "short": 0.18}
-"""Length scales over the half-width of a covariate's range; over a radian round a circle."""
+SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
+"""Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; of a circle, a radian."""
 MEMORY = ("approach-", "move-", "last-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {
@@ -33,6 +33,9 @@ WORDS = {
     "y": "place",
     "z": "place",
     "station-time": "time",
+    "repeat": "time",
+    "parity": "approach",
+    "bearing": "azimuth",
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
@@ -44,7 +47,6 @@ SIMPLE = {
     "sin": lambda x, k: np.sin(k * x),
     "tan": lambda x, k: np.tan(k * x),
     "step": lambda x, k: (x > k).astype(np.float64),
-    "bend": lambda x, k: np.maximum(x - k, 0.0),
     "saturated": lambda x, k: x / (k + np.abs(x)),
     "decay": lambda x, k: np.exp(-x / k),
 }
@@ -64,11 +66,12 @@ class Driver:
     ----------
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), simple, product, or field: the same
-        for all and growing across the room, for what carries targets.
+        for all, growing across the room, and bent, for what carries targets.
     covariates : tuple of str
     function : str
         Of a simple driver.
     constant : float
+        Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field.
     factors : tuple of Driver
         Of a product.
     """
@@ -79,20 +82,31 @@ class Driver:
     constant: float = 0.0
     factors: tuple[Driver, ...] = ()
 
-    def columns(self, sightings: Sightings) -> Floats:
-        """Columns (n, k), each of rms about one over the pointings."""
+    def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
+        """Columns (n, k), each of rms about one over the pointings.
+
+        What is `moving` with a further column is where it says at that column's mean. Elsewhere a constant is absorbed,
+        but coordinates have to be those of some moment; a clock begins with the work, and a curve has no mean.
+        """
+        found = self._columns(sightings, moving)
+        centred = moving and self.kind == "simple" and self.covariates[0] in sightings.covariates
+        return found - found.mean(axis=0) if centred else found
+
+    def _columns(self, sightings: Sightings, moving: bool) -> Floats:
         match self.kind:
             case "constant":
                 return np.ones((len(sightings), 1))
             case "smooth":
-                return _smooth(self.covariates[0], sightings.quantities[self.covariates[0]])
+                return _smooth(self.covariates[0], sightings.quantities[self.covariates[0]], int(self.constant))
             case "wave":
                 phase = self.constant * sightings.quantities[self.covariates[0]]
                 return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=1)
             case "field":
                 place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
                 place = place - place.mean(axis=0)
-                return np.hstack([np.ones((len(place), 1)), place / max(float(place.std()), 1e-300)])
+                place = place / max(float(place.std()), 1e-300)
+                bent = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]
+                return np.hstack([np.ones((len(place), 1)), place, *(bent if self.constant > 1 else [])])
             case "simple":
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                     values = SIMPLE[self.function](sightings.quantities[self.covariates[0]], self.constant)
@@ -101,8 +115,8 @@ class Driver:
                 return (values / size if size > 0 else values)[:, None]
         found = np.ones((len(sightings), 1))
         for factor in self.factors:
-            part = factor.columns(sightings)
-            part = part[:, :LOW] if factor.kind == "smooth" else part
+            part = factor.columns(sightings, moving=moving)
+            part = np.hstack([np.ones((len(part), 1)), part]) if factor.kind == "smooth" else part
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
 
@@ -115,12 +129,14 @@ class Driver:
             case "wave":
                 return (np.full(2, np.sqrt(0.5)),)
             case "field":
-                return (np.full(4, 0.5),)
+                spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
+                return (spread / np.linalg.norm(spread),)
             case "smooth":
-                return _spreads(self.covariates[0] in CIRCULAR)
+                return _spreads(self.covariates[0] in CIRCULAR, int(self.constant))
         spread = np.ones(1)
         for factor in self.factors:
-            part = factor.spreads[0][:LOW] if factor.kind == "smooth" else factor.spreads[0]
+            part = factor.spreads[0]
+            part = np.append(1.0, part) if factor.kind == "smooth" else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
@@ -137,44 +153,39 @@ class Driver:
         return tuple(dict.fromkeys(words))
 
 
-LOW = 4
-"""Columns that a smooth factor brings into a product."""
-
-
-def _smooth(name: str, x: Floats) -> Floats:
+def _smooth(name: str, x: Floats, count: int) -> Floats:
     if name in CIRCULAR:
-        orders = np.arange(1, MODES // 2 + 2)
+        orders = np.arange(1, count // 2 + 1 + count % 2)
         phase = x[:, None] * orders
         return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(x), -1)
     low, high = float(x.min()), float(x.max())
     half = max(0.5 * (high - low), 1e-300)
     u = (x - 0.5 * (low + high)) / half
-    modes = np.arange(1, MODES + 1)
+    modes = np.arange(1, count + 1)
     waves = np.sin(0.5 * np.pi * modes * (u[:, None] + EDGE) / EDGE) / np.sqrt(EDGE)
     return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
 
 
 @cache
-def _spreads(circular: bool) -> tuple[Floats, ...]:
+def _spreads(circular: bool, count: int) -> tuple[Floats, ...]:
     found = []
     if circular:
-        orders = np.repeat(np.arange(1, MODES // 2 + 2), 2)
-        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES.values()]
+        orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
+        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
     else:
-        rates = 0.5 * np.pi * np.arange(1, MODES + 1) / EDGE
-        for scale in SCALES.values():
-            found.append(np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]))
-        found.append(np.concatenate([[0.5], 1.0 / np.arange(1, MODES + 1)]))
+        rates = 0.5 * np.pi * np.arange(1, count + 1) / EDGE
+        found = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
+        found += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
     return tuple(spread / np.linalg.norm(spread) for spread in found)
 
 
 CONSTANT = Driver("constant")
-FIELD = Driver("field", ("x", "y", "z"))
 
 
-def across_the_room(drivers: Sequence[Driver]) -> list[Driver]:
-    """Drivers whose size may grow across the room."""
-    return [Driver("product", factors=(driver, FIELD)) for driver in drivers]
+def across_the_room(drivers: Sequence[Driver], order: int) -> list[Driver]:
+    """Drivers whose size may grow across the room, or bend with it."""
+    field = Driver("field", ("x", "y", "z"), constant=order)
+    return [Driver("product", factors=(driver, field)) for driver in drivers]
 
 
 def simple(name: str, function: str, constant: float = 1.0) -> Driver:
@@ -182,32 +193,32 @@ def simple(name: str, function: str, constant: float = 1.0) -> Driver:
     return Driver("simple", (name,), function, constant)
 
 
-def smooth(name: str) -> Driver:
+def smooth(name: str, modes: int = MODES) -> Driver:
     """A smooth driver."""
-    return Driver("smooth", (name,))
+    return Driver("smooth", (name,), constant=modes)
+
+
+_OWN = ("azimuth", "elevation", "distance", "time", "station-time", "height", "bearing")
+_BALL = ("incidence", "nest-direction")
+_BEFORE = (*(f"{when}-{axis}" for when in ("move", "last") for axis in ("azimuth", "elevation", "distance")), "lapse")
+
+
+def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
+    """What of some covariates, and which further columns, vary here."""
+    seen = np.isfinite(sightings.incidence).any()
+    asked = [n for n in (*names, *further(sightings)) if seen or n not in _BALL]
+    return [n for n in asked if np.ptp(sightings.quantities[n]) > 0]
 
 
 def covariates_of(sightings: Sightings) -> list[str]:
     """What a smooth driver may follow here."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
-    if np.isfinite(sightings.incidence).any():
-        names += ["incidence", "nest-direction"]
-    names += [
-        "move-azimuth",
-        "move-elevation",
-        "move-distance",
-        "last-azimuth",
-        "last-elevation",
-        "last-distance",
-        "lapse",
-    ]
-    names += further(sightings)
-    return [n for n in names if np.ptp(sightings.quantities[n]) > 0]
+    return _varying(sightings, (*_OWN, "x", "y", *_BALL, *_BEFORE))
 
 
-def general_drivers(sightings: Sightings) -> list[Driver]:
+def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     """Drivers of every carrier: constants, signs, clocks that decay, smooth in every covariate."""
-    signs = [s for s in ("face", "approach-azimuth", "approach-elevation") if np.ptp(sightings.quantities[s]) > 0]
+    tried = ("face", "approach-azimuth", "approach-elevation", "parity", "repeat")
+    signs = [s for s in tried if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
     for name in ("time", "station-time"):
         span = float(np.ptp(sightings.quantities[name]))
@@ -216,28 +227,44 @@ def general_drivers(sightings: Sightings) -> list[Driver]:
         if np.ptp(sightings.quantities[name]) > 0:
             found.append(simple(name, "abs"))
     for name in covariates_of(sightings):
-        found += [smooth(name)]
+        found += [smooth(name, modes)]
     return found
+
+
+_AXES = ("azimuth", "elevation")
+_HEAD = (*_AXES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
+_CLOCKS = ("time", "station-time", "lapse")
+DRIVES: dict[str, tuple[str, ...]] = {
+    "instrument": (*_CLOCKS, *_HEAD, "parity", "repeat", "distance", "height", "move-distance", "last-distance"),
+    "stand": _CLOCKS,
+    "target": ("time",),
+    "reflector": ("time", *_BALL),
+    "air": ("time", "station-time"),
+}
+"""What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks."""
+
+
+def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
+    """Whether a driver can move a kind of carrier; a reading may err with anything."""
+    names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
+    return kind == "reading" or all(n in DRIVES[kind] or n in sightings.covariates for n in names)
 
 
 def products(sightings: Sightings) -> Iterator[Driver]:
     """Products of two drivers: a sign and a smooth one, and two smooth ones in different covariates."""
-    names = ["azimuth", "elevation", "distance", "time", "station-time", "height"]
-    if np.isfinite(sightings.incidence).any():
-        names += ["incidence", "nest-direction"]
-    names = [n for n in [*names, *further(sightings)] if np.ptp(sightings.quantities[n]) > 0]
+    names = _varying(sightings, (*_OWN, *_BALL))
     for sign in ("face", "approach-azimuth", "approach-elevation"):
         if np.ptp(sightings.quantities[sign]) > 0:
             for name in names:
-                yield Driver("product", factors=(simple(sign, "power"), smooth(name)))
+                yield Driver("product", factors=(simple(sign, "power"), smooth(name, LOW)))
     for length in ("move-azimuth", "move-elevation"):
         if np.ptp(sightings.quantities[length]) > 0:
             for function in ("abs", "power"):
                 for name in ("distance", "elevation"):
                     yield Driver("product", factors=(simple(length, function), simple(name, "power")))
     for one, other in combinations(names, 2):
-        if {one, other} != {"time", "station-time"}:
-            yield Driver("product", factors=(smooth(one), smooth(other)))
+        if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}):
+            yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))
 
 
 WAVE_STEP = 0.6
@@ -260,13 +287,12 @@ def waves(sightings: Sightings) -> Iterator[Driver]:
 
 
 EDGES = 20
-"""Values of a covariate at which a step or a bend is tried."""
+"""Values of a covariate at which a step is tried."""
 
 
 def edges(sightings: Sightings) -> Iterator[Driver]:
-    """Steps and bends where a covariate passes a value."""
+    """Steps where a covariate passes a value."""
     for name in (*covariates_of(sightings),):
         values = np.unique(np.quantile(sightings.quantities[name], np.linspace(0.0, 1.0, EDGES + 2)[1:-1]))
         for edge in values:
-            for function in ("step", "bend"):
-                yield simple(name, function, float(edge))
+            yield simple(name, "step", float(edge))

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints, Singles
 from ltsim.recording.recording import OBSERVABLES
 
 SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0])
@@ -29,14 +29,15 @@ LOG_WEIGHTS = np.log(np.array([0.15, 0.2, 0.25, 0.22, 0.13, 0.05]))
 """Their prior: a size ten times a plausible one is rare, a tenth of it is common."""
 
 PRIOR = {
-    "named": 0.735,  # an effect of the catalogue, all of them alike
-    "law": 0.16,  # a carrier that follows a driver, no card for it
+    "named": 0.55,  # an effect of the catalogue, all of them alike: rather one of them than not
+    "law": 0.345,  # a carrier that follows a driver, no card for it
     "noise": 0.10,  # a catalogued change of the noise
     "scatter": 0.005,  # noise that no card describes
 }
 """What is missing where something is missing; shared among all that is tried."""
 SECOND_ALIKE = np.log(0.03)
-"""Log odds of a second effect of a kind that hardly comes twice (two windows), against any other second effect."""
+"""Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
+other second effect."""
 
 
 def log_average(values: Floats, axis: int = 0) -> Floats:
@@ -54,16 +55,10 @@ def forms_of(strength: Floats) -> tuple[Floats, Floats]:
     return 0.5 * SIZES**2 / scale, LOG_WEIGHTS - 0.5 * np.log(scale).sum(axis=-2)
 
 
-def by_size(squares: Floats, strength: Floats) -> Floats:
-    """The weighted log marginal likelihood ratio (..., sizes) for each size; see `log_evidence`."""
-    weights, constants = forms_of(strength)
-    found: Floats = (squares[..., None, :] @ weights)[..., 0, :] + constants
+def by_size(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
+    """The weighted log marginal likelihood ratio (..., sizes) of squared scores (..., k) for each size."""
+    found: Floats = (squares[..., None, :] @ forms[0])[..., 0, :] + forms[1]
     return found
-
-
-def log_evidence_of(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
-    """The log evidence (...) of squared scores (..., k) by forms at hand."""
-    return log_average((squares[..., None, :] @ forms[0])[..., 0, :] + forms[1], axis=-1)
 
 
 def log_evidence(squares: Floats, strength: Floats) -> Floats:
@@ -76,7 +71,7 @@ def log_evidence(squares: Floats, strength: Floats) -> Floats:
     strength : (..., k) float
         Eigenvalues d_j.
     """
-    return log_average(by_size(squares, strength), axis=-1)
+    return log_average(by_size(squares, forms_of(strength)), axis=-1)
 
 
 AT_ONCE = 500_000
@@ -84,17 +79,29 @@ AT_ONCE = 500_000
 
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
-    """The same (h, ..., trials) for scores (h, ..., k, trials) of simulated residuals."""
+    """The same (h, trials) for scores (h, k, trials) of simulated residuals, in single precision."""
     step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
     parts = [_simulated(scores[i : i + step], strength[i : i + step]) for i in range(0, len(scores), step)]
-    return np.concatenate(parts)
+    found: Floats = np.concatenate(parts).astype(np.float64)
+    return found
 
 
-def _simulated(scores: Floats, strength: Floats) -> Floats:
+def simulated_total(scores: Floats, strength: Floats) -> Floats:
+    """Log of the sum (trials,) over all hypotheses."""
+    return log_average(
+        simulated_evidence(scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2]))
+    )
+
+
+def _simulated(scores: Floats, strength: Floats) -> Singles:
     weights, constants = forms_of(strength)
-    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ (scores.astype(np.float32) ** 2)
+    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores, dtype=np.float32)
     logs += constants[..., None].astype(np.float32)
-    return log_average(logs.astype(np.float64), axis=-2)
+    top = logs.max(axis=-2, keepdims=True)
+    np.subtract(logs, top, out=logs)
+    np.exp(logs, out=logs)
+    found: Singles = np.log(logs.sum(axis=-2)) + top[..., 0, :]
+    return found
 
 
 def log_means(values: Floats, groups: Ints, count: int) -> Floats:
@@ -108,6 +115,12 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     return means
 
 
+def evidence_with(gram: Floats, score: Floats, spread: Floats) -> float:
+    """Log evidence of coefficients with prior N(0, t^2 spread^2), averaged over sizes, from Gram matrix and score."""
+    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
+    return float(log_evidence((vectors.T @ (score * spread)) ** 2, np.maximum(values, 0.0)))
+
+
 def posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float, float]:
     """Mean (k,), covariance (k, k), log evidence and expected size t of coefficients with prior N(0, t^2 spread^2).
 
@@ -116,7 +129,7 @@ def posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floa
     values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
     values = np.maximum(values, 0.0)
     z = vectors.T @ (score * spread)
-    logs = by_size(z**2, values)
+    logs = by_size(z**2, forms_of(values))
     total = float(log_average(logs))
     weight = np.exp(logs - total)
     means = [t**2 * z / (1.0 + t**2 * values) for t in SIZES]

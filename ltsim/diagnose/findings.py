@@ -7,22 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.diagnosis import Curve, Estimate, Evidence, Finding, Where
-from ltsim.diagnose.evidence import carried_by, posterior
+from ltsim.diagnose.diagnosis import NOT_EXCLUDED, Curve, Equivalent, Estimate, Evidence, Finding, Where
+from ltsim.diagnose.evidence import carried_by
 from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.law import Law, curve_of, describe
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
+from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.words import finding_sentence, number, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
-NOT_EXCLUDED = 0.01
-"""Probability above which another effect is stated as an equivalent."""
 MOST_EQUIVALENTS = 3
 
 
@@ -45,11 +43,12 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
     )
 
 
-def equivalents_of(ranking: Ranking, name: str) -> tuple[float, tuple[tuple[str, float], ...]]:
+def equivalents_of(ranking: Ranking, name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """Probability of a name beside the others, and the others that are not excluded."""
     probability = ranking.probabilities()
     others = sorted(
-        ((n, p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED), key=lambda pair: -pair[1]
+        (Equivalent(n, p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED),
+        key=lambda other: -other.probability,
     )
     return probability.get(name, 0.0), tuple(others[:MOST_EQUIVALENTS])
 
@@ -61,22 +60,24 @@ def mean_finding(
     found: Found,
     ranking: Ranking,
     detection: Detection,
-    space: ResidualSpace,
+    searcher: Searcher,
     separate_by: str = "",
     *,
     clock: bool = True,
 ) -> Finding:
     """The finding of a mean shift beside the `others` of what was `found`."""
-    effect, name = hypothesis.effect, hypothesis.name
+    effect, name, space = hypothesis.effect, hypothesis.name, searcher.space
     probability, equivalents = equivalents_of(ranking, name)
     drop = float(others.residual @ others.residual - found.residual @ found.residual)
     spent = found.extension.shape[1] - others.extension.shape[1]
     gain = (others.residual**2 - found.residual**2)[: int(space.use.sum())]
     where = where_of(effect, carried_by(space.use, gain))
     estimates = tuple(told) if clock else tuple(without_clock(e) for e in told)
-    law, curve = "", None
+    law: str = ""
+    curve: Curve | None = None
     if isinstance(effect, Law):
-        law, curve = law_words(effect, clock=clock), _curve(effect, others, space)
+        law = law_words(effect, clock=clock)
+        curve = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
     sentence = finding_sentence(
         name, where, estimates, probability, law, implausible=_implausible(hypothesis, estimates)
     )
@@ -102,14 +103,6 @@ def law_words(law: Law, *, clock: bool = True) -> str:
     if law.driver.kind == "constant":
         return f"{what} differs"
     return f"{what} follows {describe(law.driver, clock=clock)}"
-
-
-def _curve(law: Law, others: Found, space: ResidualSpace) -> Curve | None:
-    left = space.project(space.signature(law))
-    left -= others.extension @ (others.extension.T @ left)
-    sizes = np.array([p.prior_sigma for p in law.parameters])
-    mean, covariance, *_ = posterior(left.T @ left, left.T @ others.residual, sizes)
-    return curve_of(law, space.sightings, mean, covariance)
 
 
 IMPLAUSIBLE = 5.0
@@ -141,7 +134,6 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
         evidence=Evidence(hypothesis.drop, len(rows), detection.p_value, hypothesis.probability),
         sentence=finding_sentence(name, where, rows, hypothesis.probability, law),
         equivalents=hypothesis.equivalents,
-        separate_by=hypothesis.separate_by,
         formula=law,
     )
 

@@ -14,8 +14,6 @@ from ltsim.arrays import Ints
 
 PREDICTED = 1e-6
 """Directions with less redundancy than this are not predicted by the rest of the network at all."""
-MOST = 300
-"""Pointings of a fold: large enough that a fit feels their loss, small enough to be left out at once."""
 
 
 def held_out_rms(space: ResidualSpace, folds: Ints) -> float:
@@ -46,35 +44,9 @@ def _members(folds: Ints) -> list[Ints]:
     return np.split(order, np.flatnonzero(np.diff(folds[order])) + 1) if len(order) else []
 
 
-def pointing_folds(space: ResidualSpace, least: int = 10) -> Ints:
-    """Folds that leave out whole pointings, dealt round robin over the station-target pairs.
-
-    At least ten folds; more where they would be larger than `MOST`.
-    """
-    sightings = space.sightings
-    count = max(least, -(-len(sightings) // MOST))
-    pair = sightings.station * len(sightings.target_names) + sightings.target
-    order = np.lexsort((sightings.time, pair))
-    fold = np.empty(len(sightings), dtype=np.int64)
-    fold[order] = np.arange(len(order)) % count
-    return _by_reading(space, fold)
-
-
 def pair_folds(space: ResidualSpace) -> Ints:
-    """Folds that leave out everything one station measured of one target."""
-    sightings = space.sightings
-    pair = sightings.station * len(sightings.target_names) + sightings.target
-    return _by_reading(space, np.unique(pair, return_inverse=True)[1])
-
-
-def station_target_folds(space: ResidualSpace, parts: int = 4) -> Ints:
-    """Folds that leave out a quarter of the targets at one station at a time: the pose is held by the others."""
-    sightings = space.sightings
-    fold = sightings.station * parts + sightings.target % parts
-    return _by_reading(space, fold)
-
-
-def _by_reading(space: ResidualSpace, fold: Ints) -> Ints:
-    used = space.use
-    by_reading: Ints = np.broadcast_to(fold[:, None], used.shape)[used].astype(np.int64)
+    """Folds (r,) that leave out everything one station measured of one target."""
+    s, used = space.sightings, space.use
+    pair = np.unique(s.station * len(s.target_names) + s.target, return_inverse=True)[1]
+    by_reading: Ints = np.broadcast_to(pair[:, None], used.shape)[used].astype(np.int64)
     return by_reading

@@ -52,7 +52,7 @@ def _determined(names: list[str], values: Floats, covariance: Floats, unit: str,
         if len(members) < 2 or sigma > DETERMINED * apart:
             continue
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        weights = tuple((names[i], float(vector[i])) for i in members)
+        weights = {names[i]: float(vector[i]) for i in members}
         found.append(Combination(weights, float(vector @ values) / factor, sigma / factor, unit))
     return found
 

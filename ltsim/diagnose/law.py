@@ -6,7 +6,7 @@ does (a vertical index that follows the clock is `index-drift`), it bears that n
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
 from ltsim.diagnose.diagnosis import Curve, Estimate
-from ltsim.diagnose.drivers import CONSTANT, WAVE_STEP, Driver, simple
+from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -35,6 +35,8 @@ class Law(Tunable):
         Named where the stations are those of one instrument.
     scale : int
         Which of the driver's sets of prior deviations holds.
+    each : bool
+        Every set-up has coefficients of its own.
     """
 
     stations: tuple[str, ...] = ()
@@ -43,16 +45,17 @@ class Law(Tunable):
     driver: Driver = CONSTANT
     instruments: tuple[str, ...] = ()
     scale: int = 0
+    each: bool = False
 
     name = "unknown"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient a column of the driver, with the prior deviation of its length scale."""
+        """One coefficient a component of the carrier, set-up, and column of the driver, with its prior deviation."""
         spread = self.driver.spreads[self.scale] * self.carrier.size
-        names = column_names(self.driver)
+        spreads = np.tile(spread, len(self.carrier.ways) * (len(self.stations) if self.each else 1))
         return tuple(
-            Parameter(name, self.carrier.unit, "coefficient", float(s)) for name, s in zip(names, spread, strict=True)
+            Parameter(f"coefficient {i + 1}", self.carrier.unit, "coefficient", float(s)) for i, s in enumerate(spreads)
         )
 
     @property
@@ -68,9 +71,17 @@ class Law(Tunable):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
         moved = CARRIERS[self.carrier.name][1](sightings)
-        columns = self.driver.columns(sightings) * self.mask(sightings)[:, None]
-        found: Floats = moved[:, :, None] * columns[:, None, :]
-        return found
+        found: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
+        return found.reshape(len(sightings), 3, -1)
+
+    def columns(self, sightings: Sightings) -> Floats:
+        """What each component of the carrier follows (n, k), zero elsewhere; for each set-up on its own, (n, S k)."""
+        columns = self.driver.columns(sightings, moving=self.carrier.kind == "target")
+        columns = columns * self.mask(sightings)[:, None]
+        if not self.each:
+            return columns
+        at = np.array([sightings.station == sightings.station_names.index(name) for name in self.stations]).T
+        return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
         """Rates between those tried for a wave, gaps around a step."""
@@ -79,7 +90,7 @@ class Law(Tunable):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if driver.function in ("step", "bend"):
+        if driver.function == "step":
             values = np.unique(sightings.quantities[driver.covariates[0]])
             middles = 0.5 * (values[1:] + values[:-1])
             near = middles[np.argsort(np.abs(middles - driver.constant))[:12]]
@@ -98,67 +109,70 @@ class Law(Tunable):
         ]
         return [replace(self, driver=Driver("product", factors=factors), scale=0) for factors in product(*options)]
 
+    def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
+        """What a law may be a rough sight of, each with its scales: the curve, short formulas, a finer curve."""
+        driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings), "fine": [self][:0]}
+        if driver.kind == "smooth":
+            finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
+            found["fine"] = [replace(self, driver=finer)]
+        return {
+            kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
+            for kind, laws in found.items()
+            if laws
+        }
 
-ANGULAR = ("azimuth", "elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-SHARES = (0.05, 0.15, 0.5)
+    def at_each(self, sightings: Sightings) -> Law | None:
+        """The law with coefficients of its own for each set-up, where that can be."""
+        stations = tuple(sightings.station_names)
+        confined = len(self.stations) > 1 or self.targets or self.instruments
+        once = self.driver.kind == "product" or self.driver.function == "step" or self.carrier.kind not in OF_A_SET_UP
+        if confined or once or len(stations) < 2:
+            return None
+        return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
+
+    def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
+        """Where a law does most: at which set-up, in which direction (c,), coefficients (c, k) and their covariance."""
+        ways, k = len(self.carrier.ways), self.driver.size
+        shape = (ways, len(mean) // (ways * k), k)
+        means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
+        columns = self.driver.columns(sightings)
+        if self.each:
+            rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
+            size = [float(np.sum((columns[r] @ means[:, i].T) ** 2)) for i, r in enumerate(rows)]
+        top = int(np.argmax(size)) if self.each else 0
+        law = replace(self, stations=(self.stations[top],), each=False) if self.each else self
+        moved = columns[law.mask(sightings) > 0] @ means[:, top].T
+        moved = moved - moved.mean(axis=0) if self.driver.kind != "constant" else moved
+        way = np.linalg.svd(moved, full_matrices=False)[2][0]
+        return law, way, means[:, top], spread[:, top, :, :, top, :]
+
+
+OF_A_SET_UP = ("reading", "instrument", "stand")
+"""Kinds of carriers that may do the same at every set-up, each in its own way."""
+MOST_SET_UPS = 12
+"""Up to so many: a law for each has as many times its coefficients."""
+ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
 
 
 def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Driver]:
-    """Short drivers in a covariate."""
-    x = sightings.quantities[name]
-    span = float(np.ptp(x))
-    if name in ("azimuth", "nest-direction"):
-        for order in (1.0, 2.0, 3.0) if few else (1.0, 2.0, 3.0, 4.0, 5.0, 6.0):
-            yield Driver("wave", (name,), constant=order)
-        if few:
-            return
-    yield simple(name, "power", 1.0)
-    if name in ANGULAR and name != "azimuth":
-        for function, order in (
-            ("sin", 1.0),
-            ("cos", 1.0),
-            ("sin", 2.0),
-            ("cos", 2.0),
-            ("sin", 3.0),
-            ("cos", 3.0),
-            ("tan", 1.0),
-        ):
-            yield simple(name, function, order)
-    yield simple(name, "power", 2.0)
-    if few:
-        return
-    yield simple(name, "power", 3.0)
-    if name in ("distance",):
-        yield simple(name, "power", -1.0)
-    if name.startswith("move-"):
-        yield simple(name, "abs")
-    for share in SHARES:
-        if name in ("station-time", "time", "lapse"):
-            yield simple(name, "decay", share * span)
-        if name.startswith("move-"):
-            yield simple(name, "saturated", share * span)
-
-
-def column_names(driver: Driver) -> list[str]:
-    """A word for each column of a driver."""
-    match driver.kind:
-        case "constant":
-            return ["constant"]
-        case "simple":
-            return [describe(driver)]
-        case "wave":
-            phase = _phase(driver)
-            return [f"cos({phase})", f"sin({phase})"]
-        case "field":
-            return ["everywhere", "with x", "with y", "with z"]
-        case "smooth":
-            return [f"curve {i + 1}" for i in range(driver.size)]
-    names = [""]
-    for factor in driver.factors:
-        part = column_names(factor)[: 4 if factor.kind == "smooth" else None]
-        names = [f"{a} {b}".strip() for a in names for b in part]
-    return names
+    """Short drivers in a covariate; `few` where several are tried together."""
+    shares = SHARES * float(np.ptp(sightings.quantities[name]))
+    circular = name in CIRCULAR
+    if circular:
+        for order in range(1, 4 if few else 7):
+            yield Driver("wave", (name,), constant=float(order))
+    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
+    if name in ANGULAR and not (circular and few):
+        tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
+    if not few:
+        tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
+        tried += [("decay", shares)] if name in ("station-time", "time", "lapse") else []
+        tried += [("abs", (1.0,)), ("saturated", shares)] if name.startswith("move-") else []
+    for function, constants in tried:
+        for constant in constants:
+            yield simple(name, function, float(constant))
 
 
 UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
@@ -168,7 +182,7 @@ UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
     """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
-    if name.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
+    if name.endswith(("azimuth", "bearing", "elevation", "incidence", "nest-direction")):
         return f"{np.degrees(value):.3g} deg"
     if UNITS.get(name) == "s" and not clock:
         return f"{value:.3g} rows"
@@ -179,16 +193,9 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
     return f"{value:.4g}"
 
 
-def _phase(driver: Driver) -> str:
-    name, rate = driver.covariates[0], driver.constant
-    if name.endswith(("azimuth", "elevation", "nest-direction")):
-        return name if rate == 1.0 else f"{rate:.4g} {name}"
-    return f"2 pi {name} / {value_of(name, 2 * np.pi / rate)}"
-
-
 def _wave_words(driver: Driver, clock: bool) -> str:
     name, rate = driver.covariates[0], driver.constant
-    if name.endswith(("azimuth", "elevation", "nest-direction")):
+    if name.endswith(("azimuth", "bearing", "elevation", "nest-direction")):
         return f"a wave in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
     return f"a wave in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
 
@@ -217,15 +224,9 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
             return f"exp(-{name} / {value_of(name, k, clock=clock)})"
         case "saturated":
             return f"saturation({name}, half at {value_of(name, k, clock=clock)})"
-        case "step" | "bend":
-            return f"{driver.function}({name} above {value_of(name, k, clock=clock)})"
+        case "step":
+            return f"step({name} above {value_of(name, k, clock=clock)})"
     return f"{driver.function}({'' if k == 1 else f'{k:.4g} '}{name})"
-
-
-def law_of(effect: Tunable) -> Law:
-    """An effect that is known to be a law."""
-    assert isinstance(effect, Law)
-    return effect
 
 
 _CLOCK = ("time", "station-time")
@@ -238,16 +239,19 @@ NAMED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
 """Carriers and the covariate they follow smoothly, that the catalogue has a card for."""
 CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
 """Carriers that a wave of a circle's graduation has."""
-FINE = 20.0
+GRADUATED = 20.0
 """Periods a turn from which a wave of a circle is one of its graduation, and no harmonic of its eccentricity."""
 DECAYING = ("decay", "power")
 
 
-def card_of(law: Law) -> str:
+def card_of(law: Tunable) -> str:
     """The name that the catalogue has for a law; `unknown` where it has none."""
+    assert isinstance(law, Law)
     driver, carrier = law.driver, law.carrier.name
-    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > FINE:
+    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > GRADUATED:
         return "encoder-interpolation"
+    if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
+        return "range-cyclic"
     if driver.kind == "simple" and driver.function in DECAYING:
         for carriers, covariates, name in NAMED:
             if carrier in carriers and driver.covariates[0] in covariates:
@@ -256,25 +260,33 @@ def card_of(law: Law) -> str:
 
 
 def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Estimate, ...]:
-    """What a person asks of a law: amplitude and phase of a wave, the size of a constant, how far a curve swings."""
-    factor, unit = law.parameters[0].factor, law.carrier.unit
-    acts = law.mask(sightings) > 0
-    columns = law.driver.columns(sightings)[acts]
-    match law.driver.kind:
-        case "constant":
-            return (_estimate(law.carrier.name, mean[0], covariance[0, 0], factor, unit),)
-        case "wave":
-            size = float(np.hypot(*mean))
-            way = mean / max(size, 1e-300)
-            across = np.array([-way[1], way[0]])
-            phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
-            turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
-            amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(way @ covariance @ way), factor, unit)
-            return amplitude, Estimate("phase", phase, min(turn, 180.0), "deg")
-    values = columns @ mean
-    low, high = int(np.argmin(values)), int(np.argmax(values))
-    gap = columns[high] - columns[low]
-    return (_estimate("swing", float(gap @ mean), float(gap @ covariance @ gap), factor, unit),)
+    """What a person asks of a law: amplitude and phase of a wave, the size of a constant, how far a curve swings.
+
+    Of what moves in space each component, at the set-up where it moves farthest.
+    """
+    law, way, means, spread = law.along(mean, covariance, sightings)
+    factor, unit, ways = law.parameters[0].factor, law.carrier.unit, law.carrier.ways
+    if law.driver.kind == "constant":
+        return tuple(
+            _estimate(f"{law.carrier.name} {w}".strip(), means[i, 0], spread[i, 0, i, 0], factor, unit)
+            for i, w in enumerate(ways)
+        )
+    if law.driver.kind == "wave" and len(ways) == 1:
+        mean, covariance = means[0], spread[0, :, 0]
+        size = float(np.hypot(*mean))
+        along = mean / max(size, 1e-300)
+        across = np.array([-along[1], along[0]])
+        phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
+        turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
+        amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along), factor, unit)
+        return amplitude, Estimate("phase", phase, min(turn, 180.0), "deg")
+    columns = law.driver.columns(sightings)[law.mask(sightings) > 0]
+    values = columns @ means.T @ way
+    gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
+    return tuple(
+        _estimate(f"swing {w}".strip(), float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), factor, unit)
+        for i, w in enumerate(ways)
+    )
 
 
 def _estimate(name: str, value: float, variance: float, factor: float, unit: str) -> Estimate:
@@ -286,10 +298,12 @@ CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
 
 
 def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
-    """What the carrier does over the law's covariate, with its deviation; None where it follows several."""
+    """What the carrier does over the law's covariate where and how it does most; None where it follows several."""
     driver = law.driver
     if len(driver.covariates) != 1:
         return None
+    law, way, means, spread = law.along(mean, covariance, sightings)
+    mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
     if driver.kind == "wave":
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)

@@ -8,15 +8,15 @@ Sizes are averaged over a grid, so these hypotheses compete with mean shifts by 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import minimize_scalar
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
+from ltsim.diagnose.diagnosis import Equivalent
 from ltsim.diagnose.drivers import further
 from ltsim.diagnose.evidence import PRIOR, log_means
 from ltsim.effects import CATALOGUE
@@ -85,8 +85,7 @@ class NoiseHypothesis:
     sigma: tuple[float, ...] = ()
     drop: float = 0.0
     probability: float = 0.0
-    equivalents: tuple[tuple[str, float], ...] = ()
-    separate_by: str = ""
+    equivalents: tuple[Equivalent, ...] = ()
 
 
 def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
@@ -131,70 +130,65 @@ class NoiseBank:
 
     Attributes
     ----------
-    gain : (h, m + g) csr float32
-        1 - 1/s of each row; of each mean for what repeats.
-    cost : (h,) float
-        Sum of redundancy times log s.
-    groups : (m,) int
-        Repeat group of each reading; -1 without.
+    gain, logs : (h, m + g) csr float32
+        1 - 1/s and log s of each row; of each mean for what repeats.
+    means : (g, m) csr float
+        What adds up repeats.
     """
 
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
     gain: sp.csr_array
-    cost: Floats
+    logs: sp.csr_array
     means: sp.csr_array
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
         """Build the bank on a residual space."""
-        share, means = space.redundancy, repeat_means(space)
-        mean_share = _share_of_means(means, share)
+        means = repeat_means(space)
         used, stated = space.use, space.sigma**2
-        cost = np.zeros(len(hypotheses))
         parts: list[tuple[Ints, Floats]] = []
-        for i, h in enumerate(hypotheses):
+        for h in hypotheses:
             factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
             if getattr(h.effect, "repeating", False):
                 factor = np.concatenate([np.ones(space.size), _grown(means, factor)])
-                weight = np.concatenate([share, mean_share])
-            else:
-                weight = share
             rows = np.flatnonzero(factor != 1.0)
-            parts.append((rows, 1.0 - 1.0 / factor[rows]))
-            cost[i] = float(weight[rows] @ np.log(factor[rows]))
+            parts.append((rows, factor[rows]))
         ends = np.cumsum([0, *(len(rows) for rows, _ in parts)])
-        places, values = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
-        gain = sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.size + means.shape[0]))
+        places, factors = (np.concatenate(x) if x else np.zeros(0) for x in zip(*parts, strict=True))
+        gain, logs = (
+            sp.csr_array((values.astype(np.float32), places, ends), (len(parts), space.size + means.shape[0]))
+            for values in (1.0 - 1.0 / factors, np.log(factors))
+        )
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        return cls(list(hypotheses), names, family, gain, cost, means)
+        return cls(list(hypotheses), names, family, gain, logs, means)
 
-    def log_likelihood_ratio(self, residual: Floats) -> Floats:
-        """(h, trials) for whitened residuals (m, trials)."""
+    def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
+        """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
         squares = np.vstack([residual**2, (self.means @ residual) ** 2]).astype(np.float32)
-        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - self.cost[:, None])
+        share = np.concatenate([redundancy, _share_of_means(self.means, redundancy)])
+        ratio: Floats = 0.5 * ((self.gain @ squares).astype(np.float64) - (self.logs @ share)[:, None])
         return ratio
 
-    def family_evidence(self, residual: Floats) -> Floats:
+    def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (families, trials) with priors."""
         known = np.array([not f.startswith("unknown") for f in self.families])
         share = np.where(known, PRIOR["noise"] / max(known.sum(), 1), PRIOR["scatter"] / max((~known).sum(), 1))
-        ratio = self.log_likelihood_ratio(residual)
+        ratio = self.log_likelihood_ratio(residual, redundancy)
         return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
 
-    def best(self, space: ResidualSpace, residual: Floats) -> list[tuple[float, NoiseHypothesis]]:
-        """Families in the order of their evidence, each with its likeliest hypothesis; sizes of the first estimated."""
-        evidence = self.family_evidence(residual[:, None])[:, 0]
-        ratio = self.log_likelihood_ratio(residual[:, None])[:, 0]
+    def best(self, residual: Floats, redundancy: Floats) -> list[tuple[float, NoiseHypothesis]]:
+        """Families in the order of their evidence, each with its likeliest hypothesis."""
+        evidence = self.family_evidence(residual[:, None], redundancy)[:, 0]
+        ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
         found = []
         for family in np.argsort(-evidence)[:COMPARED]:
             members = np.flatnonzero(self.family == family)
             found.append((float(evidence[family]), self.hypotheses[members[int(np.argmax(ratio[members]))]]))
-        values, drop, sigma = _most_likely(space, space.sigma, found[0][1], residual)
-        return [(found[0][0], replace(found[0][1], values=values, sigma=sigma, drop=drop)), *found[1:]]
+        return found
 
 
 COMPARED = 6
@@ -231,98 +225,45 @@ LEAST_SHARE = 0.05
 
 
 LARGEST = 400.0
-"""Upper bound of a parameter in units of its prior sigma."""
+"""Upper bound of a size in units of its plausible one."""
+GRID, REACH, ZOOMS = 7, 4.0, 9
+"""Points an axis of the grid on which the posterior of sizes is summed, deviations it reaches, and how often it is
+drawn anew: sums over a bell curve are exact from spacings of a deviation and a half on, and nine grids shrink to the
+narrowest one there is."""
 
 
-def remeasured(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """A hypothesis with its sizes estimated in an adjustment that is weighted by it already.
+def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+    """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
 
-    Repeated, this ends at the restricted maximum likelihood (Foerstner 1979): residuals of other readings no longer
-    water down what the noisy ones say.
-
-    Parameters
-    ----------
-    space : ResidualSpace
-        Of an adjustment with the variances of the hypothesis.
-    stated : (n, 3) float
-        Standard deviations without it.
+    Variances are those of the hypothesis on the `stated` (n, 3) ones; residuals are whitened by the space's own. Sizes
+    and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a priori all
+    factors on a variance are alike, by their logarithm.
     """
-    values, _, sigma = _most_likely(space, stated, hypothesis, space.residual)
-    return replace(hypothesis, values=values, sigma=sigma)
-
-
-def _most_likely(
-    space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis, residual: Floats
-) -> tuple[tuple[float, ...], float, tuple[float, ...]]:
-    """Sizes, twice the log ratio of the restricted likelihood at its maximum, standard deviations.
-
-    Variances are those of the hypothesis on the `stated` (n, 3) ones; the residuals are whitened by the space's own.
-
-    The maximum is found by moving every parameter of the effect in turn; sizes and standard deviations are those of the
-    posterior around it, since the likelihood of a variance is skew and ends at zero.
-    """
-    used = space.use
-    repeating = bool(getattr(hypothesis.effect, "repeating", False))
-    means = repeat_means(space) if repeating else None
+    effect, used = hypothesis.effect, space.use
+    means = repeat_means(space) if getattr(effect, "repeating", False) else None
     share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
-    squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
+    squares = space.residual[: len(share)] ** 2 if means is None else (means @ space.residual) ** 2
 
     def gain(values: Floats) -> float:
-        variance = hypothesis.effect.variance(space.sightings, stated, values)
-        factor = (variance / space.sigma**2)[used]
+        factor = (effect.variance(space.sightings, stated, values) / space.sigma**2)[used]
         if float(factor.min()) <= 0.0:
             return -np.inf
         factor = factor if means is None else _grown(means, factor)
         return float(squares @ (1 - 1 / factor) - share @ np.log(factor))
 
-    values = np.array(hypothesis.values, dtype=np.float64)
-    scale = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
-    for _ in range(3):
-        for k in range(len(values)):
-
-            def lost(log_size: float, at: int = k) -> float:
-                tried = values.copy()
-                tried[at] = scale[at] * (np.exp(log_size) - 1.0)
-                return -gain(tried)
-
-            bounds = (np.log1p(hypothesis.effect.least), np.log1p(LARGEST))
-            found = minimize_scalar(lost, bounds=bounds, method="bounded")
-            if -found.fun > gain(values):
-                values[k] = scale[k] * (np.exp(found.x) - 1.0)
-    reach = np.array([_reach(gain, values, k, scale[k]) for k in range(len(values))])
-    least = hypothesis.effect.least * scale
-    mean, sigma = _posterior(lambda v: gain(v) - 2.0 * float(np.log1p(v / scale).sum()), values, reach, least)
-    return tuple(mean.tolist()), gain(values), tuple(sigma.tolist())
-
-
-def _reach(gain: Callable[[Floats], float], values: Floats, k: int, scale: float) -> float:
-    """How far upward a parameter can go before its likelihood falls by a factor of e^-2 (two standard deviations)."""
-    top, step = gain(values), 0.05 * max(abs(float(values[k])), 0.2 * scale)
-    while step < LARGEST * scale:
-        tried = values.copy()
-        tried[k] += step
-        if gain(tried) < top - 4.0:
-            return step
-        step *= 1.5
-    return step
-
-
-GRID = 13
-"""Points an axis of the grid on which the posterior of the sizes is summed."""
-
-
-def _posterior(
-    twice_log: Callable[[Floats], float], values: Floats, reach: Floats, least: Floats
-) -> tuple[Floats, Floats]:
-    """Mean and standard deviation (q,) of sizes above the `least` ones, around the maximum of the likelihood."""
-    mean, sigma = values, 0.5 * reach
-    for width in (4.0, 4.5):
-        low = np.maximum(least, mean - width * sigma)
-        axes = [np.linspace(a, b, GRID) for a, b in zip(low, mean + width * sigma, strict=True)]
+    scale = np.array([p.prior_sigma for p in effect.parameters])
+    least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
+    low, high = least, most
+    for _ in range(ZOOMS):
+        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
         points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-        logs = 0.5 * np.array([twice_log(point) for point in points])
+        sizes = scale * np.expm1(points)
+        logs = 0.5 * np.array([gain(one) for one in sizes])
         weight = np.exp(logs - logs.max())
         weight /= weight.sum()
         mean = weight @ points
-        sigma = np.sqrt(weight @ (points - mean) ** 2)
-    return mean, sigma
+        spread = np.maximum(np.sqrt(weight @ (points - mean) ** 2), 0.4 * (high - low) / (GRID - 1))
+        low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
+    values = weight @ sizes
+    sigma = np.sqrt(weight @ (sizes - values) ** 2)
+    return replace(hypothesis, values=tuple(values.tolist()), drop=gain(values), sigma=tuple(sigma.tolist()))

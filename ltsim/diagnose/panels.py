@@ -7,7 +7,7 @@ The score of carrier c with driver d at a place is the sum over its pointings of
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,24 +17,29 @@ from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.carriers import Carrier, carrier_designs
 from ltsim.diagnose.drivers import (
     CONSTANT,
+    LOW,
+    MODES,
     Driver,
     across_the_room,
     edges,
     further,
     general_drivers,
+    moves,
     products,
     simple,
     smooth,
     waves,
 )
-from ltsim.diagnose.evidence import forms_of, log_average, log_evidence_of, simulated_evidence
+from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
 from ltsim.diagnose.probe import Probe
 from ltsim.scene.sightings import Sightings
 
 CHUNK = 1000
 """Pointings whose products are held at once."""
-MOST_STATIONS, MOST_TARGETS = 400, 400
-"""Places up to whose number each is tried on its own."""
+MOST_PLACES = 400
+"""Set-ups, or targets, up to whose number each is tried on its own."""
+ROOM = 4
+"""Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
 NEIGHBOURS = (3, 6, 9)
 """Targets that stand together: one with so many around it."""
 
@@ -65,20 +70,30 @@ class Hit:
 
 @dataclass(frozen=True)
 class Panel:
-    """Carriers, drivers of one number of columns and scales, places, and the log prior (C,) of each hypothesis."""
+    """Carriers of one kind and c components, drivers alike in columns k and scales, places.
+
+    Attributes
+    ----------
+    weights : (n, 3, C, c) float32
+        Whitened change of the readings by a plausible size of each component.
+    columns : (n, D k) float32
+    log_prior : float
+        Of each hypothesis and scale.
+    """
 
     carriers: tuple[Carrier, ...]
     drivers: tuple[Driver, ...]
     places: tuple[Place, ...]
     weights: Singles
     columns: Singles
-    log_prior: Floats
+    log_prior: float
     _forms: dict[int, list[Form]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _spreads(self) -> list[Floats]:
-        """(D, k) standard deviations for each scale."""
-        return [np.stack(sets) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
+        """(D, c k) standard deviations for each scale."""
+        ways = self.weights.shape[3]
+        return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
 
     def score(self, probe: Probe) -> tuple[list[Hit], float, Floats]:
         """The hypotheses of every place worth a second look, and the log sums of all: here, and in trials (trials,)."""
@@ -92,9 +107,7 @@ class Panel:
             best = np.argsort(-values.ravel())[:MOST_HITS]
             for flat in best:
                 c, d = np.unravel_index(int(flat), values.shape)
-                hits.append(
-                    Hit(self.carriers[c], self.drivers[d], place, float(values[c, d]), float(self.log_prior[c]))
-                )
+                hits.append(Hit(self.carriers[c], self.drivers[d], place, float(values[c, d]), self.log_prior))
         return hits, float(log_average(np.array(sums))), null
 
     def _at(self, probe: Probe, number: int) -> tuple[Floats, Floats]:
@@ -105,18 +118,16 @@ class Panel:
         """
         rows = self.places[number].rows
         scores = self._sums(probe, rows)
-        score, _, trials, _ = probe.split(scores)
+        score, trials, _ = probe.split(scores)
         if probe.fresh:
             self._forms[number] = self._turned(probe.gram(scores, self._own(rows)))
         null = np.full(probe.scored, -np.inf)
         every = []
         for strength, forms, turn in self._forms[number]:
-            every.append(log_evidence_of((turn @ score[..., None])[..., 0] ** 2, forms))
+            every.append(log_average(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1))
             if len(null):
-                chance = simulated_evidence(turn @ trials, strength)
-                chance += self.log_prior[:, None, None]
-                null = np.logaddexp(null, log_average(chance.reshape(-1, len(null))))
-        return log_average(np.stack(every)) + self.log_prior[:, None], null
+                null = np.logaddexp(null, simulated_total(turn @ trials, strength) + self.log_prior)
+        return log_average(np.stack(every)) + self.log_prior, null
 
     def _turned(self, gram: Floats) -> list[Form]:
         """For each scale eigenvalues (C, D, k), their forms, and what turns scores into those along eigenvectors."""
@@ -128,48 +139,52 @@ class Panel:
             found.append((strength, forms_of(strength), turn.astype(np.float32)))
         return found
 
-    @property
-    def _sizes(self) -> Singles:
-        return np.array([c.size for c in self.carriers], dtype=np.float32)
-
     def _sums(self, probe: Probe, rows: Ints) -> Singles:
-        """Products (C, D, k, v) of all columns with the probe's vectors at a place."""
-        count, d, k = len(self.carriers), len(self.drivers), self._spreads[0].shape[1]
-        scores = np.zeros((d * k, count * probe.vectors.shape[1]), dtype=np.float32)
+        """Products (C, D, c k, v) of all columns with the probe's vectors at a place."""
+        _, _, count, ways = self.weights.shape
+        d, k = len(self.drivers), self.columns.shape[1] // len(self.drivers)
+        scores = np.zeros((d * k, count * ways * probe.vectors.shape[1]), dtype=np.float32)
         for start in range(0, len(rows), CHUNK):
             part = rows[start : start + CHUNK]
-            moved = np.einsum("nic,niv->ncv", self.weights[part] * self._sizes, probe.pointings[part])
+            weights = self.weights[part].reshape(len(part), 3, -1)
+            moved = np.swapaxes(weights, 1, 2) @ probe.pointings[part]
             scores += self.columns[part].T @ moved.reshape(len(part), -1)
-        return np.ascontiguousarray(scores.reshape(d, k, count, -1).transpose(2, 0, 1, 3))
+        shaped = scores.reshape(d, k, count, ways, -1).transpose(2, 0, 3, 1, 4)
+        return np.ascontiguousarray(shaped).reshape(count, d, ways * k, -1)
 
     def _own(self, rows: Ints) -> Floats:
-        """Products (C, D, k, k) of the columns of each hypothesis with each other."""
-        d, k = len(self.drivers), self._spreads[0].shape[1]
-        own = np.zeros((len(self.carriers), d * k * k))
+        """Products (C, D, c k, c k) of the columns of each hypothesis with each other."""
+        _, _, count, ways = self.weights.shape
+        d, k = len(self.drivers), self.columns.shape[1] // len(self.drivers)
+        own = np.zeros((count * ways * ways, d * k * k))
         for start in range(0, len(rows), CHUNK):
             part = rows[start : start + CHUNK]
             blocks = self.columns[part].reshape(len(part), d, k)
-            pairs = np.einsum("nda,ndb->ndab", blocks, blocks).reshape(len(part), -1)
-            own += ((self.weights[part] * self._sizes) ** 2).sum(axis=1).T @ pairs
-        return own.reshape(-1, d, k, k)
+            pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(part), -1)
+            weights = self.weights[part]
+            own += np.einsum("nica,nicb->ncab", weights, weights).reshape(len(part), -1).T @ pairs
+        shaped = own.reshape(count, ways, ways, d, k, k).transpose(0, 3, 1, 4, 2, 5)
+        return shaped.reshape(count, d, ways * k, ways * k)
 
 
 MOST_HITS = 6
 """Hypotheses a place that are looked at again."""
 
 SHARES = {
-    "anywhere": 0.32,  # any carrier, any driver, the whole recording
+    "anywhere": 0.34,  # any carrier, any driver, the whole recording
     "station": 0.15,  # the same at one set-up
     "instrument": 0.10,  # the same at all set-ups of one instrument
     "product": 0.16,  # a reading that follows two drivers
     "wave": 0.08,  # a reading that swings
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
-    "edge": 0.06,  # a reading that jumps or bends
+    "edge": 0.04,  # a reading that jumps
     "target": 0.04,  # one target
     "group": 0.03,  # targets that stand together
 }
 """How the prior of laws without a card is shared."""
+KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.1, "reflector": 0.04, "air": 0.04}
+"""Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone."""
 
 
 def panels(space: ResidualSpace, mass: float) -> list[Panel]:
@@ -177,26 +192,35 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     made = _Maker(space)
     s = space.sightings
     everywhere = (Place((), (), np.arange(len(s))),)
-    stations = tuple(_stations(s)) if 1 < len(s.station_names) <= MOST_STATIONS else ()
-    instruments = tuple(_instruments(space)) if s.instrument.max() > 0 else ()
-    targets = tuple(_targets(s)) if 1 < len(s.target_names) <= MOST_TARGETS else ()
+    stations: tuple[Place, ...] = ()
+    targets: tuple[Place, ...] = ()
+    if 1 < len(s.station_names) <= MOST_PLACES:
+        stations = tuple(Place((name,), (), rows) for name, rows in _each(s.station_names, s.station))
+    if 1 < len(s.target_names) <= MOST_PLACES:
+        targets = tuple(Place((), (name,), rows) for name, rows in _each(s.target_names, s.target))
+    trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
+    instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
     groups = tuple(_groups(s)) if 12 <= len(s.target_names) <= 100 else ()
-    general, readings = general_drivers(s), ("reading",)
-    clock = [smooth(n) for n in ("time", *further(s)) if np.ptp(s.quantities[n]) > 0]
+    general = general_drivers(s)
+    visits = float(np.median([len(place.rows) for place in stations] or [0]))
+    there = general if visits > ROOM * MODES else general_drivers(s, LOW)
+    clock = [smooth(n, LOW) for n in ("time", *further(s)) if np.ptp(s.quantities[n]) > 0]
     plain = [CONSTANT, *(simple(n, "power") for n in ("time", "distance", "elevation") if np.ptp(s.quantities[n]) > 0)]
     plain += [simple(n, "power") for n in further(s)]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
+    bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
+    here, moved = ("reading", "instrument", "stand", "air"), ("reading", "target")
     requests = [
-        ("anywhere", general, everywhere, ()),
-        ("station", general, stations, ()),
-        ("instrument", general, instruments, ()),
-        ("product", list(products(s)), everywhere, readings),
+        ("anywhere", general, everywhere, tuple(KINDS)),
+        ("station", there, stations, here),
+        ("instrument", general, instruments, here),
+        ("product", list(products(s)), everywhere, ("reading",)),
         ("wave", list(waves(s)), everywhere, ("reading", "vertical index")),
-        ("sway", swings, everywhere, ("air", "structure", "target", "stand")),
-        ("structure", across_the_room([*swings, *clock, *plain[1:]]), everywhere, ("target",)),
-        ("edge", list(edges(s)), everywhere, readings),
-        ("target", [*plain, *clock], targets, ("reading", "target")),
-        ("group", [*plain, *clock], groups, ("reading", "target")),
+        ("sway", swings, everywhere, ("stand", "target", "air")),
+        ("structure", bent, everywhere, ("target",)),
+        ("edge", list(edges(s)), everywhere, ("reading",)),
+        ("target", [*plain, *clock], targets, moved),
+        ("group", [*plain, *clock], groups, moved),
     ]
     asked = [r for r in requests if r[1] and r[2]]
     whole = sum(SHARES[name] for name, *_ in asked)
@@ -207,67 +231,50 @@ class _Maker:
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings
         self._sigma, self._use = space.sigma, space.use
-        self._known = carrier_designs(self._s)
+        self._known: dict[tuple[str, int], list[tuple[Carrier, Floats]]] = {}
+        for carrier, design in carrier_designs(self._s).values():
+            weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
+            sized = at_noise(carrier, weights)
+            self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
     def panels(
         self, drivers: Sequence[Driver], places: tuple[Place, ...], kinds: tuple[str, ...], mass: float
     ) -> Iterator[Panel]:
-        """Panels of drivers alike in columns and scales."""
-        chosen = [(c, d) for c, d in self._known.values() if not kinds or c.kind in kinds or c.name in kinds]
-        weights = np.stack([np.where(self._use, d / self._sigma, 0.0) for _, d in chosen], axis=2)
-        carriers = tuple(at_noise(c, weights[:, :, i]) for i, (c, _) in enumerate(chosen))
-        alike: dict[tuple[int, int], list[Driver]] = {}
-        for driver in drivers:
-            alike.setdefault((driver.size, len(driver.spreads)), []).append(driver)
-        count = len(places) * sum(len(d.spreads) for d in drivers)
-        log_prior = np.log(mass / count * _shares(carriers))
-        for same in alike.values():
-            columns = np.hstack([d.columns(self._s) for d in same])
-            yield Panel(
-                carriers, tuple(same), places, weights.astype(np.float32), columns.astype(np.float32), log_prior
-            )
-
-
-READINGS = 0.5
-"""Share of the readings themselves among the carriers: what errs in no known way shows in a reading alone."""
-
-
-def _shares(carriers: Sequence[Carrier]) -> Floats:
-    """Prior share (C,) of each carrier."""
-    reading = np.array([c.kind == "reading" for c in carriers])
-    if reading.all() or not reading.any():
-        return np.full(len(carriers), 1.0 / len(carriers))
-    return np.where(reading, READINGS / reading.sum(), (1.0 - READINGS) / (~reading).sum())
+        """Panels of carriers of a kind and drivers that move it, alike in columns and scales."""
+        asked = []
+        for (kind, _), known in self._known.items():
+            some = [(c, w) for c, w in known if kind in kinds or c.name in kinds]
+            asked += [(kind, some)] if some else []
+        moved = {kind: [d for d in drivers if moves(kind, d, self._s)] for kind, _ in asked}
+        whole = sum(KINDS[kind] for kind in moved if moved[kind])
+        for kind, known in asked:
+            alike: dict[tuple[int, int], list[Driver]] = {}
+            for driver in moved[kind]:
+                alike.setdefault((driver.size, len(driver.spreads)), []).append(driver)
+            carriers = sum(len(more) for other, more in asked if other == kind)
+            count = carriers * len(places) * sum(len(d.spreads) for d in moved[kind])
+            weights = np.stack([w for _, w in known], axis=2).astype(np.float32)
+            for same in alike.values():
+                columns = np.hstack([d.columns(self._s) for d in same]).astype(np.float32)
+                log_prior = float(np.log(mass * KINDS[kind] / whole / count))
+                yield Panel(tuple(c for c, _ in known), tuple(same), places, weights, columns, log_prior)
 
 
 def at_noise(carrier: Carrier, weights: Floats) -> Carrier:
     """The carrier with a plausible size that at least reaches the noise: nobody models what no reading feels."""
-    strength = np.sqrt(np.sum(weights**2, axis=1))
+    strength = np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     felt = float(np.median(strength[strength > 0])) if (strength > 0).any() else 0.0
-    size = max(carrier.size, 1.0 / felt) if felt > 0 else carrier.size
-    return Carrier(carrier.name, carrier.unit, size, carrier.observables, carrier.kind)
+    return replace(carrier, size=max(carrier.size, 1.0 / felt)) if felt > 0 else carrier
 
 
-def _stations(s: Sightings) -> Iterator[Place]:
-    for i, name in enumerate(s.station_names):
-        rows = np.flatnonzero(s.station == i)
-        if len(rows):
-            yield Place((name,), (), rows)
+def _each(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+    """Names with their pointings, where they have any."""
+    rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
+    return (pair for pair in rows if len(pair[1]))
 
 
-def _instruments(space: ResidualSpace) -> Iterator[Place]:
-    s, names = space.sightings, space.adjustment.recording.instruments
-    for i, name in enumerate(names):
-        rows = np.flatnonzero(s.instrument == i)
-        if len(rows):
-            yield Place(tuple(s.station_names[k] for k in np.unique(s.station[rows])), (), rows, (name,))
-
-
-def _targets(s: Sightings) -> Iterator[Place]:
-    for i, name in enumerate(s.target_names):
-        rows = np.flatnonzero(s.target == i)
-        if len(rows):
-            yield Place((), (name,), rows)
+def _stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
+    return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
 
 
 def _groups(s: Sightings) -> Iterator[Place]:

@@ -76,10 +76,9 @@ class Probe:
 
     @cached_property
     def vectors(self) -> Singles:
-        """All vectors (m, v): residual, extension, trials, basis."""
+        """Vectors (m, v): residual, trials, basis."""
         basis = self.trials[:, :0] if self.basis is None else self.basis
-        parts = (self.residual[:, None], self.extension, self.trials, basis)
-        return np.hstack([part.astype(np.float32) for part in parts])
+        return np.hstack([part.astype(np.float32) for part in (self.residual[:, None], self.trials, basis)])
 
     @cached_property
     def pointings(self) -> Singles:
@@ -89,10 +88,10 @@ class Probe:
         full[use] = self.vectors[: int(use.sum())]
         return full
 
-    def split(self, scores: Floats | Singles) -> tuple[Any, Any, Any, Any]:
-        """Products (..., k, v) with all vectors, as those with the residual, what was found, trials, basis."""
-        edges = np.cumsum([1, self.extension.shape[1], self.trials.shape[1]])
-        return scores[..., 0], scores[..., 1 : edges[1]], scores[..., edges[1] : edges[2]], scores[..., edges[2] :]
+    def split(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
+        """Products (..., k, v) with all vectors, as those with the residual, trials, basis."""
+        edge = 1 + self.trials.shape[1]
+        return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
     def gram(self, scores: Floats | Singles, own: Floats) -> Floats:
         """Gram matrices (..., k, k) of what the adjustment leaves of columns.
@@ -104,7 +103,7 @@ class Probe:
         own : (..., k, k) float
             Products of the columns with each other.
         """
-        _, _, trials, basis = self.split(scores)
+        _, trials, basis = self.split(scores)
         return own - square(basis) if self.basis is not None else square(trials) / trials.shape[-1]
 
 

@@ -17,6 +17,7 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
 
 ITERATIONS = 4
 SHAPE_STEP = 1e-3
@@ -59,36 +60,18 @@ class FirstOrder(Tunable):
 
     base: Tunable
     at: Floats = field(compare=False, repr=False)
+    name: str = ""
+    parameters: tuple[Parameter, ...] = ()
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    observables: tuple[str, ...] = ()
+    covariates: tuple[str, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """That of the effect, like all that follows."""
-        return self.base.name
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The effect's parameters."""
-        return self.base.parameters
-
-    @property
-    def stations(self) -> tuple[str, ...]:
-        """The effect's stations."""
-        return self.base.stations
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """The effect's targets."""
-        return self.base.targets
-
-    @property
-    def observables(self) -> tuple[str, ...]:
-        """The effect's observables."""
-        return self.base.observables
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        """The effect's covariates."""
-        return self.base.covariates
+    @classmethod
+    def of(cls, base: Tunable, sightings: Sightings) -> FirstOrder:
+        """An effect at a state of the network."""
+        told = (base.name, base.parameters, base.stations, base.targets, base.observables, base.covariates)
+        return cls(base, base.design(sightings), *told)
 
     def design(self, sightings: Sightings) -> Floats:
         """The design (n, 3, p) of the effect as it was."""
@@ -151,7 +134,7 @@ def refit(
     found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
         sightings = MeasurementModel(recording, construction).sightings(plain)
-        current = [FirstOrder(effect, effect.design(sightings)) for effect in current]
+        current = [FirstOrder.of(effect, sightings) for effect in current]
         found = adjusted(effects=current, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     joint, best = found, (found, list(current))
@@ -215,12 +198,8 @@ def _estimates(
         for direction in group:
             shape = next(s for s in type(effect).shape if s.name == direction.constant)
             now = float(getattr(effect, shape.name))
-            row.append(_shape_estimate(shape.name, shape.unit, now, float(sigma[shape_at]) * abs(now)))
+            size = FACTOR[shape.unit]
+            row.append(Estimate(shape.name, now / size, float(sigma[shape_at]) * abs(now) / size, shape.unit))
             shape_at += 1
         rows.append(tuple(row))
     return tuple(rows)
-
-
-def _shape_estimate(name: str, unit: str, value: float, sigma: float) -> Estimate:
-    factor = Parameter(name, unit, "", 1.0).factor
-    return Estimate(name, value / factor, sigma / factor, unit)

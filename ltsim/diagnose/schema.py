@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar, Literal
 
-from pydantic import Field
-
 from ltsim.calibrate.schema import COORDINATES, RESIDUALS, ParameterEntry
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.recording.result_table import ResultTable, numbers
@@ -137,9 +135,7 @@ class DiagnosisFit(Entry):
     dof: int
     """Degrees of freedom."""
     held_out_rms: Known = None
-    """Error on readings left out in turn, over their stated noise."""
-    held_out: dict[str, Known] = Field(default_factory=dict)
-    """The same for each observable."""
+    """Error on all that a station measured of a target, left out in turn, over its stated noise."""
 
 
 class BeforeAfter(Entry):

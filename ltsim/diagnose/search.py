@@ -18,9 +18,10 @@ import numpy as np
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
+from ltsim.diagnose.carriers import CARRIERS
 from ltsim.diagnose.diagnosis import Estimate
-from ltsim.diagnose.evidence import PRIOR, log_average, posterior, sign_weight
-from ltsim.diagnose.law import Law, card_of, law_of, told_of
+from ltsim.diagnose.evidence import PRIOR, evidence_with, log_average, posterior, sign_weight
+from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
@@ -28,6 +29,8 @@ from ltsim.diagnose.shapes import shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 
 MOST_MEMBERS = 5
+FLEXIBLE = 10
+"""Coefficients of the curve of one quantity; more can imitate several effects."""
 REFINED = 7
 """Cards, and laws, that are computed exactly in each round."""
 CELLS = 11
@@ -42,20 +45,20 @@ KEPT = 16
 class Searcher:
     """Search over cards and laws in one residual space."""
 
-    def __init__(self, space: ResidualSpace, seed: int, *, before: Searcher | None = None) -> None:
-        """A search; `before`: the one on the same readings with other weights, judged already."""
+    def __init__(self, space: ResidualSpace, seed: int, *, cards: Cards | None = None) -> None:
+        """A search; with `cards` of one on the same readings with other weights, which is judged already."""
         self.space = space
-        self.probe = Probe.of(space, seed, judged=before is None)
-        self._most = REFINED if self.probe.basis is not None else FEW
-        if before is None:
-            self.cards = Cards.of(space, card_hypotheses(space.sightings))
-        else:
-            self.cards = before.cards.reweighted(before.space, space)
+        self.probe = Probe.of(space, seed, judged=cards is None)
+        self._large = self.probe.basis is None
+        self._most = FEW if self._large else REFINED
+        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self._grams: dict[str, Floats] = {}
+        self._carried: dict[str, Floats] = {}
+        self._pointing = np.nonzero(space.use)[0]
         self.first = self.rank(self.empty)
 
     def rank(self, base: Found) -> Ranking:
@@ -152,6 +155,7 @@ class Searcher:
             near = effect.finer(self.space.sightings)
             if not near:
                 return effect, value
+            self._prepare(near)
             logs = np.array([self.evidence(one, base) for one in near])
             mean = float(log_average(np.append(logs, value)) - np.log(len(logs) + 1))
             if logs.max() <= value:
@@ -169,12 +173,32 @@ class Searcher:
         Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
         products with itself alone, and these are the same beside every set.
         """
-        signature, key = self.space.signature(effect), repr(effect)
-        if key not in self._grams:
-            left = self.space.project(signature)
-            self._grams[key] = left.T @ left
+        self._prepare([effect])
+        signature = self._signature(effect)
         beside = base.extension.T @ signature
-        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
+        return self._grams[repr(effect)] - beside.T @ beside, signature.T @ base.residual
+
+    def _prepare(self, effects: Sequence[Tunable]) -> None:
+        """Gram matrices of what the adjustment leaves of the signatures of effects, all in one go."""
+        new = {repr(one): self._signature(one) for one in effects if repr(one) not in self._grams}
+        if not new:
+            return
+        left = self.space.project(np.hstack(list(new.values())))
+        edges = np.cumsum([signature.shape[1] for signature in new.values()])[:-1]
+        for key, part in zip(new, np.split(left, edges, axis=1), strict=True):
+            self._grams[key] = part.T @ part
+
+    def _signature(self, effect: Tunable) -> Floats:
+        """Whitened signature (m, k); that of a law's carrier is computed once."""
+        if not isinstance(effect, Law):
+            return self.space.signature(effect)
+        name = effect.carrier.name
+        if name not in self._carried:
+            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
+        columns = effect.columns(self.space.sightings)[self._pointing]
+        found = np.zeros((self.space.size, self._carried[name].shape[1], columns.shape[1]))
+        found[: len(columns)] = self._carried[name][: len(columns), :, None] * columns[:, None, :]
+        return found.reshape(self.space.size, -1)
 
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
@@ -190,30 +214,39 @@ class Searcher:
         return found
 
     def _law(self, law: Law, hit: Hit, base: Found) -> Hypothesis:
-        """A law computed exactly: its best length scale, and short formulas where they explain as much."""
-        scales = [replace(law, scale=k) for k in range(len(law.driver.spreads))]
-        if len(scales) > 1:
-            moments = self.moments(law, base)
-            pairs: list[tuple[Tunable, float]] = [(one, evidence_of(one, *moments)) for one in scales]
-        else:
-            pairs = [self._uphill(law, base)]
-        logs = np.array([v for _, v in pairs])
-        best, prior = law_of(pairs[int(np.argmax(logs))][0]), hit.log_prior
-        value = float(log_average(logs)) + prior
-        short = law.formulas(self.space.sightings)
-        if short:
-            share = prior + float(np.log(len(scales) / len(short)))
-            found = [self.evidence(one, base) for one in short]
-            top = int(np.argmax(found))
-            if found[top] + share > value:
-                best, value, prior = short[top], found[top] + share, share
-        return Hypothesis(best, prior, value, card_of(best))
+        """A law computed exactly, in all its forms, and the likeliest of them."""
+        sightings = self.space.sightings
+        whole = hit.log_prior + float(np.log(len(law.driver.spreads)))
+        each = law.at_each(sightings)
+        tried = [self._form(law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]
+        tried += [self._form(each, whole + np.log(EACH), base)] if each else []
+        total = float(log_average(np.array([h.value for h in tried])))
+        return replace(max(tried, key=lambda h: h.value), value=total)
+
+    def _form(self, law: Law, prior: float, base: Found) -> Hypothesis:
+        """The likeliest of the forms of a law at its place, with the evidence of all."""
+        forms = law.forms(self.space.sightings)
+        self._prepare([scales[0] for some in forms.values() for scales in some])
+        whole = sum(FORMS[kind] for kind in forms)
+        tried = []
+        for kind, some in forms.items():
+            share = prior + float(np.log(FORMS[kind] / whole / len(some)))
+            for scales in some:
+                if len(scales) == 1:
+                    best, value = self._uphill(scales[0], base)
+                else:
+                    moments = self.moments(scales[0], base)
+                    logs = np.array([evidence_of(one, *moments) for one in scales])
+                    best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
+                tried.append(Hypothesis(best, share, value + share, card_of(best)))
+        total = float(log_average(np.array([h.value for h in tried])))
+        return replace(max(tried, key=lambda h: h.value), value=total)
 
     def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
         effect = hypothesis.effect
         if isinstance(effect, Law):
-            return self._of_law(effect, others)
+            return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
         found = shape_posterior(self, effect, others, {e.name: e.sigma for e in told})
         wider = any(found[e.name][1] > WIDER * e.sigma for e in told if e.name in found)
         rows = [
@@ -223,11 +256,10 @@ class Searcher:
             rows.append(Estimate("time", *found["time"], "s"))
         return tuple(rows)
 
-    def _of_law(self, law: Law, others: Found) -> tuple[Estimate, ...]:
-        """What a person asks of a law: its size, how large it gets, its phase."""
+    def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:
+        """Mean (k,) and covariance (k, k) of a law's coefficients beside a set."""
         gram, score = self.moments(law, others)
-        mean, covariance, *_ = posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))
-        return told_of(law, self.space.sightings, mean, covariance)
+        return posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))[:2]
 
     def with_members(self, members: Sequence[Hypothesis]) -> Found:
         """The set of some hypotheses, scored together."""
@@ -236,11 +268,15 @@ class Searcher:
         parts = [self._left_of(h) for h in members]
         return Found(tuple(members), tuple(p[0] for p in parts), tuple(p[1] for p in parts), self.space.residual)
 
+    def without(self, found: Found, member: int) -> Found:
+        """A set less one of its members."""
+        return self.with_members(found.members[:member] + found.members[member + 1 :])
+
     def _left_of(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """What the adjustment leaves of a signature, and the lengths of its columns; the last few are kept."""
         key = hypothesis.key
         if key not in self._left:
-            whole = self.space.signature(hypothesis.effect)
+            whole = self._signature(hypothesis.effect)
             self._left[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
         self._left.move_to_end(key)
         if len(self._left) > KEPT:
@@ -248,48 +284,55 @@ class Searcher:
         return self._left[key]
 
     def search(self, threshold: float, *, something: bool) -> Found:
-        """The best set: each further finding must raise the evidence of all there is by `threshold`."""
-        best, ranking = self.empty, self.first
-        for depth in range(MOST_MEMBERS):
+        """The best set: each further finding must raise the evidence of all there is by `threshold`.
+
+        A curve with many coefficients can imitate several effects: the search begins again with the best of those that
+        have few, and what gains more is told.
+        """
+        best = self._grown(self.empty, threshold, something=something)
+        stiff = [h for h in self.first.entries if len(h.spread) <= FLEXIBLE]
+        if stiff and not self._large and any(len(h.spread) > FLEXIBLE for h in best.members):
+            made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
+            best = max(made, key=lambda s: s.score - threshold * len(s.members))
+        return self._renamed(best, threshold)
+
+    def _grown(self, best: Found, threshold: float, *, something: bool) -> Found:
+        """A set with findings added one at a time."""
+        for depth in range(len(best.members), MOST_MEMBERS):
+            ranking = self.rank(best)
             if ranking.total < threshold and (depth or not something):
                 break
-            made = [self.with_members((*best.members, h)) for h in ranking.entries[:3]]
-            grown = self.reexamined(max(made, key=lambda s: s.score))
+            grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
+            grown = grown if self._large else self.reexamined(grown)
             if depth and grown.score < best.score + threshold:
                 break
             best = grown
-            ranking = self.rank(best)
-        return self._renamed(best, threshold)
+        return self.reexamined(best) if self._large else best
 
     def _renamed(self, found: Found, threshold: float) -> Found:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
         for member in found.members[::-1]:
-            i = found.members.index(member)
-            others = found.members[:i] + found.members[i + 1 :]
-            ranking = self.rank(self.with_members(others))
-            if others and ranking.total < threshold:
-                found = self.with_members(others)
-                continue
-            probability = ranking.probabilities()
-            likeliest = max(probability, key=lambda name: probability[name])
-            if likeliest != member.name:
+            others = self.without(found, found.members.index(member))
+            ranking = self.rank(others)
+            if others.members and ranking.total < threshold:
+                found = others
+            elif (likeliest := ranking.name()) != member.name:
                 better = next(h for h in ranking.entries if h.name == likeliest)
-                found = self.with_members((*found.members[:i], better, *found.members[i + 1 :]))
+                found = self.with_members((*others.members, better))
         return found
 
     def reexamined(self, found: Found) -> Found:
         """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
         for turn in range(2):
             before = found.score
-            for size in (1,) if turn or self.probe.basis is None else (1, 2):
+            for size in (1,) if turn or self._large else (1, 2):
                 for some in combinations(range(len(found.members)), size):
                     if len(found.members) < 2 or max(some) >= len(found.members):
                         continue
                     others = tuple(h for i, h in enumerate(found.members) if i not in some)
-                    ranking = self.rank(self.with_members(others)) if others else self.first
-                    made = [self.with_members((*others, h)) for h in ranking.entries[: 2 if others else 6]]
-                    made += [self.with_members(others)] if others else []
-                    found = max([found, *made], key=lambda s: s.score)
+                    rest = self.with_members(others)
+                    made = [self.with_members((*others, h)) for h in self.rank(rest).entries[: 2 if others else 6]]
+                    found = max([found, *made, *([rest] if others else [])], key=lambda s: s.score)
             if found.score <= before + 1e-6:
                 break
         return found
@@ -298,12 +341,18 @@ class Searcher:
 def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
     spread = np.array([p.prior_sigma for p in effect.parameters])
+    if not any(p.positive for p in effect.parameters):
+        return evidence_with(gram, score, spread)
     mean, covariance, total, _ = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
     return total
 
 
+FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1}
+"""Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
+EACH = 0.1
+"""Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 MOST_LAWS = 400
 """Laws of all panels that are kept beside the ones computed exactly."""
 

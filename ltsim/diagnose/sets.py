@@ -118,6 +118,12 @@ class Ranking:
         total = float(log_average(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total, self.statistic, self.null)
 
+    def name(self) -> str:
+        """The likeliest name; `unknown` where that is likelier than all names together."""
+        named = self.probabilities()
+        unknown = named.pop("unknown", 0.0)
+        return "unknown" if unknown > sum(named.values()) else max(named, key=lambda name: named[name])
+
     def probabilities(self) -> dict[str, float]:
         """Posterior probability of each name among everything that was tried, nothing at all included."""
         logs = np.array([h.value for h in self.entries])
@@ -151,6 +157,6 @@ def _at_best_sizes(found: Found) -> float:
 
 def alike(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
     """Log odds of a second effect of a kind that hardly comes twice."""
-    if not hypothesis.known or hypothesis.name not in {h.name for h in others}:
+    if hypothesis.name not in {h.name for h in others}:
         return 0.0
-    return 0.0 if find_effect(hypothesis.name).plural else SECOND_ALIKE
+    return 0.0 if hypothesis.known and find_effect(hypothesis.name).plural else SECOND_ALIKE

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,38 +34,73 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
+class Shaped(NamedTuple):
+    """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
+
+    The weight is the evidence and the room that the constants stand for; the time of a change is one of them.
+    """
+
+    effect: Tunable
+    log_weight: float
+    constants: dict[str, float]
+    mean: Floats
+    variance: Floats
+
+
+def all_shapes(
+    searcher: Searcher, effect: Tunable, base: Found, spread: Mapping[str, float], *, plausible: bool = False
+) -> list[Shaped]:
+    """An effect in all its shapes and at its neighbours in place, all alike at first; empty without either.
+
+    Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). They are weighed by what
+    the readings alone say of the effect's size, or, `plausible`, by the prior of sizes too.
+    """
+    shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
+    near = effect.finer(searcher.space.sightings)
+    if not (shapes or near) or len(shapes) > 2:
+        return []
+    count = 33 if len(shapes) == 1 and not near else 15
+    axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
+    sizes = np.array([p.prior_sigma for p in effect.parameters])
+    found = []
+    for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
+        constants = {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}
+        shaped = one.reshaped(**constants)
+        moments = searcher.moments(shaped, base)
+        mean, covariance, evidence = wide_posterior(*moments, sizes)
+        evidence = searcher.evidence(shaped, base) if plausible else evidence
+        constants |= {"time": float(vars(one)["time"])} if "time" in vars(effect) else {}
+        weight = evidence + float(np.sum(np.log([width for _, width in point])))
+        found.append(Shaped(shaped, weight, constants, mean, np.diag(covariance)))
+    return found
+
+
+def weights_of(shapes: Sequence[Shaped]) -> Floats:
+    """Probabilities (k,)."""
+    logs = np.array([one.log_weight for one in shapes])
+    weight = np.exp(logs - logs.max())
+    found: Floats = weight / weight.sum()
+    return found
+
+
 def shape_posterior(
     searcher: Searcher, effect: Tunable, base: Found, spread: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
     """Mean and standard deviation, in the units a person reads, of parameters and constants over all shapes.
 
-    Shapes on a grid, finer around the estimate (`spread`: standard deviations there), are weighed by their
-    evidence and the room they stand for, neighbours in place (`Tunable.finer`) all alike; each brings the
-    uncertainty it leaves the parameters. Unlike a curvature at the optimum this holds where a likelihood is flat,
-    skew, cut off by bounds, or has two tops. Empty for effects without such constants.
+    Shapes are weighed by their evidence and the room they stand for; each brings the uncertainty it leaves the
+    parameters. Unlike a curvature at the optimum this holds where a likelihood is flat, skew, cut off by bounds, or has
+    two tops. Empty for effects without such constants.
     """
-    shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
-    near = effect.finer(searcher.space.sightings)
-    if not (shapes or near) or len(shapes) > 2:
+    units = {p.name: p.factor for p in effect.parameters} | {s.name: FACTOR[s.unit] for s in type(effect).shape}
+    shapes = all_shapes(searcher, effect, base, {name: sigma * units.get(name, 1.0) for name, sigma in spread.items()})
+    if not shapes:
         return {}
-    count = 33 if len(shapes) == 1 and not near else 15
-    units = {p.name: p.factor for p in effect.parameters} | {s.name: FACTOR[s.unit] for s in shapes}
-    axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0) * units[s.name], count) for s in shapes]
-    sizes = np.array([p.prior_sigma for p in effect.parameters])
-    changes = "time" in vars(effect)
-    means, seconds, logs = [], [], []
-    for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
-        constants = np.array([value for value, _ in point])
-        named = {s.name: float(c) for s, c in zip(shapes, constants, strict=True)}
-        found, covariance, evidence = wide_posterior(*searcher.moments(one.reshaped(**named), base), sizes)
-        logs.append(evidence + float(np.sum(np.log([width for _, width in point]))))
-        when = [float(vars(one)["time"])] if changes else []
-        means.append(np.concatenate([found, constants, when]))
-        seconds.append(np.concatenate([np.diag(covariance) + found**2, constants**2, np.square(when)]))
-    weight = np.exp(np.array(logs) - max(logs))
-    weight /= weight.sum()
-    mean = weight @ np.array(means)
-    deviation = np.sqrt(np.maximum(weight @ np.array(seconds) - mean**2, 0.0))
-    names = [p.name for p in effect.parameters] + [s.name for s in shapes] + (["time"] if changes else [])
+    weight = weights_of(shapes)
+    values = np.array([[*one.mean, *one.constants.values()] for one in shapes])
+    within = np.array([[*one.variance, *(0.0 for _ in one.constants)] for one in shapes])
+    mean = weight @ values
+    deviation = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
+    names = [*(p.name for p in effect.parameters), *shapes[0].constants]
     told = {n: (float(m), float(d)) for n, m, d in zip(names, mean, deviation, strict=True)}
     return {n: (m / units.get(n, 1.0), d / units.get(n, 1.0)) for n, (m, d) in told.items()}

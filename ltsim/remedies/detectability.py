@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from ltsim.arrays import Floats
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect, Parameter
 
+P = TypeVar("P")
 LEVEL = 0.05
 """False-alarm rate of a whole search."""
 BATCH = 512
@@ -63,7 +65,7 @@ class MinimalSize:
     """Station, target or shape of the worst one."""
 
 
-def thinned(places: Sequence[Effect]) -> list[Effect]:
+def thinned(places: Sequence[P]) -> list[P]:
     """At most `MOST_PLACES` of the places, evenly spread."""
     if len(places) <= MOST_PLACES:
         return list(places)
@@ -151,10 +153,19 @@ def examine(space: ResidualSpace, places: Sequence[Effect], *, columns: bool = T
         whole = space.signature(effect)
         if np.isfinite(whole).all() and whole.any():
             found.append((effect, *_left(space, whole, columns=columns)))
-    if not found:
-        return None
+    return seen_from(found, len(places)) if found else None
+
+
+def seen_from(found: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int) -> Seen:
+    """What is left of one effect from its places: information (q, q), visible share, rank, columns (m, r) of each.
+
+    Parameters
+    ----------
+    sought : int
+        Number of places that a search tries.
+    """
     kept, information, visible, spent, left = zip(*found, strict=True)
-    needed = [search_noncentrality(max(dof, 1), len(places)) for dof in spent]
+    needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
     sizes = tuple(map(_smallest, information, needed))
     names, laws = tuple(map(_place, kept)), tuple(effect.parameters for effect in kept)
     return Seen(kept[0].name, laws, names, sizes, visible, left)
@@ -164,13 +175,25 @@ def _left(space: ResidualSpace, whole: Floats, *, columns: bool) -> tuple[Floats
     """Information (q, q), visible share, rank and orthonormal columns of a signature (m, q)."""
     norm = np.linalg.norm(whole, axis=0)
     scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
-    gram = scaled.T @ scaled
+    basis = orthonormal(scaled, np.ones(len(norm))) if columns else np.zeros((0, 0))
+    return *information_left(scaled.T @ scaled, norm, VISIBLE), basis
+
+
+def information_left(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, float, int]:
+    """Information (q, q), visible share and rank from the Gram matrix of what is left of unit columns.
+
+    Parameters
+    ----------
+    norm : (q,) float
+        Lengths of the columns.
+    visible : float
+        Share of a squared length that is rounding.
+    """
     share = np.diag(gram)
     information = gram * np.outer(norm, norm)
-    hidden = share < VISIBLE
+    hidden = share < visible
     information[hidden] = information[:, hidden] = 0.0
-    basis = orthonormal(scaled, np.ones(len(norm))) if columns else np.zeros((0, 0))
-    return information, float(np.mean(share)), int(np.sum(np.linalg.eigvalsh(gram) > VISIBLE)), basis
+    return information, float(np.mean(share)), int(np.sum(np.linalg.eigvalsh(gram) > visible))
 
 
 def _smallest(information: Floats, needed: float) -> Floats:

@@ -120,7 +120,8 @@ def test_neighbours_that_move_together_are_found_together():
     assert first.effect == "unknown"
     assert set(first.where.targets) == {recording.targets[t] for t in corner}
     assert first.where.covariates == ("time",)
-    assert "along z" in first.formula
+    assert first.carrier == "place of targets"
+    assert max(first.parameters, key=lambda p: abs(p.value)).name == "swing along z"
 
 
 def test_a_noisy_station_is_noise_and_not_a_shift():

@@ -60,11 +60,11 @@ def test_combinations_are_known_where_single_constants_are_not():
     adjustment = adjust(recording, misalignment())
     (entry,) = instrument_entries(adjustment)
     sigma = {p.name: p.sigma for p in entry.parameters}
-    known = [c for c in entry.determined if {"vertical-index"} <= {name for name, _ in c.weights}]
+    known = [c for c in entry.determined if {"vertical-index"} <= set(c.combination)]
     assert known
     assert known[0].sigma < 0.3 * sigma["vertical-index"]
     weights = np.zeros(len(adjustment.construction.names))
-    for name, weight in known[0].weights:
+    for name, weight in known[0].combination.items():
         weights[adjustment.construction.names.index(name)] = weight
     direct = float(np.sqrt(weights @ adjustment.instrument_covariance @ weights)) / 1e-6
     assert direct == pytest.approx(known[0].sigma, rel=0.5)

@@ -33,12 +33,15 @@ def scattered(space, pair, *, shared):
     return space.residual + space.project(more)[:, 0]
 
 
+def evidence_of(bank, residual, redundancy):
+    """Log evidence of each family."""
+    return dict(zip(bank.families, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
+
+
 @pytest.mark.parametrize("shared", [True, False])
 def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     space, pair, bank = repeated
-    evidence = dict(
-        zip(bank.families, bank.family_evidence(scattered(space, pair, shared=shared)[:, None])[:, 0], strict=True)
-    )
+    evidence = evidence_of(bank, scattered(space, pair, shared=shared), space.redundancy)
     more = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more > 20.0 if shared else more < -20.0
 
@@ -46,23 +49,29 @@ def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
 def test_what_looks_like_noise_may_still_be_a_law(repeated):
     """Scatter alone is as good an explanation as a noise level; only the prior odds tell them apart."""
     space, pair, bank = repeated
-    evidence = dict(
-        zip(bank.families, bank.family_evidence(scattered(space, pair, shared=False)[:, None])[:, 0], strict=True)
-    )
+    evidence = evidence_of(bank, scattered(space, pair, shared=False), space.redundancy)
     assert -6.0 < evidence["unknown:noise:scatter"] - evidence["noise-level"] < 0.0
 
 
 def test_quiet_residuals_are_no_law(repeated):
     space, _, bank = repeated
-    evidence = dict(zip(bank.families, bank.family_evidence(0.6 * space.residual[:, None])[:, 0], strict=True))
+    evidence = evidence_of(bank, 0.6 * space.residual, space.redundancy)
     assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
+
+
+def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
+    """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
+    space, _, bank = repeated
+    beside = space.extended(stream(3, "columns").standard_normal((space.size, space.size // 4)))
+    assert evidence_of(bank, beside.residual, space.redundancy)["noise-level"] > 5.0
+    assert evidence_of(bank, beside.residual, beside.redundancy)["noise-level"] < 0.0
 
 
 def test_nothing_is_found_where_there_is_nothing(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
     white = space.project(stream(2, "white").standard_normal((space.size, 200)))
-    mean = np.log(np.exp(bank.family_evidence(white)).mean(axis=1).sum())
+    mean = np.log(np.exp(bank.family_evidence(white, space.redundancy)).mean(axis=1).sum())
     assert mean < np.log(PRIOR["noise"] + PRIOR["scatter"]) + 1.0
 
 

@@ -7,7 +7,7 @@ from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.diagnose.carriers import CARRIERS
 from ltsim.diagnose.drivers import Driver, simple
-from ltsim.diagnose.held_out import held_out_rms, pair_folds, pointing_folds
+from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.law import Law
 from ltsim.model.construction import misalignment
 from tests.networks import drawn, network
@@ -67,4 +67,4 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
 
 
 def test_held_out_error_is_one_where_the_model_holds(space):
-    assert held_out_rms(space, pointing_folds(space)) == pytest.approx(1.0, abs=0.1)
+    assert held_out_rms(space, pair_folds(space)) == pytest.approx(1.0, abs=0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.cards import Cards
 from ltsim.diagnose.carriers import CARRIERS, carrier_designs
-from ltsim.diagnose.drivers import Driver, general_drivers, products, simple, smooth, waves
+from ltsim.diagnose.drivers import CONSTANT, Driver, general_drivers, moves, products, simple, smooth, waves
 from ltsim.diagnose.evidence import PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
 from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import panels
 from ltsim.diagnose.probe import Probe
+from ltsim.diagnose.sets import Hypothesis, Ranking
 from ltsim.effects import find_effect
+from ltsim.effects.motions import station_design
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.networks import drawn, network
@@ -47,7 +50,9 @@ def alone(space: ResidualSpace, law: Law, residual: np.ndarray, extension: np.nd
 def test_priors_sum_to_one(made):
     assert sum(PRIOR.values()) == pytest.approx(1.0)
     _, found, _ = made
-    hypotheses = (np.exp(p.log_prior).sum() * len(p.places) * sum(len(d.spreads) for d in p.drivers) for p in found)
+    hypotheses = (
+        np.exp(p.log_prior) * len(p.carriers) * len(p.places) * sum(len(d.spreads) for d in p.drivers) for p in found
+    )
     assert sum(hypotheses) == pytest.approx(PRIOR["law"])
 
 
@@ -144,7 +149,7 @@ def test_carriers_are_derivatives_of_the_readings(space):
     assert "vertical index" in designs  # two faces tell it from the elevation
     assert set(designs) <= set(CARRIERS)
     for name, (carrier, design) in designs.items():
-        assert design.shape == (len(space.sightings), 3)
+        assert design.shape == (len(space.sightings), 3, len(carrier.ways))
         assert np.isfinite(design).all(), name
         if len(carrier.observables) == 1:
             column = ("distance", "azimuth", "elevation").index(carrier.observables[0])
@@ -171,3 +176,45 @@ def test_a_wave_is_told_by_amplitude_and_phase(space):
     assert amplitude.value == pytest.approx(5.0 * np.sqrt(2.0))
     assert amplitude.sigma == pytest.approx(0.1 * np.sqrt(2.0))
     assert (phase.value, phase.unit) == (pytest.approx(53.13, abs=0.01), "deg")
+
+
+def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(space):
+    sightings = space.sightings
+    law = Law(("S2",), (), CARRIERS["lean of the stand"][0], simple("station-time", "power"))
+    way = 5e-6 * np.array([0.6, 0.8])
+    column = law.driver.columns(sightings)[:, 0] * (sightings.station == 1)
+    expected = (station_design(sightings)[:, :, 3:5] @ way) * column[:, None]
+    np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
+    told = told_of(law, sightings, way, 1e-16 * np.eye(2))
+    assert [e.name for e in told] == ["swing about x", "swing about y"]
+    assert told[1].value / told[0].value == pytest.approx(0.8 / 0.6)
+    assert law.observables == ("azimuth", "elevation")
+
+
+def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_together(space):
+    sightings = space.sightings
+    alone = Law(("S2",), (), CARRIERS["vertical index"][0], simple("station-time", "power"))
+    together = alone.at_each(sightings)
+    assert together is not None
+    parts = [replace(alone, stations=(name,)).design(sightings) for name in sightings.station_names]
+    np.testing.assert_array_equal(together.design(sightings), np.concatenate(parts, axis=2))
+    mean = np.where(np.arange(len(parts)) == 3, -4e-6, 1e-6)
+    (swing,) = told_of(together, sightings, mean, 1e-16 * np.eye(len(mean)))
+    (own,) = told_of(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
+    assert swing == own  # where it does most
+
+
+def test_a_wall_does_not_know_where_a_tracker_looks(space):
+    sightings = space.sightings
+    assert not moves("target", smooth("azimuth"), sightings)
+    assert moves("target", smooth("time"), sightings)
+    assert moves("reading", smooth("azimuth"), sightings)
+
+
+def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
+    def ranking(**values: float) -> Ranking:
+        law = Law((), (), CARRIERS["distance"][0], CONSTANT)
+        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0, 0.0, np.zeros(0))
+
+    assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
+    assert ranking(unknown=10.0, window=9.0, backlash=8.0).name() == "unknown"

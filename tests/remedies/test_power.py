@@ -67,7 +67,7 @@ class Search:
                 staticmethod(lambda *given, **how: replace(usual(*given, **how), trials=residual.astype(np.float32))),
             )
             scored = Searcher(self.space, 0).first.null
-        statistic = np.logaddexp(log_average(self.noise.family_evidence(residual)), scored)
+        statistic = np.logaddexp(log_average(self.noise.family_evidence(residual, self.space.redundancy)), scored)
         return float(np.mean(statistic > self.detection.threshold(LEVEL)))
 
 

@@ -12,12 +12,15 @@ from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement, on_r
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
-from .laws import first, last, later, latest, newest
+from .laws import first, last, later, latest, motions, newest
 
-Laws = Literal["first", "later", "latest", "last", "newest", "all"]
-"""Which of the invented laws are drawn; all: those of the first four sets, so that its recordings stay the same."""
+Laws = Literal["first", "later", "latest", "last", "newest", "motions", "all"]
+"""Which of the invented laws are drawn.
 
-SETS_OF_LAWS = {"first": first, "later": later, "latest": latest, "last": last, "newest": newest}
+all: those of the first four sets, so that its recordings stay the same; motions: for tuning.
+"""
+
+SETS_OF_LAWS = {"first": first, "later": later, "latest": latest, "last": last, "newest": newest, "motions": motions}
 ALL = {name: law for part in SETS_OF_LAWS.values() for name, law in part.LAWS.items()}
 SETS: dict[Laws, tuple[str, ...]] = {
     "first": tuple(first.LAWS),
@@ -25,10 +28,12 @@ SETS: dict[Laws, tuple[str, ...]] = {
     "latest": tuple(latest.LAWS),
     "last": tuple(last.LAWS),
     "newest": tuple(newest.LAWS),
-    "all": tuple(name for name in ALL if name not in newest.LAWS),
+    "motions": tuple(motions.LAWS),
+    "all": tuple(name for part in (first, later, latest, last) for name in part.LAWS),
 }
 AT_A_STATION = set().union(*(part.AT_A_STATION for part in SETS_OF_LAWS.values()))
 OF_NEIGHBOURS = set().union(*(part.OF_NEIGHBOURS for part in SETS_OF_LAWS.values()))
+WORDS = newest.WORDS | motions.WORDS
 LOAD = "table_load_kg"
 
 
@@ -51,13 +56,13 @@ class Invented(Effect):
         object.__setattr__(self, "covariates", covariates)
         if observable != "place":
             object.__setattr__(self, "observables", (observable,))
-        elif self.law in newest.WORDS:
-            object.__setattr__(self, "observables", newest.WORDS[self.law].observables)
+        elif self.law in WORDS and WORDS[self.law].observables:
+            object.__setattr__(self, "observables", WORDS[self.law].observables)
 
     @property
     def words(self) -> dict[str, str]:
         """Carrier, driver and place of a law whose set tells them."""
-        told = newest.WORDS.get(self.law)
+        told = WORDS.get(self.law)
         return {"carrier": told.carrier, "driver": told.driver, "place": told.place or "everywhere"} if told else {}
 
     def design(self, sightings: Sightings) -> Floats:
