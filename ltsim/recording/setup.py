@@ -6,12 +6,12 @@ Keys carry their units as in the file; whoever needs SI converts at the door.
 from __future__ import annotations
 
 import datetime
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from ltsim.arrays import Floats
+if TYPE_CHECKING:
+    from ltsim.arrays import Floats
 
 
 def _some_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -34,6 +34,8 @@ def _calendar_date(text: str) -> str:
 
 
 def _definite(entries: tuple[float, ...]) -> tuple[float, ...]:
+    import numpy as np  # help of a verb need not wait for it
+
     matrix = symmetric(entries)
     sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     if sigma.min() < LEAST_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < DEFINITE:
@@ -43,6 +45,8 @@ def _definite(entries: tuple[float, ...]) -> tuple[float, ...]:
 
 def symmetric(entries: tuple[float, ...]) -> Floats:
     """The matrix (3, 3) whose upper triangle is xx, xy, xz, yy, yz, zz."""
+    import numpy as np
+
     matrix = np.zeros((3, 3))
     matrix[np.triu_indices(3)] = entries
     return matrix + np.triu(matrix, 1).T

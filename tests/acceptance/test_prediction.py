@@ -129,7 +129,7 @@ def test_it_errs_on_a_network_as_told(plan: Plan) -> None:
         values = zip(plan.construction.parameters, factor * worst.values, strict=True)
         errors = {"draw": False, **{p.name: float(v / p.factor) for p, v in values}}
         scenario = lt.scenario(
-            "paper-workshop",
+            "paper-workshop-re-aimed",
             {
                 "instrument.errors": errors,
                 "instrument.noise": quiet,

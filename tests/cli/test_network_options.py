@@ -82,7 +82,7 @@ def test_points_go_to_other_programs(source: Path, tmp_path: Path) -> None:
 
 def test_distance_methods_refuse_what_they_cannot_do(source: Path, capsys) -> None:
     assert run(["calibrate", str(source), "--method", "distance", "--robust"]) == 2
-    assert "--prior go with --method network, not distance" in capsys.readouterr().err
+    assert "--prior and --with go with --method network, not distance" in capsys.readouterr().err
 
 
 def test_a_calibration_that_lacks_parameters_is_used_with_a_note(source: Path, tmp_path: Path, capsys) -> None:

@@ -43,6 +43,8 @@ OTHER: dict[str, Any] = {
     "gauge.sigma_um": 3.0,
     "gauge.measured_at_c": 22.0,
     "stations.S2.yaw_deg": 80.0,
+    "work.stations": 4,
+    "work.targets": 12,
     "targets.T05.position_mm": [150.0, 2000.0, 5000.0],
     "targets.T05.nest_normal": [1, 0.2, 0.1],
     "targets.T05.reaimed": True,

@@ -139,7 +139,8 @@ def test_what_is_wrong_is_one_sentence(given: list[str], sentence: str, hall: Pa
     assert said.count("\n") == 1
 
 
-START = "from ltsim.cli.main import main; main()"
+START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim.cli.main import main; main()"
+"""A shell in the background starts what it starts deaf to Ctrl-C."""
 SIGMA = "document.querySelector('tr[data-point=M31] td:nth-child(3)').textContent"
 
 
