@@ -11,11 +11,12 @@ the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from ltsim.adjust.frame import Frame
 from ltsim.adjust.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaign.kernels import network_gradient
@@ -191,8 +192,17 @@ class BatchNetwork:
 
     @cached_property
     def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of the further effects' parameters."""
-        return self.problem.model.linearised(self.nominal).by_extra
+        """Change (n, 3, q) of the readings per unit of the further effects' parameters, nests by the floor plan.
+
+        On the floor plan, where the full solver lets such a network stand: rough places then turn nests in neither.
+        """
+        state = self.nominal
+        motion = Frame.of(self.recording).plan_motion(state.position, state.rotation)
+        if motion is not None:
+            turn, shift = motion
+            places = {"position": state.position @ turn.T + shift, "points": state.points @ turn.T + shift}
+            state = replace(state, rotation=turn @ state.rotation, **places)
+        return self.problem.model.linearised(state).by_extra
 
     @cached_property
     def sigma(self) -> Floats:
