@@ -90,9 +90,15 @@ class Construction:
 
     def bases(self, raw: Floats) -> Floats:
         """(n, p): each parameter's basis at raw readings (n, 3)."""
-        if not self.terms:
-            return np.zeros((len(raw), 0))
-        return np.stack([term.basis(raw) for term in self.terms]).T
+        found = np.ones((len(self.terms), len(raw)))
+        for k, term in self._varying:
+            found[k] = term.basis(raw)
+        return found.T
+
+    @cached_property
+    def _varying(self) -> list[tuple[int, Term]]:
+        """Terms whose basis is not 1 everywhere, with their places."""
+        return [(k, term) for k, term in enumerate(self.terms) if term.basis is not one]
 
     def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
         """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
