@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 from ltsim.cli.options import Out, Reading, Source
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import LtsimError, NetworkError, RecordError
+from ltsim.errors import NetworkError, RecordError
 from ltsim.recording.files import is_number
 from ltsim.units import MICROMETRE
 
@@ -63,7 +64,7 @@ def check(
     limit = mpe_of(mpe)
 
     def look() -> Check:
-        return check_of(reading.of(source), level=level, mpe=limit)
+        return check_of(reading.of(source, growing=True), level=level, mpe=limit)
 
     if watch:
         follow(terminal, look, changes(source))
@@ -125,32 +126,28 @@ def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
 def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None]) -> None:
     """Check at every step and say what is new: what no longer passes, and when all passes again.
 
-    A file that is being written (half a row) is looked at again at the next step.
+    A file that cannot be read or checked yet is looked at again at the next step; each reason is said once until then.
     """
     known: set[tuple[str, str, tuple[str, ...]]] = set()
-    waiting = ""
+    reasons: set[str] = set()
     for _ in steps:
         try:
             found = look()
         except (RecordError, NetworkError) as problem:
-            waiting = _said_once(terminal, waiting, problem)
+            reason = re.sub(r"\d+", "", str(problem))  # one row further on it is the same reason
+            if reason not in reasons:
+                terminal.note(f"waiting: {problem}")
+            reasons.add(reason)
             continue
-        waiting = ""
+        reasons.clear()
         failed = [item for item in found.items if not item.passed]
         for item in failed:
             if _key(item) not in known:
-                terminal.say(f"\a{len(found.recording)} pointings: NO-GO {item.sentence}")
+                terminal.at_once(f"{len(found.recording)} pointings: NO-GO {item.sentence}", bell=True)
         if (known and not failed) or not known.union(map(_key, failed)):
-            terminal.say(f"{len(found.recording)} pointings: {found.sentence}")
+            terminal.at_once(f"{len(found.recording)} pointings: {found.sentence}")
         known = set(map(_key, failed))
 
 
 def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
-
-
-def _said_once(terminal: Terminal, before: str, problem: LtsimError) -> str:
-    text = str(problem)
-    if text != before:
-        terminal.note(f"waiting: {text}")
-    return text
