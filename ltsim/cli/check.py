@@ -53,14 +53,14 @@ def check(
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
 
     One set-up is enough. What was measured on both faces or again later is compared with itself, the instrument's
-    errors fitted. Writes check.json, two_face.csv and check.svg to --out.
+    errors fitted. Writes check.json, two_face.csv and the picture check.svg to --out.
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.check import check as check_of, check_file, write_check
     from ltsim.check.files import TWO_FACE, CheckFile
 
-    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
+    claim(out, CheckFile, (TWO_FACE.file, "check.svg", "check-narrow.svg"), force=force)
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -75,9 +75,11 @@ def check(
     content = check_file(found)
     if out is not None:
         from ltsim.report.figures.check import check_figure  # most checks draw nothing
-        from ltsim.report.style import svg
+        from ltsim.report.style import narrow, svg
 
-        content = write_check(found, out, {"check.svg": svg(check_figure(found))})
+        figure = check_figure(found)
+        pictures = {"check.svg": svg(figure), "check-narrow.svg": svg(narrow(figure) or figure)}
+        content = write_check(found, out, pictures)
     terminal.answer(content.content())
     for item in found.items:
         terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")

@@ -35,7 +35,8 @@ class Label:
 
 
 def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
-    """Write labels, the first ones first; none covers another or a marker (n, 2) while any free spot is near.
+    """Write labels, the first ones first; none covers another, a marker (n, 2)
+    or the numbers of the axes while any free spot is near.
 
     The axes' limits must stand.
     """
@@ -43,6 +44,8 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers) / point if len(markers) else np.zeros((0, 2))
     taken = [(x - MARKER, y - MARKER, x + MARKER, y + MARKER) for x, y in spots]
+    left, below = ax.get_window_extent().min / point
+    taken += [(-1e4, -1e4, left, 1e4), (-1e4, -1e4, 1e4, below)]  # the numbers of the axes stand there
     for label in labels:
         centre = ax.transData.transform(label.place) / point
         size = np.array([WIDE * len(label.text) * (1.1 if label.bold else 1.0), HIGH]) * label.size
