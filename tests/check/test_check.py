@@ -15,6 +15,7 @@ from ltsim.check import Check, check, check_file
 from ltsim.check.check import best_bump
 from ltsim.check.faces import Mpe
 from ltsim.check.visit import Visit, surprise
+from ltsim.check.words import plain
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
 from ltsim.cli.options import Reading
@@ -215,6 +216,11 @@ def test_surprise_far_out() -> None:
         np.testing.assert_allclose(near, -stats.chi2.logsf([590.0, 599.9, 600.1, 610.0], rank), rtol=1e-5)
         assert np.isfinite(surprise(1e9, rank))
     assert surprise(10.0, 0) == 0.0
+
+
+def test_numbers_are_written_out() -> None:
+    assert [plain(v) for v in (2712.3, 0.04216, -104.9, 7.0)] == ["2710", "0.0422", "-105", "7"]
+    assert plain(-104.9, 2) == "-100"
 
 
 def test_limits_as_text() -> None:
