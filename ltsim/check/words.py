@@ -100,8 +100,8 @@ def instrument_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
 def _motion(values: Floats) -> str:
     """A motion of a station in words."""
     shift, turn = np.linalg.norm(values[:3]) / MICROMETRE, values[3:] / MICRORADIAN
-    lean = np.hypot(turn[0], turn[1])
-    return f"by {plain(shift)} um, turned by {plain(abs(turn[2]))} urad, level by {plain(lean)} urad"
+    lean = float(np.hypot(turn[0], turn[1]))
+    return f"by {plain(float(shift))} um, turned by {plain(abs(turn[2]))} urad, level by {plain(lean)} urad"
 
 
 def plain(value: float, digits: int = 3) -> str:

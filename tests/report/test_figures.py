@@ -293,7 +293,7 @@ def test_words_stand_apart_and_inside(width: str, draw: Callable[[], Figure]) ->
             labels = [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high and t.label1.get_visible()]
             ticks.append([label for label in labels if label.get_text()])
     for group in (titles, *ticks):
-        boxes = [(t.get_text(), t.get_window_extent()) for t in group if not 0 < t.get_rotation() % 90]
+        boxes = [(t.get_text(), t.get_window_extent()) for t in group if t.get_rotation() % 90 == 0]
         for i, (text, box) in enumerate(boxes):
             assert edge.x0 <= box.x0 and box.x1 <= edge.x1 and edge.y0 <= box.y0 and box.y1 <= edge.y1, text
             over = [other for other, its in boxes[i + 1 :] if box.overlaps(its)]

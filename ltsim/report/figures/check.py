@@ -7,7 +7,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.check.check import Check
-from ltsim.report.style import BLUE, CYCLE, GREEN, INK, ORANGE, RED, columns, new_figure, on_phone, quiet_axis, shorten, styled
+from ltsim.report.style import (
+    BLUE,
+    CYCLE,
+    GREEN,
+    INK,
+    ORANGE,
+    RED,
+    columns,
+    new_figure,
+    on_phone,
+    quiet_axis,
+    shorten,
+    styled,
+)
 
 OBSERVABLES = (("range", BLUE, "o"), ("across the beam", ORANGE, "s"), ("elevation", GREEN, "^"))
 MOST_NAMES = 60
