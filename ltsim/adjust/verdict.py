@@ -119,7 +119,7 @@ def _noise_is_larger(adjustment: Adjustment, shown: str, high: float, by_w: int,
         return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)
     sentence = (
         f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
-        f"effect is missing from the model, and of the {by_w} readings that the w-test blames only {by_tau} stand "
+        f"effect is missing from the model, and of the {by_w} readings that the w-test blames {by_tau or 'none'} stand "
         "out from the noise they show."
     )
     return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)

@@ -50,8 +50,8 @@ def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, 
     what = (OBSERVABLES[0], "azimuth across the beam", OBSERVABLES[2])[column]
     sentence = (
         f"{name}: the two faces differ beyond {limit} at {len(over)} of {len(pairs)} pairs, most at {targets[k]}: "
-        f"half the difference in {what} is {pairs.half[k, column] / factor:.3g} {unit}, "
-        f"the limit {faces.limit[k, column] / factor:.3g} {unit}"
+        f"half the difference in {what} is {plain(pairs.half[k, column] / factor)} {unit}, "
+        f"the limit {plain(faces.limit[k, column] / factor)} {unit}"
     )
     return sentence, tuple(dict.fromkeys(targets[i] for i in over)), pairs.rows[k]
 
@@ -62,7 +62,7 @@ def gross_sentence(visit: Visit, gross: Sequence[int], rows: Ints) -> str:
     if not gross:
         return f"{name}: no pointing stands out"
     first = recording.targets[recording.target[gross[0]]]
-    away = f"{visit.miss(gross[0]) / MICROMETRE:.3g} um from the other pointings to it"
+    away = f"{plain(visit.miss(gross[0]) / MICROMETRE)} um from the other pointings to it"
     more = f"; {len(gross)} such pointings in all" if len(gross) > 1 else ""
     return f"{name} to {first}, row {rows[gross[0]]}: {away}{more}: measure again"
 
@@ -82,7 +82,7 @@ def drift_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
         return f"{name} drifts: {_motion(gain.values)} {within}"
     lean = np.hypot(*gain.values[3:5]) / MICRORADIAN
     sigma = np.sqrt(max(float(gain.covariance[3, 3] + gain.covariance[4, 4]), 0.0)) / MICRORADIAN
-    return f"{name}: no drift of the station {within} (level {lean:.2g} +- {sigma:.2g} urad)"
+    return f"{name}: no drift of the station {within} (level {plain(lean, 2)} +- {plain(sigma, 2)} urad)"
 
 
 def instrument_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
@@ -90,7 +90,7 @@ def instrument_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
     duration = float(np.ptp(recording.time))
     spread = np.sqrt(np.maximum(np.diag(gain.covariance), 0.0))
     parts = [
-        f"{what} by {value * duration / unit:.2g} +- {sigma * duration / unit:.2g} {name}"
+        f"{what} by {plain(value * duration / unit, 2)} +- {plain(sigma * duration / unit, 2)} {name}"
         for value, sigma, (what, name, unit) in zip(gain.values, spread, ZEROS, strict=True)
     ]
     said = ", ".join(parts) + " over the visit"
@@ -100,4 +100,10 @@ def instrument_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
 def _motion(values: Floats) -> str:
     """A motion of a station in words."""
     shift, turn = np.linalg.norm(values[:3]) / MICROMETRE, values[3:] / MICRORADIAN
-    return f"by {shift:.3g} um, turned by {abs(turn[2]):.3g} urad, level by {np.hypot(turn[0], turn[1]):.3g} urad"
+    lean = float(np.hypot(turn[0], turn[1]))
+    return f"by {plain(float(shift))} um, turned by {plain(abs(turn[2]))} urad, level by {plain(lean)} urad"
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """A number rounded to so many digits, large ones written out: 2710 and not 2.71e+03."""
+    return f"{float(f'{value:.{digits}g}'):.6g}"

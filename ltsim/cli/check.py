@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 from ltsim.cli.options import Out, Reading, Source
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import LtsimError, NetworkError, RecordError
+from ltsim.errors import NetworkError, RecordError
 from ltsim.recording.files import is_number
 from ltsim.units import MICROMETRE
 
@@ -52,18 +53,18 @@ def check(
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
 
     One set-up is enough. What was measured on both faces or again later is compared with itself, the instrument's
-    errors fitted. Writes check.json, two_face.csv and check.svg to --out.
+    errors fitted. Writes check.json, two_face.csv and the picture check.svg to --out.
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.check import check as check_of, check_file, write_check
     from ltsim.check.files import TWO_FACE, CheckFile
 
-    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
+    claim(out, CheckFile, (TWO_FACE.file, "check.svg", "check-narrow.svg"), force=force)
     limit = mpe_of(mpe)
 
     def look() -> Check:
-        return check_of(reading.of(source), level=level, mpe=limit)
+        return check_of(reading.of(source, growing=True), level=level, mpe=limit)
 
     if watch:
         follow(terminal, look, changes(source))
@@ -74,9 +75,11 @@ def check(
     content = check_file(found)
     if out is not None:
         from ltsim.report.figures.check import check_figure  # most checks draw nothing
-        from ltsim.report.style import svg
+        from ltsim.report.style import narrow, svg
 
-        content = write_check(found, out, {"check.svg": svg(check_figure(found))})
+        figure = check_figure(found)
+        pictures = {"check.svg": svg(figure), "check-narrow.svg": svg(narrow(figure) or figure)}
+        content = write_check(found, out, pictures)
     terminal.answer(content.content())
     for item in found.items:
         terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
@@ -125,32 +128,28 @@ def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
 def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None]) -> None:
     """Check at every step and say what is new: what no longer passes, and when all passes again.
 
-    A file that is being written (half a row) is looked at again at the next step.
+    A file that cannot be read or checked yet is looked at again at the next step; each reason is said once until then.
     """
     known: set[tuple[str, str, tuple[str, ...]]] = set()
-    waiting = ""
+    reasons: set[str] = set()
     for _ in steps:
         try:
             found = look()
         except (RecordError, NetworkError) as problem:
-            waiting = _said_once(terminal, waiting, problem)
+            reason = re.sub(r"\d+", "", str(problem))  # one row further on it is the same reason
+            if reason not in reasons:
+                terminal.note(f"waiting: {problem}")
+            reasons.add(reason)
             continue
-        waiting = ""
+        reasons.clear()
         failed = [item for item in found.items if not item.passed]
         for item in failed:
             if _key(item) not in known:
-                terminal.say(f"\a{len(found.recording)} pointings: NO-GO {item.sentence}")
+                terminal.at_once(f"{len(found.recording)} pointings: NO-GO {item.sentence}", bell=True)
         if (known and not failed) or not known.union(map(_key, failed)):
-            terminal.say(f"{len(found.recording)} pointings: {found.sentence}")
+            terminal.at_once(f"{len(found.recording)} pointings: {found.sentence}")
         known = set(map(_key, failed))
 
 
 def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
-
-
-def _said_once(terminal: Terminal, before: str, problem: LtsimError) -> str:
-    text = str(problem)
-    if text != before:
-        terminal.note(f"waiting: {text}")
-    return text

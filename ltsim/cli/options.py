@@ -78,7 +78,7 @@ def names_of(listed: str | None) -> tuple[str, ...] | None:
     return None if listed is None else tuple(dict.fromkeys(n.strip() for n in listed.split(",") if n.strip()))
 
 
-def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
+def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bool = False) -> Hints:
     """Hints from `KEY=VALUE` texts; raises RecordError when a key or a value is not known."""
     from ltsim.recording import Hints
 
@@ -90,7 +90,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
         "date": ("dmy", "mdy"),
     }
     given: dict[str, Any] = {}
-    keys = [f.name for f in fields(Hints) if f.name != "columns"]
+    keys = [f.name for f in fields(Hints) if f.name not in ("columns", "growing")]
     for pair in pairs or []:
         key, _, value = pair.partition("=")
         if key not in keys or not value:
@@ -98,7 +98,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None) -> Hints:
         if key in choices and value not in choices[key]:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices[key])}")
         given[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**given, columns=columns)
+    return Hints(**given, columns=columns, growing=growing)
 
 
 @dataclass(frozen=True)
@@ -122,11 +122,11 @@ class Reading:
     hint: HintList = None
     columns: ColumnMap = None
 
-    def of(self, path: Path) -> Recording:
-        """The recording; raises RecordError."""
+    def of(self, path: Path, *, growing: bool = False) -> Recording:
+        """The recording, perhaps while it is being written; raises RecordError."""
         from ltsim.recording import read
 
-        return read(path, format=self.format_name, hints=hints_of(self.hint, self.columns))
+        return read(path, format=self.format_name, hints=hints_of(self.hint, self.columns, growing=growing))
 
     def open(self, path: Path, terminal: Terminal) -> Recording:
         """The recording, with what its reader decided and its size said; raises RecordError."""
@@ -142,9 +142,9 @@ class FramedReading(Reading):
 
     frame: FrameFile = None
 
-    def of(self, path: Path) -> Recording:
+    def of(self, path: Path, *, growing: bool = False) -> Recording:
         """The recording, in the axes of `frame` if given; raises RecordError."""
-        found = super().of(path)
+        found = super().of(path, growing=growing)
         return found if self.frame is None else in_axes(found, self.frame)
 
 

@@ -164,8 +164,11 @@ def show_undetermined(terminal: Terminal, calibration: Calibration) -> None:
 
 
 def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
-    """Readings that do not belong."""
-    terminal.say(f"readings that do not belong ({len(calibration.outliers)}):")
+    """Readings that do not belong, or that the stated noise does not explain where another is to be trusted."""
+    judged = calibration.verdict
+    by_estimate = judged is not None and judged.by_estimate and not calibration.noise_estimated
+    what = "readings beyond the stated noise" if by_estimate else "readings that do not belong"
+    terminal.say(f"{what} ({len(calibration.outliers)}):")
     recording = calibration.adjustment.recording if calibration.adjustment is not None else None
     for outlier in calibration.outliers[:MOST_SHOWN]:
         where = f"row {outlier.row}" if recording is None else recording.where(outlier.row)

@@ -35,6 +35,13 @@ class Terminal:
         if not self.quiet and not self.as_json:
             print(printable(text))
 
+    def at_once(self, text: str, *, bell: bool = False) -> None:
+        """A line that somebody waits for: held in no buffer, with a bell where somebody watches."""
+        if bell and not self.quiet and not self.as_json and sys.stdout.isatty():
+            print("\a", end="")
+        self.say(text)
+        sys.stdout.flush()
+
     def note(self, text: str) -> None:
         """A remark that does not belong to the answer: on standard error."""
         if not self.quiet:

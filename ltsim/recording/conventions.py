@@ -42,7 +42,7 @@ class Hints:
     `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
     azimuth; `station` names the set-up of a file that does not; `columns` says what the columns of a table hold
     (``target=Name,azimuth=Hz[gon]``), `setup` where its noise and gauge stand, `date` the order of dates with
-    strokes.
+    strokes. A file that is still `growing` may end inside a row and lack targets of known lengths.
     """
 
     angle: Angle | None = None
@@ -54,6 +54,7 @@ class Hints:
     columns: str | None = None
     setup: Path | None = None
     date: Literal["dmy", "mdy"] | None = None
+    growing: bool = False
 
 
 NO_HINTS = Hints()

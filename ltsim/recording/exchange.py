@@ -64,7 +64,7 @@ FORMATS: tuple[Format, ...] = (
         "folder with observations.csv and setup.toml",
         ("", ".csv"),
         native.recognises,
-        lambda path, _: native.read_recording(path),
+        lambda path, hints: native.read_recording(path, growing=hints.growing),
         native.write_recording,
     ),
     _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),

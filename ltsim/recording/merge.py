@@ -19,7 +19,7 @@ UNIT = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "elevation": ARCSECOND}
 
 @dataclass(frozen=True)
 class Observed:
-    """One observation [m, rad], its standard deviation and the heights [m] it was made at (NaN: not stated)."""
+    """One observation [m, rad], its standard deviation and heights [m] (NaN: not stated), its line (0: not known)."""
 
     kind: Kind
     station: str
@@ -29,6 +29,7 @@ class Observed:
     instrument_height: float = NAN
     target_height: float = NAN
     horizontal: bool = False
+    line: int = 0
 
 
 @dataclass
@@ -62,7 +63,7 @@ class Merged:
     target_heights: dict[str, float]
 
 
-def merged(observed: Iterable[Observed]) -> Merged:
+def merged(observed: Iterable[Observed], file: str = "") -> Merged:
     """Gather observations: the k-th direction, zenith angle and distance of a station to a target are one pointing.
 
     Heights that differ between the pointings of one station or target become columns; others are returned once.
@@ -81,7 +82,7 @@ def merged(observed: Iterable[Observed]) -> Merged:
             candidates.remove(row)
     constant = [_constant(rows, place) for place in (0, 1)]
     in_columns = [place for place in (0, 1) if constant[place] is None]
-    pointings = [_pointing(row, in_columns) for row in rows]
+    pointings = [_pointing(row, in_columns, file) for row in rows]
     return Merged(pointings, constant[0] or {}, constant[1] or {})
 
 
@@ -97,7 +98,7 @@ def _constant(rows: Sequence[_Row], place: int) -> dict[str, float] | None:
     return {name: height / MILLIMETRE for name, height in found.items() if height}
 
 
-def _pointing(row: _Row, in_columns: list[int]) -> Pointing:
+def _pointing(row: _Row, in_columns: list[int], file: str) -> Pointing:
     covariates = {
         SIGMA_COLUMNS[KINDS.index(kind)]: one.sigma / UNIT[kind]
         for kind, one in row.values.items()
@@ -109,4 +110,6 @@ def _pointing(row: _Row, in_columns: list[int]) -> Pointing:
     values = {kind: one.value for kind, one in row.values.items()}
     flat = "distance" in row.values and row.values["distance"].horizontal
     labels = {KIND_COLUMN: "horizontal"} if flat else {}
-    return Pointing(row.station, row.target, 1, **values, covariates=covariates, labels=labels, source="")
+    lines = sorted({one.line for one in row.values.values() if one.line})
+    source = f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else ""
+    return Pointing(row.station, row.target, 1, **values, covariates=covariates, labels=labels, source=source)

@@ -55,19 +55,26 @@ def recognises(path: Path, head: str) -> bool:
     return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording folder (or the `observations.csv` in it); raises RecordError."""
+def read_recording(path: Path, *, growing: bool = False) -> Recording:
+    """Read a recording folder (or the `observations.csv` in it); raises RecordError.
+
+    Of a recording that is still `growing` a last row without an end is left out, and known lengths may wait for
+    their targets.
+    """
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
         raise RecordError(message, file=path)
-    return parse(_table(folder / OBSERVATIONS), read_setup(folder / SETUP), folder)
+    rows = _table(folder / OBSERVATIONS, growing=growing)
+    return parse(rows, read_setup(folder / SETUP), folder, growing=growing)
 
 
-def _table(path: Path) -> list[list[str]]:
+def _table(path: Path, *, growing: bool) -> list[list[str]]:
     """Header and rows, all of one length."""
     lines = read_lines(path)
-    if lines[-1]:
+    if lines[-1] and growing:
+        lines = lines[:-1]
+    elif lines[-1]:
         message = "the file ends inside this row, without a line break: it was cut"
         raise RecordError(message, file=path, row=len(lines) - 1)
     rows: list[list[str]] = []
@@ -92,7 +99,7 @@ def _check_width(fields: Sequence[str], rows: list[list[str]], path: Path) -> No
         raise RecordError(message, file=path, row=len(rows) - 1)
 
 
-def parse(rows: list[list[str]], setup: Setup, folder: Path) -> Recording:
+def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = False) -> Recording:
     """A recording of the header and rows of its table; `folder` is named in errors."""
     file = folder / OBSERVATIONS
     header = rows[0]
@@ -126,7 +133,8 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path) -> Recording:
         labels=labels,
         has_clock="time_s" in columns,
     )
-    _check_gauge(recording, folder / SETUP)
+    if not growing:
+        _check_gauge(recording, folder / SETUP)
     return recording.replace(notes=idle_settings(recording))
 
 

@@ -109,7 +109,7 @@ def _close(name: str, known: Any) -> list[str]:
 
 def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     """One validation error of a file with the tables of `root` as a sentence: key, found, expected."""
-    place = [part for part in error["loc"] if part != "[key]"]
+    place = [part for part in error["loc"] if "[" not in str(part)]  # pydantic's own: "[key]", a member of a union
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
     found = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
@@ -122,8 +122,13 @@ def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     return f"{shown(key, 100)} is {found}, but {shown(_expected(wanted), 120)}"
 
 
+_COUNT = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")
+
+
 def _expected(message: str) -> str:
-    return message.replace("input should", "it should").removeprefix("value error, ")
+    return _COUNT.sub(
+        r"it should hold \1 \2", message.replace("input should", "it should").removeprefix("value error, ")
+    )
 
 
 def _keys_at(place: tuple[Any, ...], root: type[BaseModel]) -> list[str]:

@@ -37,12 +37,14 @@ class Label:
 def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
     """Write labels, the first ones first; none covers another or a marker (n, 2) while any free spot is near.
 
-    The axes' limits must stand.
+    The numbers of the axes stay free too. The axes' limits must stand.
     """
     figure.draw_without_rendering()
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers) / point if len(markers) else np.zeros((0, 2))
     taken = [(x - MARKER, y - MARKER, x + MARKER, y + MARKER) for x, y in spots]
+    left, below = (float(side) / point for side in ax.get_window_extent().p0)
+    taken += [(-1e4, -1e4, left, 1e4), (-1e4, -1e4, 1e4, below)]  # the numbers of the axes stand there
     for label in labels:
         centre = ax.transData.transform(label.place) / point
         size = np.array([WIDE * len(label.text) * (1.1 if label.bold else 1.0), HIGH]) * label.size

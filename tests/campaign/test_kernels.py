@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
+from ltsim.campaign.compiled import compiled
 from ltsim.campaign.engine import Engine
 from ltsim.campaign.kernels import points_of
 from ltsim.campaign.network import BatchNetwork
@@ -83,3 +87,15 @@ def test_gradient_is_that_of_the_cost(engine: Engine) -> None:
     scale = np.abs(slope).mean()
     assert scale > 100
     assert np.abs(found - slope).max() < 3e-4 * scale  # the ideal derivative carries residuals to the target
+
+
+def test_without_a_place_to_keep_machine_code_it_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read-only installation and no home."""
+
+    def nowhere(*, cache: bool, **options: Any) -> Any:
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return numba.njit(cache=cache, **options)
+
+    monkeypatch.setattr("ltsim.campaign.compiled.numba", SimpleNamespace(njit=nowhere))
+    assert compiled(lambda x: x * x)(3.0) == 9.0

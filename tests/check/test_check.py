@@ -15,8 +15,10 @@ from ltsim.check import Check, check, check_file
 from ltsim.check.check import best_bump
 from ltsim.check.faces import Mpe
 from ltsim.check.visit import Visit, surprise
+from ltsim.check.words import plain
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
+from ltsim.cli.options import Reading
 from ltsim.cli.terminal import Terminal
 from ltsim.effects.motions import exact_station_change
 from ltsim.errors import NetworkError, RecordError
@@ -216,6 +218,11 @@ def test_surprise_far_out() -> None:
     assert surprise(10.0, 0) == 0.0
 
 
+def test_numbers_are_written_out() -> None:
+    assert [plain(v) for v in (2712.3, 0.04216, -104.9, 7.0)] == ["2710", "0.0422", "-105", "7"]
+    assert plain(-104.9, 2) == "-100"
+
+
 def test_limits_as_text() -> None:
     assert mpe_of("20,6") == Mpe(20 * MICROMETRE, 6 * MICROMETRE)
     for text in ("20", "a,b", "-1,2", "1,2,3", "0,1"):
@@ -223,22 +230,32 @@ def test_limits_as_text() -> None:
             mpe_of(text)
 
 
-def test_a_growing_recording_is_followed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every ten pointings a look: the bump is told once, as soon as pointings after it say so."""
-    whole = moved(visits(4), 0, 305.0, [200e-6, 0, 0, 0, 0, 0])
-    counts = iter([10, 29, 31, 40, 48, 56])
-
-    def look() -> Check:
-        return check(whole.select(np.arange(next(counts))))
+@pytest.mark.parametrize("dialect", ["native", "table"])
+def test_a_growing_recording_is_followed(dialect: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A file that grows by bytes, rows cut anywhere: the bump is told once, as soon as pointings after it say so."""
+    write(moved(visits(4), 0, 305.0, [200e-6, 0, 0, 0, 0, 0]), tmp_path / "rec")
+    place = tmp_path / "rec"
+    file = place / "observations.csv"
+    text = file.read_text()
+    if dialect == "table":
+        place = file = tmp_path / "live.csv"
+        text = text.replace("azimuth_deg", "azimuth [deg]").replace("time_s", "time [s]").replace("station", "Stn", 1)
+    ends = [i for i, c in enumerate(text) if c == "\n"]
 
     def steps() -> Iterator[None]:
-        yield from [None] * 6
+        for pointings in (0, 5, 10, 11, 29, 30, 31, 40, 48, 56):
+            file.write_text(text[: ends[pointings] + 1] + "S1,T"[: pointings % 5])
+            yield
 
-    follow(Terminal(), look, steps())
+    follow(Terminal(), lambda: check(Reading().of(place, growing=True)), steps())
     told = capsys.readouterr()
-    assert "waiting: no station measured a target twice" in told.err
+    assert told.err.count("waiting: no station measured a target twice") == 1
+    assert "cut" not in told.err and "never measured" not in told.err
     assert told.out.count("moved between 300.0 s and 310.0 s") == 1
-    assert "NO-GO" in told.out
+    assert "40 pointings: NO-GO S1 moved" in told.out
+    file.write_text(text[:-20])
+    with pytest.raises(RecordError, match="cut"):
+        read(place)
 
 
 def test_changes_of_files_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,6 +72,37 @@ def test_a_datum_is_chosen_by_names(verb: str, source: Path, tmp_path: Path, cap
     assert capsys.readouterr().err.startswith("error: there is no target of the datum called 'T99'")
 
 
+def test_a_simulated_recording_comes_out_in_the_axes_of_its_scenario(tmp_path: Path, capsys) -> None:
+    """By default as near as tripods are put to their marks, with --frame as near as nests to the drawing."""
+    rec, truth, plan = tmp_path / "rec", tmp_path / "truth.json", tmp_path / "hall.toml"
+    assert run(["simulate", "paper-workshop", "--show"]) == 0
+    plan.write_text(capsys.readouterr().out)
+    assert run(["simulate", str(plan), "--out", str(rec), "--truth", str(truth), "-q"]) == 0
+    true = {t["name"]: t["position_mm"] for t in json.loads(truth.read_text())["targets"]}
+    for options, gap_mm in ([], 100.0), (["--frame", str(plan)], 20.0):
+        out = tmp_path / f"adjusted-{len(options)}"
+        assert run(["adjust", str(rec), *options, "--out", str(out), "-q"]) == 0
+        rows = csv.DictReader((out / "targets.csv").read_text().splitlines())
+        gaps = [np.subtract([float(row[f"{axis}_mm"]) for axis in "xyz"], true[row["target"]]) for row in rows]
+        assert len(gaps) == len(true)
+        assert np.abs(gaps).max() < gap_mm
+
+
+def test_a_corrected_recording_keeps_the_axes_it_was_given(source: Path, tmp_path: Path) -> None:
+    """Readings are those without --frame; what is computed from them comes out in its axes."""
+    cal, frame, plain, framed = (str(tmp_path / name) for name in ("cal", "three.toml", "plain", "framed"))
+    assert run(["calibrate", str(source), "--out", cal, "-q"]) == 0
+    Path(frame).write_text('origin = "T01"\nx_axis = "T04"\nxy_plane = "T20"\n')
+    correct = ["correct", str(source), "--calibration", cal, "-q", "--out"]
+    assert run([*correct, plain]) == run([*correct, framed, "--frame", frame]) == 0
+    np.testing.assert_array_equal(read(framed).readings, read(plain).readings)
+    assert run(["adjust", framed, "--out", str(tmp_path / "net"), "-q"]) == 0
+    rows = {r["target"]: r for r in csv.DictReader((tmp_path / "net" / "targets.csv").read_text().splitlines())}
+    a, b, c = (rows[name] for name in ("T01", "T04", "T20"))
+    zero = [a["x_mm"], a["y_mm"], a["z_mm"], b["y_mm"], b["z_mm"], c["z_mm"]]
+    np.testing.assert_allclose([float(v) for v in zero], 0.0, atol=1e-6)
+
+
 def test_points_go_to_other_programs(source: Path, tmp_path: Path) -> None:
     ply = tmp_path / "points.ply"
     assert run(["adjust", str(source), "--points", str(ply), "--out", str(tmp_path / "out"), "-q"]) == 0

@@ -157,6 +157,11 @@ def test_built_in_plans_load_and_print() -> None:
         ('[goal]\ndiagnosis = 1\neffects = ["stationweather"]\n', "did you mean station-weather"),
         ("[floor]\nheight_mm = [2000, 1500]\n", "the lower height_mm first"),
         ("[floor]\ncorners_mm = [[0, 0], [1, 1]]\n", "corners_mm"),
+        (
+            "[floor]\ncorners_mm = [[0, 0, 1, 2], [1, 1], [2, 3]]\n",
+            "floor.corners_mm.1 is [0, 0, 1, 2], but it should hold at most 2",
+        ),
+        ("[[points]]\nposition_mm = [1, 2, 3, 4]\n", "unknown key points.1.position_mm"),
         ('scenario = "paper-workshp"\n', "did you mean paper-workshop"),
     ],
 )

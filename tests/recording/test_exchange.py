@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tracemalloc
 from pathlib import Path
 
@@ -49,6 +50,18 @@ def test_formats_are_recognised_by_content(files: dict[str, Path]) -> None:
         assert recognised(path).name == name
         if name != "point-list":
             assert len(read(path, hints=HINTS)) > 2
+
+
+@pytest.mark.parametrize("name", ["spatialanalyzer", "cern-lgc", "gsi", "polar-text", "table"])
+def test_pointings_know_their_lines(name: str, files: dict[str, Path]) -> None:
+    """Lines of the file on which the target of a pointing stands."""
+    found = read(files[name], hints=HINTS)
+    lines = files[name].read_text(encoding="latin-1").splitlines()
+    for row in range(1, len(found) + 1):
+        told = re.search(r", lines? ([\d, ]+)\)$", found.where(row))
+        assert told is not None, found.where(row)
+        target = found.targets[found.target[row - 1]].split("/")[-1]
+        assert all(target in lines[int(number) - 1] for number in told[1].split(",")), found.where(row)
 
 
 def test_unknown_things(tmp_path: Path) -> None:

@@ -155,6 +155,7 @@ def test_an_empty_row_of_readings(folder: Path) -> None:
         ("time_s", "time_h", "expected time_s"),
         ("time_s", "", "has no name"),
         ("repeat", "<script>", "markup"),
+        ("repeat", "distance_mode", "row 1, column distance_mode: found '1', expected adm or ifm"),
     ],
 )
 def test_a_wrong_header(folder: Path, old: str, new: str, says: str) -> None:

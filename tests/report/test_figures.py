@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.specification import SHEETS
@@ -108,13 +109,14 @@ def acceptance() -> Figure:
 
 
 def criteria() -> Figure:
-    rows = [figures.Criterion("distance", 29, 17, 60, 39, 40.1), figures.Criterion("worse", 17, 29, 39, 60, -70.6)]
+    rows = [figures.Criterion("distance", 29, 17, 60, 39, 40.1), figures.Criterion("worse", 3.26, 29, 39, 60, -70.6)]
     return figures.criteria(rows)
 
 
 def distributions() -> Figure:
     draws = stream(1, "figure").normal(29, 4, (4, 500))
-    rows = [figures.Distribution(f"criterion {i} {MARKUP}", v, "um", 30.0) for i, v in enumerate(draws)]
+    names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
+    rows = [figures.Distribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
     return figures.distributions(rows)
 
 
@@ -180,7 +182,7 @@ def visibility() -> Figure:
 
 def z_scores() -> Figure:
     draws = stream(2, "figure").standard_normal((5, 400))
-    return figures.z_scores([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
+    return figures.z_scores([figures.ZScores(f"azimuth-eccentricity-{i}", v) for i, v in enumerate(draws)])
 
 
 def budget() -> Figure:
@@ -259,6 +261,43 @@ def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]
     assert "<b>" not in first
     assert "<script" not in first
     assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", first))
+
+
+def many_correlations() -> Figure:
+    """Of a chain with more parameters than a picture has room for names."""
+    matrix = np.corrcoef(stream(4, "figure").standard_normal((70, 90)))
+    return figures.correlation([f"J{i % 3}.eX_cos{i}" for i in range(70)], matrix)
+
+
+@pytest.mark.parametrize("draw", [*DRAWINGS.values(), many_correlations], ids=[*DRAWINGS, "many"])
+@pytest.mark.parametrize("width", ["page", "phone"])
+def test_words_stand_apart_and_inside(width: str, draw: Callable[[], Figure]) -> None:
+    """Titles, names of axes and of ticks neither run over each other nor over the edge of the picture."""
+    figure = draw()
+    if width == "phone":
+        small = style.narrow(figure)
+        assert small is not None
+        figure = small
+    figure.draw_without_rendering()
+    edge = figure.bbox.padded(1.0)
+    titles, ticks = [], []
+    for ax in (a for a in figure.axes if a.axison):
+        beside = [t.label1 for t in ax.yaxis.get_major_ticks() if t.label1.get_text()]
+        written = [t for t in ax.texts if t.get_text() and t.get_visible()]
+        over = [t.get_text() for t in written for b in beside if t.get_window_extent().overlaps(b.get_window_extent())]
+        assert not over, f"{over} in the names of the axis"
+        headings = [t for t in ax.get_children() if isinstance(t, Text) and t not in ax.texts]
+        titles += [t for t in (*headings, ax.xaxis.label, ax.yaxis.label) if t.get_text() and t.get_visible()]
+        for axis in (ax.xaxis, ax.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            labels = [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high and t.label1.get_visible()]
+            ticks.append([label for label in labels if label.get_text()])
+    for group in (titles, *ticks):
+        boxes = [(t.get_text(), t.get_window_extent()) for t in group if t.get_rotation() % 90 == 0]
+        for i, (text, box) in enumerate(boxes):
+            assert edge.x0 <= box.x0 and box.x1 <= edge.x1 and edge.y0 <= box.y0 and box.y1 <= edge.y1, text
+            over = [other for other, its in boxes[i + 1 :] if box.overlaps(its)]
+            assert not over, f"{text} runs over {over}"
 
 
 def test_axes_carry_units() -> None:

@@ -105,6 +105,10 @@ PHYSICS = [
     ('[[effects]]\nname = "range-cyclic"\n[effects.shape]\nlength = 1\n', "has no constant called 'length'"),
     ('[[effects]]\nname = "range-cyclic"\n[effects.shape]\nwavelength = "long"\n', "expected something like"),
     ('[[effects]]\nname = "azimuth-harmonic"\n[effects.shape]\norder = 3.5\n', "expected a whole number"),
+    (
+        '[[effects]]\nname = "encoder-interpolation"\n[effects.shape]\ncircle = "x"\n',
+        "encoder-interpolation.circle is 'x', expected one of azimuth, elevation",
+    ),
     ("[instrument.errors]\nbeam-lift = 3\n", "instrument.errors.beam-lift: there is no instrument parameter"),
 ]
 

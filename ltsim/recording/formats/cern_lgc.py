@@ -232,7 +232,7 @@ def _observation(keyword: str, tokens: list[str], file: _File, row: int) -> None
         si = _si(kind, value, setup, file, row)
         at = (setup.height, NAN if kind == "azimuth" else height)
         flat = keyword == "DHOR"
-        file.observed.append(Observed(kind, file.station, target, si, sigma, *at, horizontal=flat))
+        file.observed.append(Observed(kind, file.station, target, si, sigma, *at, horizontal=flat, line=row))
 
 
 def _si(kind: Kind, value: float, setup: _SetUp, file: _File, row: int) -> float:
@@ -250,7 +250,7 @@ def _si(kind: Kind, value: float, setup: _SetUp, file: _File, row: int) -> float
 
 
 def _finished(file: _File) -> Recording:
-    together = merged(file.observed)
+    together = merged(file.observed, file.path.name)
     if not together.pointings:
         raise RecordError("holds no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in together.pointings)

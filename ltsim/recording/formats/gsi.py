@@ -175,8 +175,11 @@ def _pointing(words: dict[str, tuple[str, str]], file: _File, row: int) -> None:
     azimuth = float(np.mod(-horizontal, 2 * np.pi))
     target = check_name(_name(words["11"][1]), "target", file=file.path, row=row)
     file.pointings.append(
-        Pointing(file.station, target, face, distance, azimuth, float(elevation), covariates=covariates, labels=labels)
-    )
+        Pointing(
+            file.station, target, face, distance, azimuth, float(elevation), covariates=covariates, labels=labels,
+            source=f"{file.path.name}, line {row}",
+        )
+    )  # fmt: skip
 
 
 def _finished(file: _File) -> Recording:

@@ -98,9 +98,12 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     readings, more = _readings(rows, poses, hints, path)
     targets, split = _targets(rows, readings, poses)
     pointings = [
-        Pointing(row.station, target, int(f), r[0], r[1], r[2], time, row.offsets, {"group": row.group})
+        Pointing(
+            row.station, target, int(f), r[0], r[1], r[2], time, row.offsets, {"group": row.group},
+            f"{path.name}, line {row.line}",
+        )
         for row, target, f, r, time in zip(rows, targets, faces(readings), readings.tolist(), _times(rows), strict=True)
-    ]
+    ]  # fmt: skip
     return recording_of(pointings, _setup(blocks, names, path), notes=[*notes, *more, *split, NO_NOISE], file=path)
 
 
@@ -115,7 +118,7 @@ class _Row:
             column, text = by_stem[stem]
             return comma_number(text, file=file, row=line, column=column)
 
-        self.station = station
+        self.station, self.line = station, line
         self.group = check_text(cells.get("Group", ""), file=file, row=line, column="Group")
         self.name = check_name(cells["Target"], "target", file=file, row=line, column="Target")
         self.active = cells.get("Active", "Yes").strip().lower() != "no"

@@ -160,6 +160,8 @@ class _SheetReader:
     def _pointing(self, row: Row, *, last: bool) -> None:
         columns, file = self.table.columns, self.sheet.file
         if last and self.sheet.open_end:
+            if self.hints.growing:
+                return  # it may not be whole yet
             self._check_cut(row)
         if len(row.fields) > len(columns) and any(row.fields[len(columns) :]):
             message = f"{len(row.fields)} fields, expected {len(columns)} as in the header"

@@ -10,34 +10,38 @@ from matplotlib.figure import Figure
 from ltsim.arrays import Floats
 from ltsim.report.style import DIVERGING, ON_DEEP, ON_PALE, bare, new_figure, on_phone, shorten, styled
 
-MOST_NUMBERS = 24
-"""Parameters whose coefficients and lower names can be read."""
+MOST = 24
+"""Parameters whose names and coefficients can be read."""
 
 
 @styled
 def correlation(names: Sequence[str], matrix: Floats) -> Figure:
     """Correlation coefficients (p, p) as a coloured matrix; those above 0.3 in size are written.
 
+    Of more than 24 parameters it shows those 24 that correlate most with another, and says so.
+
     Parameters
     ----------
     names : sequence of str
     matrix : (p, p) float
     """
-    count = len(names)
+    apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
+    shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
+    count, matrix = len(shown), matrix[np.ix_(shown, shown)]
     small = on_phone()
-    height = 4.6 if small else min(7.2, 1.9 + 0.27 * count)
-    figure = new_figure(height, width=min(7.4, 2.9 + 0.30 * count))
+    figure = new_figure(4.6 if small else 1.9 + 0.22 * count, width=min(7.4, 2.9 + 0.30 * count), layout="compressed")
     ax = figure.subplots()
+    if count < len(names):
+        ax.set_title(f"the {count} of {len(names)} parameters that correlate most", fontsize=7.5, fontweight="normal")
     off_diagonal = np.where(np.eye(count, dtype=bool), np.nan, matrix)
     ax.set_facecolor("#DDE1E4")
     picture = ax.imshow(off_diagonal, cmap=DIVERGING, vmin=-1, vmax=1)
-    short = [shorten(name, 26) for name in names]
-    below = short if count <= MOST_NUMBERS else []  # in the order of those at the side
+    short = [shorten(names[i], 26) for i in shown]
     letters = 6.0 if small else 7.5
-    ax.set_xticks(range(len(below)), below, rotation=60, ha="right", rotation_mode="anchor", fontsize=letters)
+    ax.set_xticks(range(count), short, rotation=60, ha="right", rotation_mode="anchor", fontsize=letters)
     ax.set_yticks(range(count), short, fontsize=letters)
     bare(ax)
-    if count <= (8 if small else MOST_NUMBERS):
+    if not small or count <= 8:
         for i, j in zip(*np.nonzero(np.abs(matrix) > 0.3), strict=True):
             if i != j:
                 colour = ON_DEEP if abs(matrix[i, j]) > 0.6 else ON_PALE

@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from ltsim.report.style import AFTER, BEFORE, INK, category_rows, new_figure, number, styled
+from ltsim.report.style import AFTER, BEFORE, INK, category_rows, new_figure, number, on_phone, styled
 
 BESIDE: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 8}
 
@@ -50,7 +50,7 @@ def criteria(rows: Sequence[Criterion]) -> Figure:
     ax.scatter([x[1] for x in lines], places, s=30, facecolors="white", edgecolors=BEFORE, zorder=3, label="before")
     ax.scatter([x[2] for x in lines], places, s=30, color=AFTER, zorder=3, label="after")
     most = max(max(line[1], line[2]) for line in lines)
-    ax.set_xlim(-0.06 * most, 1.12 * most)
+    ax.set_xlim((-0.3 if on_phone() else -0.1) * most, (1.3 if on_phone() else 1.12) * most)
     ax.set_xlabel("deviation between stations [µm]")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Floats
+from ltsim.report import style
 from ltsim.report.style import AFTER, INK, SKY, legend_of, new_figure, number, quiet_axis, styled, unit_text
 
 
@@ -46,7 +48,7 @@ class Distribution:
 @styled
 def distributions(rows: Sequence[Distribution], *, source: str = "the paper") -> Figure:
     """Small histograms, three a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
-    columns = min(3, max(len(rows), 1))
+    columns = style.columns(min(3, max(len(rows), 1)))
     lines = -(-len(rows) // columns)
     figure = new_figure(0.4 + 1.95 * lines)
     axes = figure.subplots(lines, columns, squeeze=False)
@@ -77,12 +79,13 @@ def _panel(ax: Axes, row: Distribution, source: str) -> None:
     begin, end = row.mean_interval
     ax.hlines(1.07 * top, begin, end, color=AFTER, linewidth=5.0, label="mean, 95 % interval")
     ax.scatter([float(values.mean())], [1.07 * top], s=22, color=AFTER, zorder=4)
-    ax.set_title(row.name, fontsize=8.5)
+    ax.set_title(row.name, fontsize=7.0 if style.on_phone() else 8.5)
+    ax.xaxis.set_major_locator(MaxNLocator(3 if style.on_phone() else 6))
     ax.set_xlabel(f"[{unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
         ax.axvline(row.published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
         left = row.published > 0.5 * (low + high)
-        ax.annotate(
+        beside = ax.annotate(
             f"{number(row.published)} · percentile {row.published_percentile:.0f}",
             (row.published, 1.27 * top),
             xytext=(-3 if left else 3, -1),
@@ -92,3 +95,4 @@ def _panel(ax: Axes, row: Distribution, source: str) -> None:
             ha="right" if left else "left",
             va="top",
         )
+        beside.set_in_layout(False)

@@ -15,7 +15,22 @@ from ltsim.arrays import Floats, Ints
 from ltsim.plan.floor import Floor, FloorArea
 from ltsim.plan.outlines import distance
 from ltsim.report.labels import Label, place_labels
-from ltsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, SKY, new_figure, quiet_axis, shorten, styled
+from ltsim.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PHONE,
+    PURPLE,
+    RED,
+    SKY,
+    new_figure,
+    on_phone,
+    quiet_axis,
+    shorten,
+    styled,
+)
 from ltsim.report.workshop import Workshop
 from ltsim.units import DEGREE, MILLIMETRE
 
@@ -48,7 +63,8 @@ def floor_plan(
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
-    figure = new_figure(float(np.clip(WIDE * tall + 0.7, *HEIGHTS)), layout="compressed")
+    wide, beside = (PHONE - 0.5, 1.4) if on_phone() else (WIDE, 0.7)  # the legend stands below on a phone
+    figure = new_figure(float(np.clip(wide * tall + beside, *HEIGHTS)), layout="compressed")
     ax = figure.subplots()
     ax.set_aspect("equal")
     quiet_axis(ax, grid="both")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Floats
 from ltsim.recording.recording import OBSERVABLES
@@ -18,6 +19,7 @@ from ltsim.report.style import (
     OBSERVABLE_UNIT,
     RED,
     new_figure,
+    on_phone,
     quiet_axis,
     shorten,
     styled,
@@ -54,6 +56,8 @@ def residuals_by_covariate(
         line[0].set_ylabel(f"{observable} [{unit_text(OBSERVABLE_UNIT[observable])}]")
     for ax, name in zip(grid[-1], names, strict=True):
         ax.set_xlabel(axis_text(name))
+        if on_phone():
+            ax.xaxis.set_major_locator(MaxNLocator(2))
     if before is not None:
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=3)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.report.figures.residuals_by_covariate import axis_text, running_mean, under_dots
 from ltsim.report.residuals import Residuals
-from ltsim.report.style import AFTER, OBSERVABLE_UNIT, RED, new_figure, styled, unit_text
+from ltsim.report.style import AFTER, OBSERVABLE_UNIT, RED, new_figure, on_phone, styled, unit_text
 
 
 @styled
@@ -53,7 +53,8 @@ def signature(
             running_mean(ax, x[rows & here], y[rows & here], colour=RED)
             under_dots(ax)
             size = float(np.sqrt(np.mean(residuals.w[rows & here] ** 2))) if (rows & here).any() else np.nan
-            ax.set_title(f"{observable} {title}", fontsize=8.5)
+            words = title.removesuffix(" the finding") if on_phone() else title
+            ax.set_title(f"{observable} {words}", fontsize=8.5)
             ax.annotate(
                 f"normalised rms {size:.2f}", (0.99, 0.98), xycoords="axes fraction", ha="right", va="top", fontsize=7.5
             )

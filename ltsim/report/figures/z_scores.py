@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ltsim.arrays import Floats
+from ltsim.report import style
 from ltsim.report.style import BLUE, INK, PALE, RED, SKY, category_rows, new_figure, quiet_axis, shorten, styled
 
 MOST_PANELS = 24
@@ -33,7 +34,7 @@ class ZScores:
 def z_scores(rows: Sequence[ZScores]) -> Figure:
     """Small histograms of z with the standard normal drawn over them; mean and standard deviation in each."""
     rows = rows[:MOST_PANELS]
-    columns = 4
+    columns = style.columns(4)
     lines = -(-len(rows) // columns)
     figure = new_figure(0.3 + 1.25 * lines)
     axes = figure.subplots(lines, columns, sharex=True, squeeze=False)
@@ -87,7 +88,7 @@ def coverage(rows: Sequence[ZScores], *, level: float = 0.95, allowed: tuple[flo
     ax.hlines(places, share[:, 1], share[:, 2], colors=colours.tolist(), linewidth=1.8)
     ax.scatter(share[:, 0], places, s=24, c=colours.tolist(), zorder=3)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
-    ax.set_xlabel(f"trials whose {100 * level:.0f} % interval holds the truth")
+    ax.set_xlabel(f"{100 * level:.0f} % intervals that hold the truth")
     low, high = min(share[:, 1].min(), allowed[0]), max(share[:, 2].max(), allowed[1])
     ax.set_xlim(low - 0.01, min(high + 0.01, 1.0))
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=2)

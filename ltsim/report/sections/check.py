@@ -10,7 +10,8 @@ from ltsim.report.document import Block, Fact, Picture, Section, Table, mood
 from ltsim.report.style import svg_text_uri
 from ltsim.report.words import p_text
 
-PICTURE = "check.svg"
+PICTURES = ("check.svg", "check-narrow.svg")
+"""For a page, and for a phone."""
 
 
 def check_section(folder: Path) -> Section:
@@ -21,10 +22,11 @@ def check_section(folder: Path) -> Section:
         for item in content.items
     ]
     blocks: list[Block] = []
-    drawn = companion(folder, PICTURE, content)
-    if drawn is not None:
+    drawn = [companion(folder, name, content) for name in PICTURES]
+    wide, small = (svg_text_uri(f.read_text(encoding="utf-8")) if f is not None else "" for f in drawn)
+    if wide:
         caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
-        blocks.append(Picture("At a glance", svg_text_uri(drawn.read_text(encoding="utf-8")), caption))
+        blocks.append(Picture("At a glance", wide, caption, small))
     marked = frozenset(i for i, item in enumerate(content.items) if not item.passed)
     header = ["station", "test", "", "what was found", "p"]
     blocks.append(Table("Every test", header, rows, text_columns=4, marked=marked))
