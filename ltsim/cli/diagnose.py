@@ -60,7 +60,7 @@ def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
     terminal.say("\n" + diagnosis.summary)
     for number, finding in enumerate(diagnosis.findings, start=1):
         terminal.say(f"\n{number}. {finding.effect} {place(finding.where)}")
-        rows = [[p.name, f"{p.value:.3g}", f"{p.sigma:.2g}", p.unit] for p in finding.parameters]
+        rows = [[p.name, _shown(p.value, 3), _shown(p.sigma, 2), p.unit] for p in finding.parameters]
         terminal.say(table(["parameter", "value", "sigma", "unit"], rows))
         terminal.say(
             f"chi-square falls by {finding.evidence.chi2_drop:.0f} for {finding.evidence.parameters} parameters; "
@@ -75,3 +75,11 @@ def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
         terminal.say("\nNot to be seen in this recording, and the error of the targets it would hide:")
         rows = [[u.effect, f"{u.hides_um:.0f}", u.cure] for u in sorted(blind, key=lambda u: -u.hides_um)]
         terminal.say(table(["effect", "um", "cure"], [[r[0], r[1], r[2]] for r in rows]))
+
+
+NOTHING = 1e-7
+"""Below what any unit of a finding can show: what a computation leaves of 0."""
+
+
+def _shown(value: float, digits: int) -> str:
+    return "0" if abs(value) < NOTHING else f"{value:.{digits}g}"

@@ -252,6 +252,8 @@ def card_of(law: Tunable) -> str:
         return "encoder-interpolation"
     if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
         return "range-cyclic"
+    if driver.kind == "constant" and carrier == "distance" and len(law.stations) == 1 and not law.targets:
+        return "range-step"  # from the start of the visit on
     if driver.kind == "simple" and driver.function in DECAYING:
         for carriers, covariates, name in NAMED:
             if carrier in carriers and driver.covariates[0] in covariates:
