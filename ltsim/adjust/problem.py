@@ -15,6 +15,7 @@ from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
 from ltsim.adjust.structure import Structure
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
+from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import MeasurementModel, Prediction, State
 from ltsim.solve.blocks import BlockSystem
 
@@ -228,7 +229,7 @@ class NetworkProblem:
         anchors, turned = self.structure.anchors, self.structure.anchors_turn
         motion = self.free / np.linalg.norm(self.free, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
-        shift = motion[:3].T[:, None, :] + np.cross(turn, state.position[anchors][None])
+        shift = motion[:3].T[:, None, :] + _crossed(turn, state.position[anchors])
         rows = np.concatenate([shift, turn if turned else np.zeros_like(shift)], axis=2)
         return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
@@ -246,6 +247,11 @@ class NetworkProblem:
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
         unknown = self.layout.size - self.free.shape[1] - self.structure.held
         return int(self.use.sum()) + known - unknown
+
+
+def _crossed(turn: Floats, position: Floats) -> Floats:
+    """Cross products (f, a, 3) of turns (f, a, 3) with positions (a, 3)."""
+    return (cross_matrix(turn) @ position[:, :, None])[..., 0]
 
 
 def _plausible_sizes(model: MeasurementModel) -> Floats:

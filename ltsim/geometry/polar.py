@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Floats, Ints, side_by_side
 
 
 def wrap(angle: Floats) -> Floats:
@@ -20,14 +20,14 @@ def to_polar(points: Floats) -> Floats:
     """Front-face range [m], azimuth and elevation [rad], (n, 3), of points (n, 3) [m]."""
     x, y, z = points.T
     horizontal = np.hypot(x, y)
-    return np.stack([np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal)], axis=1)
+    return side_by_side(np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal))
 
 
 def from_polar(readings: Floats) -> Floats:
     """Points (n, 3) [m] of range, azimuth, elevation (n, 3); raw face-2 values give the same point."""
     range_, azimuth, elevation = readings.T
     horizontal = range_ * np.cos(elevation)
-    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation)], axis=1)
+    return side_by_side(horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), range_ * np.sin(elevation))
 
 
 def to_face(polar: Floats, face: Ints) -> Floats:
@@ -43,9 +43,9 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
     """Beam u (outwards), left e_th and up e_ph, each (n, 3), for front-face angles [rad]."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     zero = np.zeros_like(ca)
-    beam = np.stack([ce * ca, ce * sa, se], axis=1)
-    left = np.stack([-sa, ca, zero], axis=1)
-    up = np.stack([-se * ca, -se * sa, ce], axis=1)
+    beam = side_by_side(ce * ca, ce * sa, se)
+    left = side_by_side(-sa, ca, zero)
+    up = side_by_side(-se * ca, -se * sa, ce)
     return beam, left, up
 
 
@@ -59,4 +59,4 @@ def polar_jacobian(polar: Floats, face: Ints) -> Floats:
     sign = np.where(face == 2, -1.0, 1.0)
     left = left / (range_ * np.cos(elevation))[:, None]
     up = up * (sign / range_)[:, None]
-    return np.stack([beam, left, up], axis=1)
+    return side_by_side(beam, left, up)

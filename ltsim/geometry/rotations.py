@@ -8,11 +8,12 @@ from ltsim.arrays import Floats
 
 
 def cross_matrix(vectors: Floats) -> Floats:
-    """Matrices [v]_x with ``cross_matrix(v) @ w == cross(v, w)``; `vectors` (..., 3), result (..., 3, 3)."""
-    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    """Matrices (..., 3, 3) with ``cross_matrix(v) @ w = v x w`` for vectors (..., 3)."""
+    x, y, z = (vectors[..., k] for k in range(3))
+    found = np.zeros((*vectors.shape, 3))
+    found[..., 0, 1], found[..., 0, 2], found[..., 1, 2] = -z, y, -x
+    found[..., 1, 0], found[..., 2, 0], found[..., 2, 1] = z, -y, x
+    return found
 
 
 def from_rotation_vector(vectors: Floats) -> Floats:
