@@ -124,6 +124,8 @@ def adjust(
 
 def _check_marks(recording: Recording) -> None:
     """NetworkError where a set-up measures the mark under its own head: at range zero there is no direction."""
+    if not any(recording.station_setup(name).over for name in recording.stations):
+        return
     marks = Marks.of(recording)
     height = np.linalg.norm(marks.offset, axis=1)
     own = marks.target[recording.station] == recording.target
@@ -138,9 +140,12 @@ def _check_marks(recording: Recording) -> None:
 
 def _datum_names(adjustment: Adjustment, chosen: Sequence[str] | None) -> tuple[str, ...]:
     """The targets that were chosen for the datum, or those of the set-up that the readings determine."""
+    wanted = stated_datum(adjustment.problem) if chosen is None else chosen
+    if not wanted:
+        return ()
     lost = adjustment.lost_targets
     if chosen is None:
-        return tuple(name for name in stated_datum(adjustment.problem) if name not in lost)
+        return tuple(name for name in wanted if name not in lost)
     for name in chosen:
         if name in lost:
             raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
