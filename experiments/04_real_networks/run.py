@@ -103,7 +103,7 @@ class Turns:
 
     def __init__(self, problem: NetworkProblem) -> None:
         self.problem = problem
-        self.free = np.isin(np.arange(problem.layout.size), problem.layout.pose[:, 3:])
+        self.free = np.isin(np.arange(problem.unknowns.size), problem.unknowns.pose[:, 3:])
 
     def linearise(self, state: State) -> BlockSystem:
         """The system with the columns of the turns."""
@@ -117,7 +117,7 @@ class Turns:
 
     def retract(self, state: State, step: np.ndarray) -> State:
         """The state with its stations turned."""
-        whole = np.zeros(self.problem.layout.size)
+        whole = np.zeros(self.problem.unknowns.size)
         whole[self.free] = step
         return self.problem.retract(state, whole)
 

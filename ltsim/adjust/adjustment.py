@@ -222,7 +222,7 @@ class Adjustment(Shown):
         return sorted(found, key=lambda outlier: -abs(outlier.w))
 
     def covariance_of(self, columns: Ints) -> Floats:
-        """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the layout)."""
+        """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
         covariance = self.factor.kept_sets(columns)
         return covariance if self.datum is None else self.datum.transformed(covariance, columns)
 
@@ -241,12 +241,12 @@ class Adjustment(Shown):
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) of one instrument's parameters [SI]."""
-        return self.covariance_of(self.problem.layout.instrument[[instrument]])[0]
+        return self.covariance_of(self.problem.unknowns.instrument[[instrument]])[0]
 
     @property
     def extra_covariance(self) -> Floats:
         """Covariance (q, q) of the further effects' parameters [SI]."""
-        return self.covariance_of(self.problem.layout.extra[None])[0]
+        return self.covariance_of(self.problem.unknowns.extra[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
@@ -254,7 +254,7 @@ class Adjustment(Shown):
 
         NaN for what no reading in use determines and the adjustment holds.
         """
-        covariance = self.covariance_of(self.problem.layout.pose)
+        covariance = self.covariance_of(self.problem.unknowns.pose)
         held = self.problem.structure.held_poses
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
         return covariance
@@ -262,14 +262,14 @@ class Adjustment(Shown):
     @cached_property
     def target_covariance(self) -> Floats:
         """Covariance (T, 3, 3) [m^2] of each target; NaN where none of its readings was used."""
-        layout = self.problem.layout
-        covariance = np.empty((len(layout.target), 3, 3))
-        kept = layout.target[:, 0] < layout.kept
-        covariance[kept] = self.factor.kept_sets(layout.target[kept])
+        unknowns = self.problem.unknowns
+        covariance = np.empty((len(unknowns.target), 3, 3))
+        kept = unknowns.target[:, 0] < unknowns.kept
+        covariance[kept] = self.factor.kept_sets(unknowns.target[kept])
         blocks = self.factor.block_covariance()
-        covariance[~kept] = blocks[(layout.target[~kept][:, 0] - layout.kept) // 3]
+        covariance[~kept] = blocks[(unknowns.target[~kept][:, 0] - unknowns.kept) // 3]
         if self.datum is not None:
-            covariance = self.datum.transformed(covariance, layout.target)
+            covariance = self.datum.transformed(covariance, unknowns.target)
             own = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
             covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
         covariance[self.problem.unseen_targets] = np.nan

@@ -33,11 +33,11 @@ def curvature(adjustment: Adjustment) -> Floats:
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
     for s in np.flatnonzero(_largest_bend(adjustment, turn) > STRAIGHT):
-        columns = problem.layout.pose[s]
+        columns = problem.unknowns.pose[s]
         size = np.sqrt(np.diag(spread[s]))
         unit = spread[s] / np.outer(size, size)
         worst = np.linalg.eigh(unit)[1][:, -1] / size
-        direction = np.zeros((problem.layout.size, 1))
+        direction = np.zeros((problem.unknowns.size, 1))
         direction[columns, 0] = worst
         carried = adjustment.factor.covariance_columns(direction)[:, 0]
         step = carried / np.sqrt(carried[columns] @ worst)

@@ -40,16 +40,16 @@ class Tied:
     @classmethod
     def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
         """The points of these names: targets, or marks under set-ups."""
-        recording, layout, marks = problem.model.recording, problem.layout, problem.marks
+        recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
         stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
         columns, places, stated, axes = [], [], [], []
         for name in names:
             if name in targets:
-                columns.append(layout.target[targets[name]])
+                columns.append(unknowns.target[targets[name]])
                 places.append(state.points[targets[name]])
             elif name in stations:
-                columns.append(layout.pose[stations[name], :3])
+                columns.append(unknowns.pose[stations[name], :3])
                 places.append(state.position[stations[name]] - marks.offset[stations[name]])
             else:
                 raise unknown_name("target of the datum", name, [*targets, *stations])
@@ -146,13 +146,13 @@ class InnerDatum:
         """
         if not problem.free.shape[1]:
             return None
-        tied, layout = Tied.of(problem, state, names), problem.layout
+        tied, unknowns = Tied.of(problem, state, names), problem.unknowns
         centre = tied.places.mean(axis=0)
         free = _about(problem.free, centre)
-        motion = np.zeros((layout.size, free.shape[1]))
-        motion[layout.target.ravel()] = rigid_motion(state.points, centre) @ free
-        motion[layout.pose[:, 3:].ravel()] = np.tile(free[3:], (len(layout.pose), 1))
-        motion[layout.pose[:, :3].ravel()] = rigid_motion(state.position, centre) @ free
+        motion = np.zeros((unknowns.size, free.shape[1]))
+        motion[unknowns.target.ravel()] = rigid_motion(state.points, centre) @ free
+        motion[unknowns.pose[:, 3:].ravel()] = np.tile(free[3:], (len(unknowns.pose), 1))
+        motion[unknowns.pose[:, :3].ravel()] = rigid_motion(state.position, centre) @ free
         return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
 
     def transformed(self, covariance: Floats, columns: Ints) -> Floats:

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.adjust.layout import Layout
 from ltsim.adjust.marks import Marks
 from ltsim.adjust.prior import ParameterPrior, prior_sigmas
 from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows, free_motions
 from ltsim.adjust.structure import Structure
+from ltsim.adjust.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
@@ -91,7 +91,7 @@ class NetworkProblem:
     def using(self, use: Bools) -> NetworkProblem:
         """The problem with other readings (n, 3) in use."""
         rows = self.gauge, self.control, self.levels, self.marks, self.known_marks
-        return replace(self, use=use, structure=Structure.of(self.model, use, *rows, layout=self.layout))
+        return replace(self, use=use, structure=Structure.of(self.model, use, *rows, unknowns=self.unknowns))
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
@@ -105,9 +105,9 @@ class NetworkProblem:
         return found
 
     @property
-    def layout(self) -> Layout:
+    def unknowns(self) -> Unknowns:
         """Places of the unknowns."""
-        return self.structure.layout
+        return self.structure.unknowns
 
     @property
     def prior_sigma(self) -> Floats:
@@ -144,7 +144,7 @@ class NetworkProblem:
 
     def retract(self, state: State, step: Floats) -> State:
         """The state after a step."""
-        return self.layout.retract(state, step)
+        return self.unknowns.retract(state, step)
 
     def linearise(self, state: State) -> BlockSystem:
         """The whitened system at a state."""
@@ -154,11 +154,11 @@ class NetworkProblem:
         """The whitened system at a state whose readings are predicted already."""
         data = np.concatenate([values.ravel() for values in self._values(state, prediction)])
         indices, pointers = self._pattern
-        design = sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, self.layout.size))
-        if len(self.layout.extra):  # Effects on one station or target are zero in most rows.
+        design = sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, self.unknowns.size))
+        if len(self.unknowns.extra):  # Effects on one station or target are zero in most rows.
             design = design.copy()
             design.eliminate_zeros()
-        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.layout.kept)
+        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.kept)
 
     @cached_property
     def _pattern(self) -> tuple[Ints, Ints]:
@@ -171,22 +171,26 @@ class NetworkProblem:
 
     def _columns(self) -> list[Ints]:
         """Columns (rows, width) of each kind of row, in the order of the system."""
-        recording, layout = self.model.recording, self.layout
-        at = [layout.pose[recording.station], layout.target[recording.target], layout.instrument[recording.instrument]]
-        everywhere = np.broadcast_to(layout.extra, (len(recording), len(layout.extra)))
+        recording, unknowns = self.model.recording, self.unknowns
+        at = [
+            unknowns.pose[recording.station],
+            unknowns.target[recording.target],
+            unknowns.instrument[recording.instrument],
+        ]
+        everywhere = np.broadcast_to(unknowns.extra, (len(recording), len(unknowns.extra)))
         pointings = np.repeat(np.concatenate([*at, everywhere], axis=1)[:, None, :], 3, axis=1)[self.use]
-        ends = [layout.target[self.gauge.first], layout.target[self.gauge.second]]
-        gauge = np.concatenate([*ends, np.broadcast_to(layout.extra, (len(self.gauge), len(layout.extra)))], axis=1)
-        anchors = layout.pose[self.structure.anchors].ravel()
+        ends = [unknowns.target[self.gauge.first], unknowns.target[self.gauge.second]]
+        gauge = np.concatenate([*ends, np.broadcast_to(unknowns.extra, (len(self.gauge), len(unknowns.extra)))], axis=1)
+        anchors = unknowns.pose[self.structure.anchors].ravel()
         return [
             pointings,
             gauge,
-            np.repeat(layout.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
-            np.repeat(layout.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
-            np.repeat(layout.pose[self.levels.station, 3:], 2, axis=0),
+            np.repeat(unknowns.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
+            np.repeat(unknowns.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
+            np.repeat(unknowns.pose[self.levels.station, 3:], 2, axis=0),
             self.structure.held_columns,
             self._prior_columns(),
-            layout.extra[np.isfinite(self.extra_sigma)][:, None],
+            unknowns.extra[np.isfinite(self.extra_sigma)][:, None],
             np.broadcast_to(anchors, (self.free.shape[1], len(anchors))),
         ]
 
@@ -213,7 +217,7 @@ class NetworkProblem:
 
     def _prior_columns(self) -> Ints:
         """Columns (m, 1) of the prior's rows, or (m, p) where it correlates parameters."""
-        own = self.layout.instrument
+        own = self.unknowns.instrument
         if self.prior.correlated:
             return np.repeat(own, own.shape[1], axis=0)
         return own[np.isfinite(self.prior_sigma)][:, None]
@@ -245,7 +249,7 @@ class NetworkProblem:
         priors = int(np.isfinite(self.prior_sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
-        unknown = self.layout.size - self.free.shape[1] - self.structure.held
+        unknown = self.unknowns.size - self.free.shape[1] - self.structure.held
         return int(self.use.sum()) + known - unknown
 
 

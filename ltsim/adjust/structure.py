@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjust.layout import Layout
 from ltsim.adjust.marks import Marks
 from ltsim.adjust.rows import ControlRows, GaugeRows, LevelRows
+from ltsim.adjust.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
@@ -21,7 +21,7 @@ VERTICAL = np.array([0.0, 0.0, 1.0])
 class Structure:
     """The unknowns of a network and what is held of them; two recordings of the same pointings share it."""
 
-    layout: Layout
+    unknowns: Unknowns
     """Places of the unknowns."""
     yaw: Ints
     tilt: Ints
@@ -43,9 +43,9 @@ class Structure:
         levels: LevelRows,
         marks: Marks,
         known_marks: ControlRows,
-        layout: Layout | None = None,
+        unknowns: Unknowns | None = None,
     ) -> Structure:
-        """The structure of a network with `use` (n, 3) of its readings, by counting; `layout` where it is known."""
+        """The structure of a network with `use` (n, 3) of its readings, by counting; `unknowns` where it is known."""
         recording, count = model.recording, len(model.recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
         level, alone = np.zeros(count, dtype=bool), marks.first == np.arange(count)
@@ -54,7 +54,7 @@ class Structure:
         alone[known_marks.target] = False
         kept = set(gauge.first.tolist()) | set(gauge.second.tolist())
         return cls(
-            layout=layout or Layout.of(model, kept, marks),
+            unknowns=unknowns or Unknowns.of(model, kept, marks),
             yaw=np.flatnonzero(~azimuth),
             tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
             height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
@@ -65,9 +65,9 @@ class Structure:
     @property
     def held_columns(self) -> Ints:
         """Columns (h, 3) of what no reading determines: each row is held where it is."""
-        layout = self.layout
-        single = [layout.target[self.unseen], layout.pose[self.place, :3], layout.pose[self.height, 2:3]]
-        rows = [layout.pose[self.yaw, 3:], np.repeat(layout.pose[self.tilt, 3:], 2, axis=0)]
+        unknowns = self.unknowns
+        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3], unknowns.pose[self.height, 2:3]]
+        rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def held_directions(self, state: State) -> Floats:
@@ -81,7 +81,7 @@ class Structure:
     @property
     def held_poses(self) -> Bools:
         """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
-        held = np.zeros(self.layout.pose.shape, dtype=bool)
+        held = np.zeros(self.unknowns.pose.shape, dtype=bool)
         held[self.yaw, 3:] = True
         held[self.tilt, 3:] = True
         held[self.height, 2] = True
@@ -98,7 +98,7 @@ class Structure:
     def anchors(self) -> Ints:
         """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
         turned = self._turned
-        return turned[:1] if len(turned) else np.arange(len(self.layout.pose))
+        return turned[:1] if len(turned) else np.arange(len(self.unknowns.pose))
 
     @property
     def anchors_turn(self) -> bool:
@@ -107,7 +107,7 @@ class Structure:
 
     @cached_property
     def _turned(self) -> Ints:
-        return np.setdiff1d(np.arange(len(self.layout.pose)), self.yaw)
+        return np.setdiff1d(np.arange(len(self.unknowns.pose)), self.yaw)
 
 
 def _unseen(recording: Recording, use: Bools, control: ControlRows, marks: Marks) -> Bools:

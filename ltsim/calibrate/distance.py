@@ -87,8 +87,8 @@ def calibrate_distance(
     adjustment.solution.require_success()
     propagation = Propagation(recording, built, values, estimate, adjustment)
     added = propagation.added_covariance()
-    layout = adjustment.problem.layout
-    pose = adjustment.pose_covariance + added[layout.pose[:, :, None], layout.pose[:, None, :]]
+    unknowns = adjustment.problem.unknowns
+    pose = adjustment.pose_covariance + added[unknowns.pose[:, :, None], unknowns.pose[:, None, :]]
     scale = prior.ravel()
     silent = np.array([d.vector for d in estimate.left_out]).reshape(-1, len(scale))
     return Calibration(
@@ -106,7 +106,8 @@ def calibrate_distance(
         stations=stations_of(adjustment, pose),
         targets=recording.targets,
         points=adjustment.state.points,
-        target_covariance=adjustment.target_covariance + added[layout.target[:, :, None], layout.target[:, None, :]],
+        target_covariance=adjustment.target_covariance
+        + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
         criteria=criteria_of(recording, adjustment, built, values),
         outliers=outliers_of(adjustment),
         lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),

@@ -55,8 +55,8 @@ def unheld(adjustment: Adjustment) -> Ints:
     or has few targets.
     """
     none = np.zeros(0, dtype=np.int64)
-    layout = adjustment.problem.layout
-    if layout.kept > LARGEST:
+    unknowns = adjustment.problem.unknowns
+    if unknowns.kept > LARGEST:
         return none
     targets = held_out_targets(adjustment)
     if len(targets) < FEWEST:
@@ -77,7 +77,7 @@ def unheld(adjustment: Adjustment) -> Ints:
 
 def _terms(adjustment: Adjustment) -> list[Ints]:
     """Places of each term: a cosine and its sine, or a parameter; of what was estimated and the readings tell of."""
-    prior, at = adjustment.problem.prior, adjustment.problem.layout.instrument.ravel()
+    prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
     left = np.diag(adjustment.kept_covariance)[at] / prior.sigma.ravel() ** 2
     open_ = ~prior.held.ravel() & (left < 1.0 - SILENT)
     sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.names)}
@@ -89,17 +89,17 @@ def _terms(adjustment: Adjustment) -> list[Ints]:
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOut]:
     """Every target whose readings check each other and whose place is an unknown of its own, held out."""
-    problem, layout = adjustment.problem, adjustment.problem.layout
-    system, kept = adjustment.solution.system, adjustment.problem.layout.kept
+    problem, unknowns = adjustment.problem, adjustment.problem.unknowns
+    system, kept = adjustment.solution.system, adjustment.problem.unknowns.kept
     row_target = adjustment.recording.target[np.nonzero(problem.use)[0]]
-    own = np.flatnonzero(layout.target[:, 0] >= kept)
+    own = np.flatnonzero(unknowns.target[:, 0] >= kept)
     own = own[:: max(1, -(-len(own) // MOST_TARGETS))]
     found = []
     for target in own.tolist():
         rows = np.flatnonzero(row_target == target)
         if len(rows) > 3:
             design = system.design[rows].toarray()
-            reduced = _without(design[:, layout.target[target]], design[:, :kept], system.residual[rows])
+            reduced = _without(design[:, unknowns.target[target]], design[:, :kept], system.residual[rows])
             found.append(_held_out(adjustment, *reduced))
     return found
 
@@ -111,7 +111,7 @@ def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, F
 
 
 def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOut:
-    covariance, at = adjustment.kept_covariance, adjustment.problem.layout.instrument.ravel()
+    covariance, at = adjustment.kept_covariance, adjustment.problem.unknowns.instrument.ravel()
     spread = covariance @ design.T
     alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
     by_parameter = alone @ spread[at].T

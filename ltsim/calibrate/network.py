@@ -147,7 +147,7 @@ def _adjusted(
 
 def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:
     recording, construction = adjustment.recording, adjustment.construction
-    at = adjustment.problem.layout.instrument.ravel()
+    at = adjustment.problem.unknowns.instrument.ravel()
     held = adjustment.problem.prior.held
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)

@@ -52,7 +52,7 @@ def correction_of(
     gone = np.zeros(0, dtype=np.int64) if informed else unheld(adjustment)
     used = np.setdiff1d(free, gone)
     root = block_diag(*prior.roots)[np.ix_(free, free)]
-    at = adjustment.problem.layout.instrument.ravel()[free]
+    at = adjustment.problem.unknowns.instrument.ravel()[free]
     known = np.linalg.inv(root @ adjustment.kept_covariance[np.ix_(at, at)] @ root.T)
     told = known @ root @ (adjustment.state.instrument.ravel() - mean)[free]
     within = np.searchsorted(free, used)

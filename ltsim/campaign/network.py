@@ -112,21 +112,21 @@ class BatchNetwork:
     @cached_property
     def sizes(self) -> tuple[int, int, int, int]:
         """Where poses, targets, parameters and further effects end in the vector of unknowns."""
-        layout = self.problem.layout
-        pose = layout.pose.size
-        targets = pose + layout.target.size
-        values = targets + layout.instrument.size
-        return pose, targets, values, values + layout.extra.size
+        unknowns = self.problem.unknowns
+        pose = unknowns.pose.size
+        targets = pose + unknowns.target.size
+        values = targets + unknowns.instrument.size
+        return pose, targets, values, values + unknowns.extra.size
 
     @cached_property
     def order(self) -> Ints:
         """Columns (K,) of the problem's design in the order of this class: poses, targets, parameters, effects."""
         if self.known is not None:
             return self.known.network.order
-        layout = self.problem.layout
-        parts = (layout.pose, layout.target, layout.instrument, layout.extra)
+        unknowns = self.problem.unknowns
+        parts = (unknowns.pose, unknowns.target, unknowns.instrument, unknowns.extra)
         order = np.concatenate([part.ravel() for part in parts])
-        if len(np.unique(order)) != layout.size:
+        if len(np.unique(order)) != unknowns.size:
             raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
         return order
 
@@ -175,7 +175,7 @@ class BatchNetwork:
     def sigma_values(self) -> Floats:
         """Standard deviation (I, p) [SI] of the parameters after adjustment."""
         _, start, end, _ = self.sizes
-        shape = self.problem.layout.instrument.shape
+        shape = self.problem.unknowns.instrument.shape
         return np.sqrt(np.diag(self.covariance)[start:end]).reshape(shape)
 
     @cached_property

@@ -333,21 +333,21 @@ def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Float
     # The truth moved to where the first station is held.
     held, origin = adjustment.state, truth.position[0]
     turn = truth.rotation[0] @ held.rotation[0].T
-    layout, size = adjustment.problem.layout, np.zeros(adjustment.problem.layout.size)
+    unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.size)
     bias, less = size.copy(), size.copy()
     if not plain:
         pick = np.zeros((len(size), len(mean)))
-        pick[layout.instrument.ravel(), np.arange(len(mean))] = 1.0 / found.prior_sigma.ravel()
+        pick[unknowns.instrument.ravel(), np.arange(len(mean))] = 1.0 / found.prior_sigma.ravel()
         missed = adjustment.factor.covariance_columns(pick)
         bias, less = -missed @ mean, missed**2 @ (1.0 - drawn**2)
     points = (truth.points - origin) @ turn + held.position[0]
-    variance = np.einsum("tii->ti", found.target_covariance) - less[layout.target]
-    targets = float(np.mean((found.points - points - bias[layout.target]) ** 2 / variance))
+    variance = np.einsum("tii->ti", found.target_covariance) - less[unknowns.target]
+    targets = float(np.mean((found.points - points - bias[unknowns.target]) ** 2 / variance))
     squares = []
     for i, station in enumerate(found.stations[1:], start=1):
         there = (truth.position[i] - origin) @ turn + held.position[0]
         apart = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
-        error = np.concatenate([station.position - there, apart.as_rotvec()]) - bias[layout.pose[i]]
+        error = np.concatenate([station.position - there, apart.as_rotvec()]) - bias[unknowns.pose[i]]
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
-        squares.append(error**2 / (sigma**2 - less[layout.pose[i]]))
+        squares.append(error**2 / (sigma**2 - less[unknowns.pose[i]]))
     return targets, float(np.mean(squares)) if squares else float("nan")

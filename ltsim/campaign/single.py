@@ -69,7 +69,7 @@ class Single:
 
 def network_sigma(adjustment: Adjustment) -> Floats:
     """Standard deviations (I, p) [SI] of the instruments' parameters."""
-    at = adjustment.problem.layout.instrument
+    at = adjustment.problem.unknowns.instrument
     variance = np.diag(adjustment.kept_covariance)[at]
     return np.sqrt(variance)
 

@@ -15,7 +15,7 @@ from ltsim.arrays import Bools, Ints
 from ltsim.check.faces import Faces, Mpe, faces_or_none
 from ltsim.check.items import Family, Item, two_sided
 from ltsim.check.network import NETWORK_TESTS, items_of_network
-from ltsim.check.visit import Gain, Visit, surprise
+from ltsim.check.visit import Explained, Visit, surprise
 from ltsim.check.words import bump_sentence, drift_sentence, face_sentence, gross_sentence, instrument_sentence
 from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import station_design
@@ -146,27 +146,27 @@ def _events(visit: Visit, construction: Construction, family: Family) -> tuple[l
         drop, rank = visit.of_pointings()
         alone = surprise(drop, rank) - np.log(len(visit.use))
         worst = int(np.argmax(alone))
-        bump, gain, gaps = best_bump(visit)
-        bump = bump if visit.p_value(gain) * gaps < family.share else None
+        bump, explained, gaps = best_bump(visit)
+        bump = bump if visit.p_value(explained) * gaps < family.share else None
         enough = alone[worst] <= -np.log(family.share) or len(gross) >= most
-        if enough or (bump is not None and alone[worst] <= _surprise(gain) - np.log(gaps)):
+        if enough or (bump is not None and alone[worst] <= _surprise(explained) - np.log(gaps)):
             return gross, bump, visit
         gross.append(worst)
         use: Bools = visit.use & np.asarray(np.arange(len(visit.use)) != worst)
         visit = Visit.of(visit.recording, construction, use)
 
 
-def best_bump(visit: Visit) -> tuple[StationBump | None, Gain, int]:
+def best_bump(visit: Visit) -> tuple[StationBump | None, Explained, int]:
     """The gap in which a motion of the station explains most, what it explains, and how many gaps there are."""
     tried = [bump for bump in StationBump.candidates(visit.sightings) if _witnesses(visit, bump) >= WITNESSES]
     if not tried:
-        return None, Gain(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
-    gains = {bump: visit.gain(bump.design(visit.sightings)) for bump in tried}
-    for bump in max(gains, key=lambda bump: _surprise(gains[bump])).finer(visit.sightings):
+        return None, Explained(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
+    explained_by = {bump: visit.explained(bump.design(visit.sightings)) for bump in tried}
+    for bump in max(explained_by, key=lambda bump: _surprise(explained_by[bump])).finer(visit.sightings):
         if _witnesses(visit, bump) >= WITNESSES:
-            gains[bump] = visit.gain(bump.design(visit.sightings))
-    found = max(gains, key=lambda bump: _surprise(gains[bump]))
-    return found, gains[found], len(np.unique(visit.sightings.time)) - 1
+            explained_by[bump] = visit.explained(bump.design(visit.sightings))
+    found = max(explained_by, key=lambda bump: _surprise(explained_by[bump]))
+    return found, explained_by[found], len(np.unique(visit.sightings.time)) - 1
 
 
 def _witnesses(visit: Visit, bump: StationBump) -> int:
@@ -176,9 +176,9 @@ def _witnesses(visit: Visit, bump: StationBump) -> int:
     return len(np.intersect1d(target[visit.use & after], target[visit.use & ~after]))
 
 
-def _surprise(gain: Gain) -> float:
+def _surprise(explained: Explained) -> float:
     """How unlikely such a fall of chi-square is by the stated noise."""
-    return float(surprise(gain.drop, gain.rank))
+    return float(surprise(explained.drop, explained.rank))
 
 
 def _of_gross(visit: Visit, gross: Sequence[int], rows: Ints) -> Item:
@@ -192,31 +192,33 @@ def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family)
     recording, name = visit.recording, visit.recording.stations[0]
     if bump is None:
         return Item(name, "bump", True, f"{name}: no motion at once")
-    gain = visit.gain(bump.design(visit.sightings))
+    explained = visit.explained(bump.design(visit.sightings))
     order = np.argsort(recording.time, kind="stable")
     at = int(np.searchsorted(recording.time[order], bump.time))
     pair = order[at - 1 : at + 1]
     between = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     numbers = int(rows[pair[0]]), int(rows[pair[1]])
-    chance = family.adjusted(visit.p_value(gain), len(order) - 1)
-    sentence = bump_sentence(recording, between, numbers, gain.values)
+    chance = family.adjusted(visit.p_value(explained), len(order) - 1)
+    sentence = bump_sentence(recording, between, numbers, explained.values)
     return Item(name, "bump", False, sentence, chance, rows=numbers, between=between)
 
 
 def _drift(visit: Visit, family: Family) -> Item:
     duration = max(float(np.ptp(visit.recording.time)), 1e-9)
-    gain = visit.gain(station_design(visit.sightings) * (visit.sightings.station_time / duration)[:, None, None])
-    p = family.adjusted(visit.p_value(gain))
+    explained = visit.explained(
+        station_design(visit.sightings) * (visit.sightings.station_time / duration)[:, None, None]
+    )
+    p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
-    return Item(visit.recording.stations[0], "drift", passed, drift_sentence(visit.recording, gain, passed), p)
+    return Item(visit.recording.stations[0], "drift", passed, drift_sentence(visit.recording, explained, passed), p)
 
 
 def _instrument_drift(visit: Visit, family: Family) -> Item:
     laws = [RangeDrift(law="visit"), IndexDrift(law="visit")]
-    gain = visit.gain(np.concatenate([law.design(visit.sightings) for law in laws], axis=2))
-    p = family.adjusted(visit.p_value(gain))
+    explained = visit.explained(np.concatenate([law.design(visit.sightings) for law in laws], axis=2))
+    p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
-    sentence = instrument_sentence(visit.recording, gain, passed)
+    sentence = instrument_sentence(visit.recording, explained, passed)
     return Item(visit.recording.stations[0], "instrument-drift", passed, sentence, p)
 
 

@@ -29,7 +29,7 @@ HELD = 1e-6
 
 
 @dataclass(frozen=True)
-class Gain:
+class Explained:
     """What columns explain: fall of chi-square, how many directions, the estimate and its covariance."""
 
     drop: float
@@ -103,7 +103,7 @@ class Visit:
             rest = rest - np.einsum("nik,kc->nic", self.by_instrument, amount)
         return np.asarray(rest)
 
-    def gain(self, design: Floats) -> Gain:
+    def explained(self, design: Floats) -> Explained:
         """What the columns (n, 3, c) of a suspect, changes of the readings, explain."""
         columns = self.projected(design * self.weight[:, :, None]).reshape(-1, design.shape[2])
         length = np.linalg.norm(columns, axis=0)
@@ -113,16 +113,16 @@ class Visit:
         good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
         amount = left[:, good].T @ self.whitened.ravel()
         back = (right[good].T / size[good]) / np.where(kept, length, np.inf)[:, None]
-        return Gain(float(amount @ amount), int(good.sum()), back @ amount, back @ back.T)
+        return Explained(float(amount @ amount), int(good.sum()), back @ amount, back @ back.T)
 
-    def p_value(self, gain: Gain) -> float:
+    def p_value(self, explained: Explained) -> float:
         """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""
-        if not gain.rank or self.dof <= gain.rank:
+        if not explained.rank or self.dof <= explained.rank:
             return 1.0
-        stated = float(stats.chi2.sf(gain.drop, gain.rank))
-        rest = self.dof - gain.rank
-        ratio = (gain.drop / gain.rank) / max((self.chi2 - gain.drop) / rest, 1e-30)
-        return max(stated, float(stats.f.sf(ratio, gain.rank, rest)))
+        stated = float(stats.chi2.sf(explained.drop, explained.rank))
+        rest = self.dof - explained.rank
+        ratio = (explained.drop / explained.rank) / max((self.chi2 - explained.drop) / rest, 1e-30)
+        return max(stated, float(stats.f.sf(ratio, explained.rank, rest)))
 
     def without(self, design: Floats) -> Visit:
         """The visit with the columns (n, 3, c) of a suspect fitted too."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.check.faces import Faces
-from ltsim.check.visit import Gain, Visit
+from ltsim.check.visit import Explained, Visit
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
@@ -73,25 +73,25 @@ def bump_sentence(recording: Recording, between: tuple[float, float], rows: tupl
     return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}): {_motion(motion)}"
 
 
-def drift_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
+def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
     """How far a station crept in its visit, its level with a standard deviation."""
     name = recording.stations[0]
     minutes = float(np.ptp(recording.time)) / 60
     within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
     if not passed:
-        return f"{name} drifts: {_motion(gain.values)} {within}"
-    lean = np.hypot(*gain.values[3:5]) / MICRORADIAN
-    sigma = np.sqrt(max(float(gain.covariance[3, 3] + gain.covariance[4, 4]), 0.0)) / MICRORADIAN
+        return f"{name} drifts: {_motion(explained.values)} {within}"
+    lean = np.hypot(*explained.values[3:5]) / MICRORADIAN
+    sigma = np.sqrt(max(float(explained.covariance[3, 3] + explained.covariance[4, 4]), 0.0)) / MICRORADIAN
     return f"{name}: no drift of the station {within} (level {plain(lean, 2)} +- {plain(sigma, 2)} urad)"
 
 
-def instrument_sentence(recording: Recording, gain: Gain, passed: bool) -> str:
+def instrument_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
     """How far the instrument's zeros crept in a visit."""
     duration = float(np.ptp(recording.time))
-    spread = np.sqrt(np.maximum(np.diag(gain.covariance), 0.0))
+    spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
     parts = [
         f"{what} by {plain(value * duration / unit, 2)} +- {plain(sigma * duration / unit, 2)} {name}"
-        for value, sigma, (what, name, unit) in zip(gain.values, spread, ZEROS, strict=True)
+        for value, sigma, (what, name, unit) in zip(explained.values, spread, ZEROS, strict=True)
     ]
     said = ", ".join(parts) + " over the visit"
     return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'} ({said})"

@@ -85,5 +85,5 @@ def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide:
     mean = found[0]
     adjustment = space.adjustment
     change = adjustment.factor.covariance_columns((adjustment.solution.system.design.T @ (whole @ mean))[:, None])
-    shift: Floats = -change[:, 0][adjustment.problem.layout.target]
+    shift: Floats = -change[:, 0][adjustment.problem.unknowns.target]
     return shift

@@ -70,10 +70,10 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
 def _hidden_error(space: ResidualSpace, effect: Effect, values: Floats) -> float:
     """Distortion [um] of the adjusted targets, rms after the best rigid fit, that values (q,) [SI] would cause."""
     adjustment = space.adjustment
-    system, layout = adjustment.solution.system, adjustment.problem.layout
+    system, unknowns = adjustment.solution.system, adjustment.problem.unknowns
     shift = space.signature(effect) @ values
     change = adjustment.factor.covariance_columns((system.design.T @ shift)[:, None])[:, 0]
-    moved = change[layout.target].ravel()
+    moved = change[unknowns.target].ravel()
     points = adjustment.state.points - adjustment.state.points.mean(axis=0)
     rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrix(points)], axis=2)
     motion = rigid.reshape(-1, 6)

@@ -96,11 +96,11 @@ class Reducer:
         self.prior_sigma = problem.prior_sigma[0]
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
-        self._gauge = np.flatnonzero(problem.layout.target[:, 0] < problem.layout.kept)
-        self.mesh = np.flatnonzero(problem.layout.target[:, 0] >= problem.layout.kept)
+        self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)
+        self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.kept)
         rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
         other = rows[: rows.shape[0] - self._rank_free].toarray()
-        self._other_blocks(other, problem.layout.target, problem.layout.pose, problem.layout.instrument[0])
+        self._other_blocks(other, problem.unknowns.target, problem.unknowns.pose, problem.unknowns.instrument[0])
         self._weight = survey.weight
         self._motion = rigid_motion(survey.points) @ self._free
 

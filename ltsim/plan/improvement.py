@@ -136,7 +136,7 @@ def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[t
     _, by_reading, by_value = information.construction.linearised(sightings.raw, values)
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
-    estimate = adjustment.factor.covariance_columns(_columns(problem.layout.instrument[0], problem.layout.size)).T
+    estimate = adjustment.factor.covariance_columns(_columns(problem.unknowns.instrument[0], problem.unknowns.size)).T
     answer = estimate @ design.T
     space = ResidualSpace.of(adjustment)
     errors = np.zeros((design.shape[0], 0))

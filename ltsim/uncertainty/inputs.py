@@ -96,8 +96,8 @@ class Inputs:
 def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
     """Displacement (m, 3 T) [m] of targets `at` (T,) for a unit of each whitened row of the adjustment."""
     problem, system = adjustment.problem, adjustment.solution.system
-    columns = problem.layout.target[at].ravel()
-    unit = np.zeros((problem.layout.size, len(columns)))
+    columns = problem.unknowns.target[at].ravel()
+    unit = np.zeros((problem.unknowns.size, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
     spread = adjustment.factor.covariance_columns(unit)
     if adjustment.datum is not None:

@@ -37,7 +37,7 @@ def test_the_design_is_the_derivative_of_the_residuals(construction):
     scale = 1e-6
     rows = int(problem.use.sum()) + len(problem.gauge) + int(np.isfinite(problem.prior_sigma).sum())
     for _ in range(12):
-        step = scale * rng.standard_normal(problem.layout.size)
+        step = scale * rng.standard_normal(problem.unknowns.size)
         ahead = problem.linearise(problem.retract(truth.state, step)).residual
         behind = problem.linearise(problem.retract(truth.state, -step)).residual
         change = -(ahead - behind)[:rows] / 2

@@ -303,7 +303,7 @@ def test_instruments_on_marks_share_the_place_of_the_target():
     recording, marks = total_stations()
     found = adjust(recording)
     assert_same_shape(found, marks)
-    assert found.problem.layout.size == 3 * 9 + 3 * 7
+    assert found.problem.unknowns.size == 3 * 9 + 3 * 7
     assert found.dof == 3 * len(recording) + 2 * 7 - 3 * 9 - 3 * 7 + 4
     height = 1e-3 * recording.station_setup("M0").instrument_height_mm
     np.testing.assert_allclose(found.state.position[0] - found.state.points[0], [0, 0, height], atol=1e-12)
@@ -341,7 +341,7 @@ def test_marks_that_are_no_targets_are_shared_and_may_be_known():
     place = Target(known_mm=tuple(1e3 * marks[0]), known_sigma_mm=0.01)
     found = adjust(with_setup(keep, targets={**keep.setup.targets, "M0": place}))
     assert found.problem.free.shape[1] == 1
-    assert found.problem.layout.size == 3 * 9 + 3 * 7
+    assert found.problem.unknowns.size == 3 * 9 + 3 * 7
     height = 1e-3 * recording.station_setup("M0").instrument_height_mm
     np.testing.assert_allclose(found.state.position[0], marks[0] + [0, 0, height], atol=1e-8)
     assert_same_shape(found, marks[1:])
@@ -422,7 +422,7 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
     np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)
     np.testing.assert_allclose(
-        tied.kept_covariance[np.ix_(*2 * [tied.problem.layout.pose[2]])], tied.pose_covariance[2], rtol=1e-8
+        tied.kept_covariance[np.ix_(*2 * [tied.problem.unknowns.pose[2]])], tied.pose_covariance[2], rtol=1e-8
     )
 
 

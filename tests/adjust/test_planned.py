@@ -53,5 +53,5 @@ def test_other_readings_in_use_are_counted_anew() -> None:
     assert np.flatnonzero(fewer.unseen_targets).tolist() == [5]
     assert fewer.structure.yaw.tolist() == [2]
     assert fewer.structure.held == len(fewer.structure.held_columns) == 4
-    assert fewer.layout is problem.layout
+    assert fewer.unknowns is problem.unknowns
     assert problem.dof - fewer.dof == (~use).sum() - 4

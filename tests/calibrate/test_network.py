@@ -97,18 +97,18 @@ def test_simple_rotation_undoes_a_mixture() -> None:
 
 def joint_covariance(adjustment, names=None) -> np.ndarray:
     """(3 T, 3 T) of all targets by inner constraints over some of them."""
-    at = adjustment.problem.layout.target.ravel()
-    whole = adjustment.factor.covariance_columns(np.eye(adjustment.problem.layout.size))[np.ix_(at, at)]
+    at = adjustment.problem.unknowns.target.ravel()
+    whole = adjustment.factor.covariance_columns(np.eye(adjustment.problem.unknowns.size))[np.ix_(at, at)]
     return adjustment.in_inner_datum(names).datum.transformed(whole[None], at[None])[0]
 
 
 def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     adjustment = adjust(make(drawn(misalignment(), 1, 5)), misalignment())
-    layout, system = adjustment.problem.layout, adjustment.solution.system
+    unknowns, system = adjustment.problem.unknowns, adjustment.solution.system
     rows = system.design[: -adjustment.problem.free.shape[1]].toarray()  # without the datum
     # Dense: targets alone, everything else eliminated; the pseudo-inverse of a normal matrix is the datum of all.
-    at = layout.target.ravel()
-    rest = np.setdiff1d(np.arange(layout.size), at)
+    at = unknowns.target.ravel()
+    rest = np.setdiff1d(np.arange(unknowns.size), at)
     scale = np.linalg.norm(rows, axis=0)
     scaled = rows / scale
     left, spread, _ = np.linalg.svd(scaled[:, rest], full_matrices=False)

@@ -123,25 +123,25 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     recording = make(np.zeros(16))
     names = ("T03", "T09", "T14", "T22")
     plain, found = adjust(recording), adjust_network(recording, datum=names)
-    layout, points = plain.problem.layout, plain.state.points
-    whole = plain.factor.covariance_columns(np.eye(layout.size))
+    unknowns, points = plain.problem.unknowns, plain.state.points
+    whole = plain.factor.covariance_columns(np.eye(unknowns.size))
     chosen = [recording.targets.index(name) for name in names]
-    motion = np.zeros((layout.size, 6))
-    motion[layout.target.ravel(), :3] = np.tile(np.eye(3), (len(points), 1))
+    motion = np.zeros((unknowns.size, 6))
+    motion[unknowns.target.ravel(), :3] = np.tile(np.eye(3), (len(points), 1))
     for axis in range(3):
         turn = np.eye(3)[axis]
-        motion[layout.target.ravel(), 3 + axis] = np.cross(turn, points).ravel()
-    motion[layout.pose[:, :3].ravel(), :3] = np.tile(np.eye(3), (len(plain.state.position), 1))
+        motion[unknowns.target.ravel(), 3 + axis] = np.cross(turn, points).ravel()
+    motion[unknowns.pose[:, :3].ravel(), :3] = np.tile(np.eye(3), (len(plain.state.position), 1))
     for axis in range(3):
-        motion[layout.pose[:, :3].ravel(), 3 + axis] = np.cross(np.eye(3)[axis], plain.state.position).ravel()
-    motion[layout.pose[:, 3:].ravel(), 3:] = np.tile(np.eye(3), (len(plain.state.position), 1))
+        motion[unknowns.pose[:, :3].ravel(), 3 + axis] = np.cross(np.eye(3)[axis], plain.state.position).ravel()
+    motion[unknowns.pose[:, 3:].ravel(), 3:] = np.tile(np.eye(3), (len(plain.state.position), 1))
     held = np.zeros_like(motion)
-    held[layout.target[chosen].ravel()] = motion[layout.target[chosen].ravel()]
-    s = np.eye(layout.size) - motion @ np.linalg.solve(held.T @ motion, held.T)
+    held[unknowns.target[chosen].ravel()] = motion[unknowns.target[chosen].ravel()]
+    s = np.eye(unknowns.size) - motion @ np.linalg.solve(held.T @ motion, held.T)
     wanted = s @ whole @ s.T
-    blocks = wanted[layout.target[:, :, None], layout.target[:, None, :]]
+    blocks = wanted[unknowns.target[:, :, None], unknowns.target[:, None, :]]
     np.testing.assert_allclose(found.target_covariance, blocks, rtol=1e-4, atol=1e-16)
-    sums = wanted[layout.target[chosen].ravel()].reshape(len(chosen), 3, -1).sum(axis=0)
+    sums = wanted[unknowns.target[chosen].ravel()].reshape(len(chosen), 3, -1).sum(axis=0)
     assert np.abs(sums).max() < 1e-6 * np.abs(wanted).max()
     own = np.einsum("tii->t", found.target_covariance)[chosen].sum()
     assert own < 0.9 * np.einsum("tii->t", plain.target_covariance)[chosen].sum()

@@ -12,7 +12,7 @@ from ltsim.model.measurement import MeasurementModel, State
 
 
 @dataclass(frozen=True)
-class Layout:
+class Unknowns:
     """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
 
     Set-ups over one mark share the columns of their position, with the target where that mark is one.
@@ -32,8 +32,8 @@ class Layout:
     """Number of all columns."""
 
     @classmethod
-    def of(cls, model: MeasurementModel, kept_targets: set[int], marks: Marks) -> Layout:
-        """Lay out the unknowns of a model; `kept_targets` are not eliminated."""
+    def of(cls, model: MeasurementModel, kept_targets: set[int], marks: Marks) -> Unknowns:
+        """The unknowns of a model; `kept_targets` are not eliminated."""
         recording = model.recording
         stations, targets = len(recording.stations), len(recording.targets)
         instruments, p = len(recording.instruments), model.construction.size
