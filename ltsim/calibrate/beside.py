@@ -177,6 +177,8 @@ def fitted(
     for key, value in vars(effect).items():
         if isinstance(value, str):
             rows.append(FittedParameter(key, value, None, ""))
+        elif type(value) is int:  # the order of a harmonic
+            rows.append(FittedParameter(key, float(value), None, ""))
     for shape in effect.shape:
         if shape.name in sigmas:
             spread_of, unit = sigmas[shape.name], FACTOR[shape.unit]
