@@ -14,7 +14,8 @@ and `Solution.require_success()` raises `ConvergenceError` for callers who want 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class LtsimError(Exception):
@@ -49,6 +50,15 @@ class RecordError(LtsimError):
 
 class SetupError(LtsimError):
     """A scenario, campaign or plan asks for something impossible; the message says what would do."""
+
+
+@contextmanager
+def as_setup_error() -> Iterator[None]:
+    """A malformed file is told as a set-up that cannot be: the same sentence of a file that a person wrote."""
+    try:
+        yield
+    except RecordError as problem:
+        raise SetupError(str(problem)) from None
 
 
 class ModelError(LtsimError):

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from ltsim.acceptance.specification import SHEETS, Specification
 from ltsim.acceptance.tests import STANDARDS, Test, builtin, read_tests
-from ltsim.errors import RecordError, SetupError, unknown_name
+from ltsim.errors import SetupError, as_setup_error, unknown_name
 from ltsim.recording.settings import checked, load_settings
 from ltsim.recording.setup import Positive, Section
 
@@ -90,7 +90,5 @@ def load_acceptance(path: Path) -> Acceptance:
 
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
-    try:
+    with as_setup_error():
         return checked(data, Acceptance, "acceptance file", file)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Annotated
 
@@ -124,8 +123,3 @@ SHEETS: MappingProxyType[str, Specification] = MappingProxyType(
     }
 )
 """Data sheets that were read, by name; any other is a table `[specification]` of the file."""
-
-
-def names() -> Sequence[str]:
-    """The data sheets that are built in."""
-    return tuple(SHEETS)

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Mapping
 from pathlib import Path
 
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import RecordError, as_setup_error
 from ltsim.recording.files import check_name, comma_number, read_text, shown
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section
 
@@ -38,10 +38,8 @@ class Point(Section):
 
 def read_points(path: Path) -> tuple[Point, ...]:
     """The points of a CSV file; raises SetupError."""
-    try:
+    with as_setup_error():
         return _points(path)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
 
 
 def _points(path: Path) -> tuple[Point, ...]:

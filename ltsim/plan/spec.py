@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from ltsim.effects import CATALOGUE
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import SetupError, as_setup_error
 from ltsim.plan.floor import Floor
 from ltsim.plan.hall import TABLES, USUAL_HEIGHT_MM, hall_scenario, with_points
 from ltsim.plan.points import Point, read_points
@@ -280,18 +280,14 @@ def _near(name: str) -> str:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
+    with as_setup_error():
         return read_toml(path, "plan")
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
 
 
 def plan_from(data: dict[str, Any], file: object) -> PlanFile:
     """Check the tables of a plan; `file` is named in errors."""
-    try:
+    with as_setup_error():
         return checked(data, PlanFile, "plan", file)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
 
 
 def _check(made: PlanFile, scenario: Scenario, file: object) -> None:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import RecordError, as_setup_error
 from ltsim.recording.files import check_name, read_text, shown
 from ltsim.recording.setup import Instrument, Setup
 
@@ -71,10 +71,8 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
 
 def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
     """A file that a person wrote, checked against its model; raises SetupError."""
-    try:
+    with as_setup_error():
         return checked(read_toml(path, kind), model, kind, path)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
 
 
 def _one_line(problem: Exception) -> str:

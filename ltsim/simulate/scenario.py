@@ -8,7 +8,7 @@ from typing import Any, Literal, NoReturn
 
 from pydantic import Field
 
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import SetupError, as_setup_error
 from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import checked, read_toml, to_toml
@@ -95,19 +95,15 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     path, name = Path(name_or_path), str(name_or_path)
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
-    try:
+    with as_setup_error():
         data = read_toml(path, "scenario")
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
     return scenario_from(data, path)
 
 
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
-    try:
+    with as_setup_error():
         scenario = checked(_with_presets(data), Scenario, "scenario", file)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
     _check(scenario, file)
     return _with_files_beside(in_use(scenario, file), file)
 
@@ -219,10 +215,8 @@ def _check_names(scenario: Scenario, file: Path, refuse: Refuse) -> None:
             refuse("gauge.targets", f"names '{shown(name)}' twice, or it is a target of the mesh too")
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
-            try:
+            with as_setup_error():
                 check_name(name, kind, file=file)
-            except RecordError as problem:
-                raise SetupError(str(problem)) from None
 
 
 def _check_instruments(scenario: Scenario, refuse: Refuse) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import as_setup_error
 from ltsim.recording.settings import checked, load_settings
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
 
@@ -202,7 +202,5 @@ def load_tasks(path: Path) -> Tasks:
 
 def tasks_from(data: Mapping[str, Any], file: object) -> Tasks:
     """Check the tables of a task file; `file` is named in errors (raises SetupError)."""
-    try:
+    with as_setup_error():
         return checked(data, Tasks, "task file", file)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
