@@ -232,6 +232,11 @@ def _share(test: TestEntry, *, predicted: bool) -> float:
     return (abs(test.error_um) + margin) / test.limit_um
 
 
+def passes_words(content: AcceptanceFile, chance: float) -> str:
+    """A chance to pass, or whether errors that were found keep their limits."""
+    return f"{100 * chance:.1f} %" if content.kind == "predicted" else "yes" if chance == 1 else "no"
+
+
 def write_acceptance(content: AcceptanceFile, folder: Path) -> AcceptanceFile:
     """Write accept.json and accept.csv (a row a test) into a folder; give what was written.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -12,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.acceptance.specification import Specification
-from ltsim.acceptance.tests import Test
+from ltsim.acceptance.tests import Test, number_of, rows_of
 from ltsim.adjust import adjust
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError, unknown_name
-from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
+from ltsim.geometry.polar import across_beam, from_polar
 from ltsim.model.construction import stated_construction
-from ltsim.recording.files import read_text, shown
+from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
 
@@ -55,19 +53,18 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Fou
     SetupError
         When a test is none of the plan or stands there twice, or a field is no number.
     """
-    reader = csv.DictReader(io.StringIO(read_text(file)), restval="")
-    missing = [name for name in ("test", "error_um") if name not in (reader.fieldnames or ())]
-    if missing:
-        raise SetupError(f"{file}: there is no column {missing[0]}; expected test,error_um,U_um")
     place = {test.name: i for i, test in enumerate(tests)}
     found: dict[str, Found] = {}
-    for number, row in enumerate(reader, start=1):
+    for number, row in enumerate(rows_of(file, ("test", "error_um"), ("U_um",)), start=1):
         name = row["test"].strip()
         if name not in place:
             raise SetupError(f"{file}: row {number}: {unknown_name('test', name, place)}")
         if name in found:
             raise SetupError(f"{file}: row {number}: test '{shown(name)}' stands there twice; give its largest error")
-        numbers = [_number(row.get(c) or "", c, number, file) for c in ("error_um", "U_um")]
+        numbers = [
+            number_of(row, column, number, file, "micrometres") if (row.get(column) or "").strip() else float("nan")
+            for column in ("error_um", "U_um")
+        ]
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {number}: error_um is empty, expected micrometres")
         i = place[name]
@@ -75,13 +72,6 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Fou
     if not found:
         raise SetupError(f"{file}: holds no error, expected a row a test")
     return list(found.values())
-
-
-def _number(text: str, column: str, row: int, file: Path) -> float:
-    try:
-        return float(text) if text.strip() else float("nan")
-    except ValueError:
-        raise SetupError(f"{file}: row {row}: {column} is '{shown(text)}', expected micrometres") from None
 
 
 def by_network(recording: Recording, specification: Specification) -> list[Found]:
@@ -113,7 +103,7 @@ def by_network(recording: Recording, specification: Specification) -> list[Found
         errors += _lengths(station, recording.targets, front or back, points, covariance, specification)
         both = sorted(front.keys() & back.keys())
         for t in both:
-            error = _across(front[t] - back[t], front[t])
+            error = float(np.linalg.norm(across_beam((front[t] - back[t])[None], front[t][None])))
             limit = float(specification.of_two_faces(front[t][None])[0])
             errors.append(Found(f"{station}: {recording.targets[t]}", "two-face", error, limit))
     if not errors:
@@ -153,9 +143,3 @@ def _lengths(
         Found(name, f"lengths from {station}", float(e), float(m), float(u))
         for name, e, m, u in zip(named, error, limit, expanded, strict=True)
     ]
-
-
-def _across(gap: Floats, point: Floats) -> float:
-    polar = to_polar(point[None])
-    _, left, up = unit_vectors(polar[:, 1], polar[:, 2])
-    return float(np.hypot(gap @ left[0], gap @ up[0]))

@@ -10,8 +10,8 @@ import numpy as np
 from ltsim.acceptance.specification import Specification
 from ltsim.acceptance.tests import Test
 from ltsim.arrays import Bools, Floats
-from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
-from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
+from ltsim.geometry.rigid import less_rigid
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.recording.setup import Noise
@@ -62,9 +62,7 @@ class Plan:
         far = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), values))
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far - seen, axis=1) - np.linalg.norm(second - first, axis=1)
-        left, up = _across(first)
-        gap = np.stack([np.einsum("ki,ki->k", seen - far, way) for way in (left, up)], axis=1)
-        errors[~self.is_length] = gap[~self.is_length]
+        errors[~self.is_length] = across_beam(seen - far, first)[~self.is_length]
         return errors
 
     @cached_property
@@ -207,14 +205,7 @@ def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats
         for s in np.diag(scale)
     ]
     moved = np.stack([c.ravel() for c in columns], axis=1)
-    rigid, _ = np.linalg.qr(rigid_motion(points, points.mean(axis=0)))
-    return moved - rigid @ (rigid.T @ moved)
-
-
-def _across(points: Floats) -> tuple[Floats, Floats]:
-    polar = to_polar(points)
-    _, left, up = unit_vectors(polar[:, 1], polar[:, 2])
-    return left, up
+    return less_rigid(moved, points - points.mean(axis=0))
 
 
 def _root(covariance: Floats) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -117,14 +117,28 @@ def read_tests(file: Path) -> list[Test]:
     SetupError
         One sentence: row, column, what was found, what would be right.
     """
-    reader = csv.DictReader(io.StringIO(read_text(file)), restval="")
-    missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-    if missing:
-        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join(COLUMNS)}")
-    tests = [_test(row, number, file) for number, row in enumerate(reader, start=1)]
+    tests = [_test(row, number, file) for number, row in enumerate(rows_of(file, COLUMNS), start=1)]
     if not tests:
         raise SetupError(f"{file}: holds no test, expected a row for each")
     return tests
+
+
+def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[dict[str, str]]:
+    """The rows of a CSV that a person wrote, with the columns that are `needed`; raises SetupError."""
+    reader = csv.DictReader(io.StringIO(read_text(file)), restval="")
+    missing = [name for name in needed if name not in (reader.fieldnames or ())]
+    if missing:
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *further])}")
+    return list(reader)
+
+
+def number_of(row: Mapping[str, str], column: str, number: int, file: Path, unit: str) -> float:
+    """The number in a cell of row `number`; raises SetupError."""
+    text = row[column]
+    try:
+        return float(text)
+    except ValueError:
+        raise SetupError(f"{file}: row {number}: {column} is '{shown(text)}', expected {unit}") from None
 
 
 def _test(row: dict[str, str], number: int, file: Path) -> Test:
@@ -140,14 +154,7 @@ def _test(row: dict[str, str], number: int, file: Path) -> Test:
 
 
 def _point(row: dict[str, str], end: str, number: int, file: Path) -> tuple[float, float, float]:
-    values = []
-    for axis in "xyz":
-        column = f"{axis}{end}_mm"
-        try:
-            values.append(float(row[column]) / 1000)
-        except ValueError:
-            found = shown(row[column])
-            raise SetupError(f"{file}: row {number}: {column} is '{found}', expected millimetres") from None
+    values = [number_of(row, f"{axis}{end}_mm", number, file, "millimetres") / 1000 for axis in "xyz"]
     if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
         raise SetupError(f"{file}: row {number}: point {end} is on the instrument's own axis, which has no azimuth")
     return values[0], values[1], values[2]

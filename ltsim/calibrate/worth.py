@@ -26,7 +26,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Correction
 from ltsim.calibrate.held_out import unheld
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import less_rigid
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
 CONTRADICTS = 3.32
@@ -180,10 +180,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
         instrument = int(recording.instrument[rows[0]])
         readings, values = recording.readings[rows], state.instrument[instrument]
         points, _, by_value = adjustment.construction.linearised(readings, values)
-        motion = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), -cross_matrix(points)], axis=2).reshape(-1, 6)
-        basis = np.linalg.qr(motion)[0]
-        error = by_value.reshape(-1, size)
-        error = error - basis @ (basis.T @ error)
+        error = less_rigid(by_value.reshape(-1, size), points)
         own = slice(instrument * size, (instrument + 1) * size)
         total[own, own] += error.T @ error
     return total / max(int(whole.sum()), 1)

@@ -23,7 +23,7 @@ from ltsim.campaign.kernels import network_gradient
 from ltsim.campaign.program import ChainProgram
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import pose_design
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
@@ -149,7 +149,7 @@ class BatchNetwork:
         recording, state = self.recording, self.state
         by_target = known.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
         arm = state.points[recording.target] - state.position[recording.station]
-        by_pose = np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
+        by_pose = pose_design(by_target, arm)
         return Prediction(recording.readings, by_pose, by_target, known.by_value, np.zeros((len(recording), 3, 0)))
 
     @cached_property

@@ -42,18 +42,18 @@ def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal:
 
 def show(terminal: Terminal, content: AcceptanceFile) -> None:
     """The answer, a line a group, and what the tests are blind to."""
-    predicted = content.kind == "predicted"
+    from ltsim.acceptance.files import passes_words
+
     terminal.say(content.sentence)
     if content.assumption:
         terminal.say(f"assumed: {content.assumption}")
     rows = [
-        [g.name, str(g.tests), _passes(g.passes, predicted=predicted), f"{100 * g.largest_share:.0f} %"]
+        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
         for g in content.groups
     ]
     terminal.say("")
-    terminal.say(
-        table(["tests", "number", "passed", "error + U over limit" if predicted else "error over limit"], rows, left=1)
-    )
+    share = "error + U over limit" if content.kind == "predicted" else "error over limit"
+    terminal.say(table(["tests", "number", "passed", share], rows, left=1))
     worst = content.worst_passing
     if worst is not None:
         blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
@@ -63,9 +63,3 @@ def show(terminal: Terminal, content: AcceptanceFile) -> None:
             f"an instrument can pass every test and still place points {worst.rms_um:.0f} um off "
             f"({worst.largest_um:.0f} um at most), 1.5 to 9 m away"
         )
-
-
-def _passes(chance: float, *, predicted: bool) -> str:
-    if predicted:
-        return f"{100 * chance:.1f} %"
-    return "yes" if chance == 1 else "no"

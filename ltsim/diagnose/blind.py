@@ -11,7 +11,7 @@ from ltsim.arrays import Floats
 from ltsim.diagnose.cards import Cards
 from ltsim.diagnose.diagnosis import Undetectable
 from ltsim.effects.effect import Effect
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.remedies.detectability import MinimalSize, information_left, seen_from, thinned
 from ltsim.remedies.words import advice
 
@@ -74,8 +74,6 @@ def _hidden_error(space: ResidualSpace, effect: Effect, values: Floats) -> float
     shift = space.signature(effect) @ values
     change = adjustment.factor.covariance_columns((system.design.T @ shift)[:, None])[:, 0]
     moved = change[unknowns.target].ravel()
-    points = adjustment.state.points - adjustment.state.points.mean(axis=0)
-    rigid = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrix(points)], axis=2)
-    motion = rigid.reshape(-1, 6)
+    motion = rigid_motion(adjustment.state.points, adjustment.state.points.mean(axis=0))
     rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
     return float(1e6 * np.sqrt(3 * np.mean(rest**2)))

@@ -4,7 +4,8 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_face, to_polar, wrap
-from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
+from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.scene.sightings import Sightings
 
 
@@ -28,7 +29,7 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
 def station_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the raw readings per unit of the same motion, first order."""
     arm = sightings.points[sightings.target] - sightings.position[sightings.station]
-    return np.concatenate([-sightings.by_target, sightings.by_target @ cross_matrix(arm)], axis=2)
+    return pose_design(sightings.by_target, arm)
 
 
 def reading_change(sightings: Sightings, local: Floats) -> Floats:

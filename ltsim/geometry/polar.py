@@ -49,6 +49,13 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
     return beam, left, up
 
 
+def across_beam(vectors: Floats, points: Floats) -> Floats:
+    """Left and up parts (n, 2) of vectors (n, 3) as seen from the origin towards points (n, 3)."""
+    _, azimuth, elevation = to_polar(points).T
+    _, left, up = unit_vectors(azimuth, elevation)
+    return side_by_side(np.einsum("ni,ni->n", vectors, left), np.einsum("ni,ni->n", vectors, up))
+
+
 def polar_jacobian(polar: Floats, face: Ints) -> Floats:
     """Derivative (n, 3, 3) of the raw readings on `face` by the point's coordinates, at front-face `polar`.
 

@@ -17,6 +17,25 @@ def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
+def less_rigid(displacement: Floats, points: Floats) -> Floats:
+    """Displacements (3 k, c) of points (k, 3) less what a shift and a turn of all of them makes of each column."""
+    basis = np.linalg.qr(rigid_motion(points))[0]
+    return displacement - basis @ (basis.T @ displacement)
+
+
+def pose_design(by_target: Floats, arm: Floats) -> Floats:
+    """Derivative (n, 3, 6) of readings by translation and rotation of their station, network frame.
+
+    Parameters
+    ----------
+    by_target : (n, 3, 3) float
+        Derivative by the target.
+    arm : (n, 3) float, [m]
+        From the station to the target.
+    """
+    return np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
+
+
 def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None) -> Bools:
     """Whether (...) the targets that each station sees hold its six motions, as geometry alone decides.
 

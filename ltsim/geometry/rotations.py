@@ -16,6 +16,14 @@ def cross_matrix(vectors: Floats) -> Floats:
     return found
 
 
+def perpendicular(vectors: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (n, 3) at right angles to each of the unit vectors (n, 3) and to each other."""
+    helper = np.where(np.abs(vectors[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(vectors, helper)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return side, np.cross(vectors, side)
+
+
 def from_rotation_vector(vectors: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     from scipy.spatial.transform import Rotation  # slow to load

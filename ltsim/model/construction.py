@@ -313,6 +313,11 @@ def every_parameter_name() -> frozenset[str]:
     return frozenset(name for one_of in built for name in one_of.names)
 
 
+def of_design(design: str) -> Construction:
+    """The construction of an instrument whose set-up states where its beam comes from."""
+    return steering_mirror() if design == "steering-mirror" else misalignment()
+
+
 def stated_construction(recording: Recording) -> Construction:
     """The construction that a recording's set-up states: where the beam comes from in its instruments.
 
@@ -326,4 +331,4 @@ def stated_construction(recording: Recording) -> Construction:
         mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
         message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
         raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
-    return steering_mirror() if "steering-mirror" in designs.values() else misalignment()
+    return of_design(next(iter(designs.values()), ""))

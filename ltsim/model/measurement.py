@@ -9,7 +9,8 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
-from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
+from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import Construction
 from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
@@ -191,7 +192,7 @@ class MeasurementModel:
             sightings = self._completed(sightings, state, raw)
         by_point, by_instrument = self.construction.reading_design(raw, values)
         by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
-        by_pose = np.concatenate([-by_target, by_target @ cross_matrix(sightings.arm)], axis=2)
+        by_pose = pose_design(by_target, sightings.arm)
         by_extra = self._extra_design(sightings)
         for effect, extra in zip(self.effects, self._split(state.extra), strict=True):
             raw = raw + effect.shift(sightings, extra)

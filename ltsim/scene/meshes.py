@@ -19,7 +19,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
-from ltsim.geometry.rotations import about_z
+from ltsim.geometry.rotations import about_z, perpendicular
 from ltsim.scene import exact
 from ltsim.units import FACTOR
 
@@ -91,10 +91,7 @@ class Obstacles:
 
 def _bundle(beam: Floats) -> list[Floats]:
     """Offsets (n, 3) [m] to four parallel rays around each beam (n, 3)."""
-    helper = np.where(np.abs(beam[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    side = np.cross(beam, helper)
-    side *= GRAZE / np.linalg.norm(side, axis=1, keepdims=True)
-    other = np.cross(beam, side)
+    side, other = (GRAZE * way for way in perpendicular(beam))
     return [side, -side, other, -other]
 
 

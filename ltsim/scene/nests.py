@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
+from ltsim.geometry.rotations import perpendicular
 from ltsim.randomness import stream
 from ltsim.scene.meshes import Obstacles
 
@@ -65,10 +66,7 @@ def _drawn(body: Floats, apart: float) -> tuple[Floats, Floats]:
 
 def _flat(own: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
     """(n,): around the foot of a nest the surface lies where the nest needs it."""
-    helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    side = np.cross(normal, helper)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    other = np.cross(normal, side)
+    side, other = perpendicular(normal)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
         rim = places + FOOT * shift

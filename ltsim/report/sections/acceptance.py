@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltsim.acceptance.files import AcceptanceFile
+from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Block, Fact, Section, Table, mood, picture
@@ -20,7 +20,6 @@ def acceptance_section(folder: Path) -> Section:
     """The section of a folder with `accept.json`; raises RecordError."""
     content = read_result(folder, AcceptanceFile)
     predicted = content.kind == "predicted"
-    passes = f"{100 * content.passes:.1f} %" if predicted else ("yes" if content.passes == 1 else "no")
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
     caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at ±1."
     blocks: list[Block] = [picture("Errors over limits", shares_of_limits(content), caption), _groups(content)]
@@ -34,7 +33,7 @@ def acceptance_section(folder: Path) -> Section:
         mood=good,
         facts=[
             Fact("tests", str(len(content.tests))),
-            Fact("chance to pass" if predicted else "passed", passes, good),
+            Fact("chance to pass" if predicted else "passed", passes_words(content, content.passes), good),
             Fact("plan", content.plan),
             *([Fact("limits", content.specification.name)] if content.specification.name else []),
         ],
@@ -43,11 +42,7 @@ def acceptance_section(folder: Path) -> Section:
 
 
 def _groups(content: AcceptanceFile) -> Table:
-    predicted = content.kind == "predicted"
-    rows = [
-        [g.name, str(g.tests), f"{100 * g.passes:.1f} %" if predicted else ("yes" if g.passes == 1 else "no")]
-        for g in content.groups
-    ]
+    rows = [[g.name, str(g.tests), passes_words(content, g.passes)] for g in content.groups]
     note = f"assumed: {content.assumption}" if content.assumption else ""
     return Table("Groups", ["tests", "number", "all pass"], rows, text_columns=1, note=note)
 
@@ -84,7 +79,7 @@ def _tests(content: AcceptanceFile) -> Table:
             style.fixed(t.error_um, 1),
             "–" if t.expanded_um is None else style.fixed(t.expanded_um, 1),
             style.fixed(t.limit_um, 1),
-            f"{100 * t.passes:.1f} %" if predicted else ("yes" if t.passes == 1 else "no"),
+            passes_words(content, t.passes),
         ]
         for t in ranked
     ]
