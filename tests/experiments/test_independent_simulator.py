@@ -21,8 +21,9 @@ from ltsim.model.measurement import MeasurementModel, State, sightings_of
 from ltsim.randomness import stream
 
 PLACE = "experiments.20_concealed_physics.concealed."
-hall_of, known, laws, made, network, tracker = (
-    import_module(f"{PLACE}independent.{name}") for name in ("hall", "known", "laws", "make", "network", "tracker")
+causes, hall_of, known, laws, made, network, tracker = (
+    import_module(f"{PLACE}independent.{name}")
+    for name in ("cause", "hall", "known", "laws", "make", "network", "tracker")
 )
 plan, conceal = import_module(f"{PLACE}plan"), import_module(f"{PLACE}conceal")
 ALLOWED = {"numpy", "scipy", "ltsim.recording"}
@@ -139,7 +140,7 @@ def test_every_law_acts_and_says_how_it_is_told() -> None:
                 continue
             parts = {k: v for k, v in vars(cause.change).items() if v is not None}
             assert parts and all(np.isfinite(v).all() for v in parts.values())
-            assert cause.drivers and laws.CARRIERS[cause.carrier]
+            assert cause.drivers and causes.CARRIERS[cause.carrier]
             assert set(cause.stations) <= set(hall.stations) and set(cause.targets) <= set(hall.targets)
             if any(v.any() for v in parts.values()):
                 missing.discard(name)
@@ -183,7 +184,7 @@ def test_carrier_and_driver_are_right_in_the_words_of_the_law(
     effect: str, carrier: str, driver: str, right: tuple[bool, bool]
 ) -> None:
     score = import_module(f"{PLACE}score")
-    told_as = {"carrier": laws.CARRIERS["station"], "driver": ("press_load_kn", "load", "time")}
+    told_as = {"carrier": causes.CARRIERS["station"], "driver": ("press_load_kn", "load", "time")}
     finding = {"effect": effect, "carrier": carrier, "driver": driver, "where": {"covariates": []}}
     told = score._explained(told_as, finding)
     assert (told["right_carrier"], told["right_driver"]) == right

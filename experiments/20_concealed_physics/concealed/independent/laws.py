@@ -1,102 +1,12 @@
-"""The sixth set of laws that are in no catalogue: 24 causes, what each turns or moves, what that follows, and where.
-
-Each law draws its constants and gives what it does to every pointing at size one (a micrometre, a microradian, or the
-stated variance once more). A hall without the column or the second tracker that it needs raises LookupError.
-"""
+"""The sixth set of laws that are in no catalogue: 24 causes, what each turns or moves, what that follows, and where."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
+from .cause import MICRO, OUT, UP, Cause, Draw, Law, group, level, one_station, reading, vary, walk, windows
 from .hall import LOAD, WARMTH, Hall
-from .tracker import CONSTANTS, Array, Change, within_a_turn
-
-MICRO = 1e-6
-UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-"""Upwards, and away from the wall."""
-Draw = np.random.Generator
-CARRIERS = {
-    "distance": ("distance", "range"),
-    "azimuth": ("azimuth",),
-    "elevation": ("elevation", "vertical index"),
-    "vertical-index": ("elevation", "vertical index"),
-    "beam-tilt": ("beam tilt",),
-    "transit-tilt": ("transit tilt",),
-    "station": ("stand", "station"),
-    "yaw": ("stand", "station", "azimuth"),
-    "targets": ("target",),
-    "noise": ("noise",),
-}
-"""What is turned or moved: the words of which a finding's carrier has one, if it is right."""
-
-
-@dataclass(frozen=True)
-class Cause:
-    """What was drawn: its doing, where it acts, and what it is in words."""
-
-    change: Change
-    carrier: str
-    """A key of `CARRIERS`."""
-    drivers: tuple[str, ...]
-    """What it follows, in any word of which a finding may say it: the clock that a column went with among them."""
-    observables: tuple[str, ...] = ()
-    """Readings it acts on; empty: all three."""
-    stations: tuple[str, ...] = ()
-    targets: tuple[str, ...] = ()
-    place: str = "everywhere"
-
-
-Law = Callable[[Hall, Draw], Cause]
-
-
-def _reading(h: Hall, column: int, amount: Array) -> Change:
-    """A change of one raw reading by amounts (n,) [um, urad]; the raw elevation of the back face runs backwards."""
-    change = np.zeros((len(h.pointings), 3))
-    change[:, column] = MICRO * amount
-    if column == 2:
-        change[h.pointings.face == 2, 2] *= -1
-    return Change(reading=change)
-
-
-def _vary(h: Hall, constant: str, amount: Array) -> Change:
-    """A constant of the tracker that varies by amounts (n,) [um, urad]."""
-    change = np.zeros((len(h.pointings), len(CONSTANTS)))
-    change[:, CONSTANTS.index(constant)] = MICRO * amount
-    return Change(constants=change)
-
-
-def _one_station(h: Hall, rng: Draw) -> tuple[str, Array]:
-    """A station and where it is the one that measures (n,)."""
-    s = int(rng.integers(len(h.stations)))
-    return h.stations[s], (h.pointings.station == s).astype(np.float64)
-
-
-def _group(h: Hall, name: str) -> tuple[tuple[str, ...], Array]:
-    """Names of a group's targets, and the pointings (n,) to them."""
-    inside = np.isin(h.pointings.target, h.groups[name])
-    return tuple(h.targets[t] for t in sorted(h.groups[name])), inside.astype(np.float64)
-
-
-def _windows(h: Hall, rng: Draw) -> Array:
-    """(n,) 1 while a machine runs that works for a part of every cycle."""
-    cycle, share = rng.uniform(900.0, 2400.0), rng.uniform(0.3, 0.6)
-    return (np.mod(h.pointings.time + rng.uniform(0.0, cycle), cycle) < share * cycle).astype(np.float64)
-
-
-def _level(rng: Draw) -> Array:
-    """(3,) A level direction."""
-    angle = rng.uniform(-np.pi, np.pi)
-    return np.array([np.cos(angle), np.sin(angle), 0.0])
-
-
-def _walk(h: Hall, rng: Draw) -> Array:
-    """(n,) a random walk from pointing to pointing with a variance of one at the end of the work."""
-    n = len(h.pointings)
-    return np.cumsum(rng.standard_normal(n)) / np.sqrt(n)
-
+from .tracker import Change, within_a_turn
 
 # Range
 
@@ -104,17 +14,17 @@ def _walk(h: Hall, rng: Draw) -> Array:
 def detector_memory(h: Hall, rng: Draw) -> Cause:
     """The detector's gain is slow: after a far target the light of a near one is too bright for a while."""
     amount = h.since_before(np.log(h.pointings.seen[:, 0]))
-    return Cause(_reading(h, 0, amount), "distance", ("move", "before", "approach", "distance"), ("distance",))
+    return Cause(reading(h, 0, amount), "distance", ("move", "before", "approach", "distance"), ("distance",))
 
 
 def compressor(h: Hall, rng: Draw) -> Cause:
     """A compressor runs for a part of every half hour, and its motor's field offsets the phase meter."""
-    return Cause(_reading(h, 0, _windows(h, rng)), "distance", ("time",), ("distance",))
+    return Cause(reading(h, 0, windows(h, rng)), "distance", ("time",), ("distance",))
 
 
 def faint_light(h: Hall, rng: Draw) -> Cause:
     """The phase meter reads strong light longer than weak light: the error falls with the light, by 1/d2."""
-    return Cause(_reading(h, 0, (h.pointings.seen[:, 0] / 3.0) ** -2.0), "distance", ("distance",), ("distance",))
+    return Cause(reading(h, 0, (h.pointings.seen[:, 0] / 3.0) ** -2.0), "distance", ("distance",), ("distance",))
 
 
 def bent_meter_of_one(h: Hall, rng: Draw) -> Cause:
@@ -123,7 +33,7 @@ def bent_meter_of_one(h: Hall, rng: Draw) -> Cause:
     amount = mine * (h.pointings.seen[:, 0] - 5.0) ** 2
     at = tuple(np.array(h.stations)[np.unique(h.pointings.station[mine])])
     return Cause(
-        _reading(h, 0, amount), "distance", ("distance",), ("distance",), at, place=f"instrument {h.trackers[1]}"
+        reading(h, 0, amount), "distance", ("distance",), ("distance",), at, place=f"instrument {h.trackers[1]}"
     )
 
 
@@ -131,7 +41,7 @@ def mode_hops(h: Hall, rng: Draw) -> Cause:
     """The laser hops between two modes at times nobody knows, and the zero of the ranges with it."""
     hops = np.sort(rng.uniform(h.pointings.time[0], h.pointings.time[-1], int(rng.integers(5, 12))))
     high = np.searchsorted(hops, h.pointings.time) % 2
-    return Cause(_reading(h, 0, high.astype(np.float64)), "distance", ("time", "jumps"), ("distance",))
+    return Cause(reading(h, 0, high.astype(np.float64)), "distance", ("time", "jumps"), ("distance",))
 
 
 # Azimuth
@@ -140,20 +50,20 @@ def mode_hops(h: Hall, rng: Draw) -> Cause:
 def cable_wind_up(h: Hall, rng: Draw) -> Cause:
     """The head winds its cable round the column: its pull grows with the turns made since the set-up."""
     amount = np.tanh(h.wound / rng.uniform(4.0, 9.0))
-    return Cause(_reading(h, 1, amount), "azimuth", ("order", "wound", "turn", "approach", "azimuth"), ("azimuth",))
+    return Cause(reading(h, 1, amount), "azimuth", ("order", "wound", "turn", "approach", "azimuth"), ("azimuth",))
 
 
 def stiff_grease(h: Hall, rng: Draw) -> Cause:
     """The bearing's grease is stiff after the move to a new set-up and turns soft with use, pointing by pointing."""
     amount = 1.0 / (1.0 + h.turn_of_work / rng.uniform(2.0, 8.0))
-    return Cause(_reading(h, 1, amount), "azimuth", ("order", "time"), ("azimuth",))
+    return Cause(reading(h, 1, amount), "azimuth", ("order", "time"), ("azimuth",))
 
 
 def scratched_circle(h: Hall, rng: Draw) -> Cause:
     """The circle has a scratch: along a sector the error climbs, and at its end it falls back at once."""
     width, start = rng.uniform(0.4, 1.2), rng.uniform(-np.pi, np.pi)
     along = np.mod(h.pointings.readings()[:, 1] - start, 2 * np.pi) / width
-    return Cause(_reading(h, 1, np.where(along < 1, along, 0.0)), "azimuth", ("azimuth",), ("azimuth",))
+    return Cause(reading(h, 1, np.where(along < 1, along, 0.0)), "azimuth", ("azimuth",), ("azimuth",))
 
 
 # Elevation
@@ -163,7 +73,7 @@ def hose_at_its_stop(h: Hall, rng: Draw) -> Cause:
     """A hose reaches its stop when the scope looks up, and pulls the harder the farther up it looks."""
     limit = np.quantile(h.pointings.seen[:, 2], rng.uniform(0.4, 0.7))
     amount = np.maximum(h.pointings.seen[:, 2] - limit, 0.0) ** 1.5
-    return Cause(_reading(h, 2, amount), "elevation", ("elevation",), ("elevation",))
+    return Cause(reading(h, 2, amount), "elevation", ("elevation",), ("elevation",))
 
 
 def thermostat(h: Hall, rng: Draw) -> Cause:
@@ -171,19 +81,19 @@ def thermostat(h: Hall, rng: Draw) -> Cause:
     period, late = rng.uniform(500.0, 1500.0), rng.uniform(0.1, 0.3)
     phase = np.mod(h.pointings.time / period + rng.random(), 1.0)
     up, down = 1 - np.exp(-phase / late), np.exp(-(phase - 0.5) / late)
-    return Cause(_reading(h, 2, np.where(phase < 0.5, up, down)), "elevation", ("time",), ("elevation",))
+    return Cause(reading(h, 2, np.where(phase < 0.5, up, down)), "elevation", ("time",), ("elevation",))
 
 
 def loose_clamp(h: Hall, rng: Draw) -> Cause:
     """The clamp of the elevation circle's head is loose: with every move it slips a little, this way or that."""
-    return Cause(_reading(h, 2, _walk(h, rng)), "elevation", ("time", "order", "walk"), ("elevation",))
+    return Cause(reading(h, 2, walk(h, rng)), "elevation", ("time", "order", "walk"), ("elevation",))
 
 
 def index_of_one_with_warmth(h: Hall, rng: Draw) -> Cause:
     """The second tracker has no compensation: its vertical index follows the warmth of the hall."""
     mine = h.pointings.tracker == 1
     at = tuple(np.array(h.stations)[np.unique(h.pointings.station[mine])])
-    change = _vary(h, "vertical-index", mine * h.warmth)
+    change = vary(h, "vertical-index", mine * h.warmth)
     return Cause(
         change,
         "vertical-index",
@@ -201,12 +111,12 @@ def laser_tires(h: Hall, rng: Draw) -> Cause:
     """The glue of a prism creeps under its spring: the beam's tilt runs off with the logarithm of the time."""
     since = h.pointings.time - h.pointings.time[0]
     amount = np.log1p(since / rng.uniform(300.0, 1200.0))
-    return Cause(_vary(h, "beam-tilt", amount), "beam-tilt", ("time",), ("azimuth",))
+    return Cause(vary(h, "beam-tilt", amount), "beam-tilt", ("time",), ("azimuth",))
 
 
 def trunnion_with_warmth(h: Hall, rng: Draw) -> Cause:
     """One of the two uprights is nearer to the motor: the transit axis tips as the hall gets warmer."""
-    return Cause(_vary(h, "transit-tilt", h.warmth), "transit-tilt", (WARMTH, "temperature", "time"), ("azimuth",))
+    return Cause(vary(h, "transit-tilt", h.warmth), "transit-tilt", (WARMTH, "temperature", "time"), ("azimuth",))
 
 
 # Poses
@@ -214,14 +124,14 @@ def trunnion_with_warmth(h: Hall, rng: Draw) -> Cause:
 
 def floor_under_a_press(h: Hall, rng: Draw) -> Cause:
     """A press stands on the slab of one station; as its load comes and goes, the slab and the station lean."""
-    name, here = _one_station(h, rng)
-    turn = MICRO * (here * h.load)[:, None] * _level(rng)
+    name, here = one_station(h, rng)
+    turn = MICRO * (here * h.load)[:, None] * level(rng)
     return Cause(Change(turn=turn), "station", (LOAD, "load", "time"), stations=(name,), place=name)
 
 
 def sun_on_a_tripod(h: Hall, rng: Draw) -> Cause:
     """The sun comes through a window for part of a set-up and turns the tripod, which cools down afterwards."""
-    name, here = _one_station(h, rng)
+    name, here = one_station(h, rng)
     times = h.pointings.time[here > 0]
     start, width = rng.uniform(times[0], times[-1]), rng.uniform(0.2, 0.5) * np.ptp(times)
     amount = here * np.exp(-(((h.pointings.time - start) / width) ** 2))
@@ -243,8 +153,8 @@ def sinking_slab(h: Hall, rng: Draw) -> Cause:
 
 def weak_leg(h: Hall, rng: Draw) -> Cause:
     """One stand is weak in one direction: the head, out of balance, pushes it there and back as it turns."""
-    name, here = _one_station(h, rng)
-    weak = _level(rng)
+    name, here = one_station(h, rng)
+    weak = level(rng)
     beam = h.pointings.arm / np.sqrt((h.pointings.arm**2).sum(axis=1))[:, None]
     shift = MICRO * (here * (beam @ weak))[:, None] * weak
     return Cause(Change(station=shift), "station", ("azimuth",), stations=(name,), place=name)
@@ -255,7 +165,7 @@ def weak_leg(h: Hall, rng: Draw) -> Cause:
 
 def wall_as_a_door(h: Hall, rng: Draw) -> Cause:
     """A light wall leans about its foot as the hall gets warmer: its reflectors move by their height."""
-    names, here = _group(h, "wall")
+    names, here = group(h, "wall")
     height = h.pointings.points[h.pointings.target, 2]
     moved = MICRO * (here * height * h.warmth)[:, None] * OUT
     return Cause(Change(target=moved), "targets", (WARMTH, "temperature", "time"), targets=names, place="wall")
@@ -263,7 +173,7 @@ def wall_as_a_door(h: Hall, rng: Draw) -> Cause:
 
 def table_tips(h: Hall, rng: Draw) -> Cause:
     """The table of a machine tips under its load: the reflectors on it sink by their distance from its edge."""
-    names, here = _group(h, "table")
+    names, here = group(h, "table")
     across = h.pointings.points[h.pointings.target, 0] - h.pointings.points[h.groups["table"], 0].min()
     moved = -MICRO * (here * across * h.load**2)[:, None] * UP
     return Cause(Change(target=moved), "targets", (LOAD, "load", "time"), targets=names, place="table")
@@ -271,7 +181,7 @@ def table_tips(h: Hall, rng: Draw) -> Cause:
 
 def lorry(h: Hall, rng: Draw) -> Cause:
     """A lorry stands in the hall for a while: the floor round it goes down in a bowl, and the reflectors with it."""
-    names, here = _group(h, "floor")
+    names, here = group(h, "floor")
     start, stop = np.sort(rng.uniform(h.pointings.time[0], h.pointings.time[-1], 2))
     centre = h.pointings.points[rng.choice(h.groups["floor"])]
     gap = np.sqrt(((h.pointings.points - centre)[:, :2] ** 2).sum(axis=1))[h.pointings.target]
@@ -300,8 +210,8 @@ def ringing_head(h: Hall, rng: Draw) -> Cause:
 
 def shaking_gallery(h: Hall, rng: Draw) -> Cause:
     """A gallery shakes while people walk on it, for part of every cycle: what hangs from it is never where it was."""
-    names, here = _group(h, "gallery")
-    variance = np.repeat((here * _windows(h, rng))[:, None], 3, axis=1)
+    names, here = group(h, "gallery")
+    variance = np.repeat((here * windows(h, rng))[:, None], 3, axis=1)
     return Cause(Change(variance=variance), "noise", ("place", "time"), targets=names, place="gallery")
 
 

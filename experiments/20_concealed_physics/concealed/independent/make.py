@@ -11,9 +11,10 @@ from scipy.optimize import brentq
 
 from ltsim.recording import Recording
 
+from .cause import CARRIERS, Cause
 from .hall import LENGTH_SIGMA, Hall, draw_hall
 from .known import KNOWN, Known
-from .laws import CARRIERS, LAWS, Cause
+from .laws import LAWS
 from .network import Network
 from .tracker import NOTHING, Array, Change, within_a_turn
 

@@ -1,0 +1,98 @@
+"""What a law that is in no catalogue says of itself, and what laws are made of: readings, constants, stations, groups.
+
+A law draws its constants and gives what it does to every pointing at size one (a micrometre, a microradian, or the
+stated variance once more). A hall without the column or the second tracker that it needs raises LookupError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .hall import Hall
+from .tracker import CONSTANTS, Array, Change
+
+MICRO = 1e-6
+UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+"""Upwards, and away from the wall."""
+Draw = np.random.Generator
+CARRIERS = {
+    "distance": ("distance", "range"),
+    "azimuth": ("azimuth",),
+    "elevation": ("elevation", "vertical index"),
+    "vertical-index": ("elevation", "vertical index"),
+    "beam-tilt": ("beam tilt",),
+    "transit-tilt": ("transit tilt",),
+    "station": ("stand", "station"),
+    "yaw": ("stand", "station", "azimuth"),
+    "targets": ("target",),
+    "noise": ("noise",),
+}
+"""What is turned or moved: the words of which a finding's carrier has one, if it is right."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What was drawn: its doing, where it acts, and what it is in words."""
+
+    change: Change
+    carrier: str
+    """A key of `CARRIERS`."""
+    drivers: tuple[str, ...]
+    """What it follows, in any word of which a finding may say it: the clock that a column went with among them."""
+    observables: tuple[str, ...] = ()
+    """Readings it acts on; empty: all three."""
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    place: str = "everywhere"
+
+
+Law = Callable[[Hall, Draw], Cause]
+
+
+def reading(h: Hall, column: int, amount: Array) -> Change:
+    """A change of one raw reading by amounts (n,) [um, urad]; the raw elevation of the back face runs backwards."""
+    change = np.zeros((len(h.pointings), 3))
+    change[:, column] = MICRO * amount
+    if column == 2:
+        change[h.pointings.face == 2, 2] *= -1
+    return Change(reading=change)
+
+
+def vary(h: Hall, constant: str, amount: Array) -> Change:
+    """A constant of the tracker that varies by amounts (n,) [um, urad]."""
+    change = np.zeros((len(h.pointings), len(CONSTANTS)))
+    change[:, CONSTANTS.index(constant)] = MICRO * amount
+    return Change(constants=change)
+
+
+def one_station(h: Hall, rng: Draw) -> tuple[str, Array]:
+    """A station and where it is the one that measures (n,)."""
+    s = int(rng.integers(len(h.stations)))
+    return h.stations[s], (h.pointings.station == s).astype(np.float64)
+
+
+def group(h: Hall, name: str) -> tuple[tuple[str, ...], Array]:
+    """Names of a group's targets, and the pointings (n,) to them."""
+    inside = np.isin(h.pointings.target, h.groups[name])
+    return tuple(h.targets[t] for t in sorted(h.groups[name])), inside.astype(np.float64)
+
+
+def windows(h: Hall, rng: Draw) -> Array:
+    """(n,) 1 while a machine runs that works for a part of every cycle."""
+    cycle, share = rng.uniform(900.0, 2400.0), rng.uniform(0.3, 0.6)
+    return (np.mod(h.pointings.time + rng.uniform(0.0, cycle), cycle) < share * cycle).astype(np.float64)
+
+
+def level(rng: Draw) -> Array:
+    """(3,) A level direction."""
+    angle = rng.uniform(-np.pi, np.pi)
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def walk(h: Hall, rng: Draw) -> Array:
+    """(n,) a random walk from pointing to pointing with a variance of one at the end of the work."""
+    n = len(h.pointings)
+    return np.cumsum(rng.standard_normal(n)) / np.sqrt(n)
