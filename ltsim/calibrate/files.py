@@ -255,10 +255,7 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         covariance=covariance,
         held=held.reshape(shape),
         informed=content.informed,
-        effects=tuple(
-            FittedEffect(**dict(e) | {"parameters": tuple(FittedParameter(**dict(p)) for p in e.parameters)})
-            for e in content.effects
-        ),
+        effects=fitted_effects(content),
         correction=_read_correction(content.correction, applied.reshape(shape)),
         fit=Fit(**content.fit.model_dump()),
         undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),
@@ -266,6 +263,14 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         stations=(),
         recording=content.recording,
         notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
+    )
+
+
+def fitted_effects(content: CalibrationFile) -> tuple[FittedEffect, ...]:
+    """Effects that were estimated beside the calibration."""
+    return tuple(
+        FittedEffect(**dict(e) | {"parameters": tuple(FittedParameter(**dict(p)) for p in e.parameters)})
+        for e in content.effects
     )
 
 

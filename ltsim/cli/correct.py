@@ -42,6 +42,9 @@ def correct(
     found = calibration_of(terminal, calibration)
     if not found.names:
         terminal.notes(["this calibration holds no instrument parameters; nothing changes"])
+    if found.effects:
+        beside = ", ".join(effect.effect for effect in found.effects)
+        terminal.notes([f"estimated beside the calibration and not taken out of the readings: {beside}"])
     corrected = lt.correct(recording, found, again=force)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings

@@ -125,6 +125,21 @@ def test_a_calibration_that_lacks_parameters_is_used_with_a_note(source: Path, t
         assert "15 parameters are not in the file and taken as zero" in capsys.readouterr().err
 
 
+def test_an_effect_fitted_beside_is_on_the_page_and_said_to_stay_in_the_readings(
+    source: Path, tmp_path: Path, capsys
+) -> None:
+    fitted = tmp_path / "cal"
+    assert run(["calibrate", str(source), "--with", "air-layer", "--out", str(fitted), "-q"]) == 0
+    assert run(["report", str(fitted), "-q"]) == 0
+    name = json.loads((fitted / "calibration.json").read_text())["effects"][0]["effect"]
+    page = (fitted / "report.html").read_text(encoding="utf-8")
+    assert "Estimated beside the calibration" in page
+    assert f"{name}: " in page
+    capsys.readouterr()
+    assert run(["correct", str(source), "--calibration", str(fitted), "--out", str(tmp_path / "rec3")]) == 0
+    assert f"not taken out of the readings: {name}" in capsys.readouterr().err
+
+
 def test_a_history_of_recordings_treats_each_alike(source: Path, tmp_path: Path, capsys) -> None:
     recording, _ = network(faces=2, seed=9)
     noise = recording.sigma() * np.random.default_rng(3).standard_normal(recording.readings.shape)
