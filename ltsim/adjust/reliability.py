@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize, special
 
 from ltsim.adjust.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.solve.blocks import Factor
 
 FAMILY_LEVEL = 0.01
@@ -99,3 +99,16 @@ def minimal_detectable_bias(
     checked: Bools = problem.use & (redundancy > UNCHECKED)
     bias[checked] = np.sqrt(needed / redundancy[checked]) * problem.sigma[checked]
     return bias
+
+
+def surprise(drop: Floats | float, rank: Ints | int) -> Floats:
+    """Minus the logarithm of the chance of a chi-square above `drop`; 0 for rank 0.
+
+    Where the chance is too small for a float, by the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
+    """
+    a, x = np.maximum(rank, 1) / 2.0, np.maximum(drop, 0.0) / 2.0
+    far = x > 300.0
+    beyond = np.where(far, x, 301.0)
+    tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)
+    near = -np.log(special.gammaincc(a, np.where(far, 0.0, x)))
+    return np.asarray(np.where(np.asarray(rank) > 0, np.where(far, tail, near), 0.0))

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from ltsim.adjust import Adjustment
+from ltsim.adjust.reliability import surprise
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.errors import ModelError
@@ -90,7 +91,7 @@ class FittedEffect:
     @property
     def p_value(self) -> float:
         """Chance of such a fall without the effect, over all that were tried."""
-        return min(1.0, self.tried * float(stats.chi2.sf(self.chi2_drop, self.freedom))) if self.freedom else 1.0
+        return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
 
     @property
     def sentence(self) -> str:
@@ -115,11 +116,7 @@ def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Effect, int, Mapping
     """The instance that fits best, how many were tried, and the constants that it feels, with the sigma [SI] found."""
     space, tries = ResidualSpace.of(adjustment), wanted.tries(adjustment)
 
-    def unlikely(effect: Effect) -> float:
-        drop, freedom = _drop(space, effect)
-        return float(stats.chi2.logsf(drop, freedom)) if freedom else 0.0
-
-    best = min(tries, key=unlikely)
+    best = max(tries, key=lambda effect: float(surprise(*_drop(space, effect))))
     sigmas: dict[str, float | None] = {}
     for shape in best.shape:
         now = getattr(best, shape.name)

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ltsim.adjust.reliability import surprise
 from ltsim.arrays import Bools, Ints
 from ltsim.check.faces import Faces, Mpe, faces_or_none
 from ltsim.check.items import Family, Item, two_sided
 from ltsim.check.network import NETWORK_TESTS, items_of_network
-from ltsim.check.visit import Explained, Visit, surprise
+from ltsim.check.visit import Explained, Visit
 from ltsim.check.words import bump_sentence, drift_sentence, face_sentence, gross_sentence, instrument_sentence
 from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import station_design

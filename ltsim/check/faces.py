@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.adjust.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats
@@ -59,7 +59,7 @@ class Faces:
         change = [two_face(recording, construction, np.diag(prior)[k]).half - pairs.half for k in range(len(prior))]
         guarantee = np.sqrt(np.sum(np.square(change), axis=0))
         if mpe is None:
-            critical = stats.norm.isf(level / (2 * pairs.half.size))
+            critical = -special.ndtri(level / (2 * pairs.half.size))
             limit = critical * np.hypot(noise, guarantee)
         else:
             metres = pairs.place[:, 0]

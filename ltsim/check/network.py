@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.estimate import adjust
@@ -71,7 +71,7 @@ def _of_levels(found: Adjustment, family: Family) -> list[Item]:
     items = []
     for k in np.flatnonzero(checked.any(axis=1)).tolist():
         worst = int(np.argmax(np.abs(w[k])))
-        p = family.adjusted(2.0 * float(stats.norm.sf(abs(w[k, worst]))), int(checked.sum()))
+        p = family.adjusted(2.0 * float(special.ndtr(-abs(w[k, worst]))), int(checked.sum()))
         name, passed = found.recording.stations[problem.levels.station[k]], p >= family.level
         tilt = float(np.hypot(*np.where(checked[k], w[k] * sigma[k], 0.0)))
         size = f"{tilt / ARCSECOND:.2g} +- {sigma[k, worst] / ARCSECOND:.2g} arcsec"

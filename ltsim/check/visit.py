@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from ltsim.adjust.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
@@ -119,10 +119,10 @@ class Visit:
         """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""
         if not explained.rank or self.dof <= explained.rank:
             return 1.0
-        stated = float(stats.chi2.sf(explained.drop, explained.rank))
+        stated = float(special.chdtrc(explained.rank, explained.drop))
         rest = self.dof - explained.rank
         ratio = (explained.drop / explained.rank) / max((self.chi2 - explained.drop) / rest, 1e-30)
-        return max(stated, float(stats.f.sf(ratio, explained.rank, rest)))
+        return max(stated, float(special.fdtrc(explained.rank, rest, ratio)))
 
     def without(self, design: Floats) -> Visit:
         """The visit with the columns (n, 3, c) of a suspect fitted too."""
@@ -153,19 +153,6 @@ class Visit:
         amount = np.einsum("nij,ni->nj", vectors, self.whitened)
         drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
         return drop, controlled.sum(axis=1).astype(np.int64)
-
-
-def surprise(drop: Floats | float, rank: Ints | int) -> Floats:
-    """Minus the logarithm of the chance of a chi-square above `drop`; 0 for rank 0.
-
-    Where the chance is too small for a float, by the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
-    """
-    a, x = np.maximum(rank, 1) / 2.0, np.maximum(drop, 0.0) / 2.0
-    far = x > 300.0
-    beyond = np.where(far, x, 301.0)
-    tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)
-    near = -stats.chi2.logsf(np.where(far, 0.0, 2 * x), 2 * a)
-    return np.asarray(np.where(np.asarray(rank) > 0, np.where(far, tail, near), 0.0))
 
 
 def _state(recording: Recording, use: Bools) -> State:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from ltsim.adjust.reliability import surprise
 from ltsim.check import Check, check, check_file
 from ltsim.check.check import best_bump
 from ltsim.check.faces import Mpe
-from ltsim.check.visit import Visit, surprise
+from ltsim.check.visit import Visit
 from ltsim.check.words import plain
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
