@@ -21,9 +21,8 @@ from ltsim.model.measurement import MeasurementModel, State, sightings_of
 from ltsim.randomness import stream
 
 PLACE = "experiments.20_concealed_physics.concealed."
-causes, hall_of, known, laws, made, network, tracker = (
-    import_module(f"{PLACE}independent.{name}")
-    for name in ("cause", "hall", "known", "laws", "make", "network", "tracker")
+causes, hall_of, known, made, tracker = (
+    import_module(f"{PLACE}independent.{name}") for name in ("cause", "hall", "known", "make", "tracker")
 )
 plan, conceal = import_module(f"{PLACE}plan"), import_module(f"{PLACE}conceal")
 ALLOWED = {"numpy", "scipy", "ltsim.recording"}
@@ -128,14 +127,20 @@ def test_its_least_squares_agrees_with_the_adjustment() -> None:
     assert left[1] - left[0] == pytest.approx(200.0, rel=0.25)
 
 
-def test_every_law_acts_and_says_how_it_is_told() -> None:
-    assert len(laws.LAWS) == 24
-    assert not {name.replace(" ", "-") for name in laws.LAWS} & {kind.name for kind in CATALOGUE}
-    missing = set(laws.LAWS)
+def test_no_name_is_in_two_sets_of_laws_or_in_the_catalogue() -> None:
+    names = [name.replace(" ", "-") for laws in made.SETS.values() for name in laws]
+    names += [kind.name for kind in CATALOGUE]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("laws", list(made.SETS.values()), ids=list(made.SETS))
+def test_every_law_acts_and_says_how_it_is_told(laws: dict[str, Any]) -> None:
+    assert len(laws) == 24
+    missing = set(laws)
     for number, hall in enumerate(halls(20)):
         for name in sorted(missing):
             try:
-                cause = laws.LAWS[name](hall, stream(35, name, number))
+                cause = laws[name](hall, stream(35, name, number))
             except LookupError:
                 continue
             parts = {k: v for k, v in vars(cause.change).items() if v is not None}
@@ -147,11 +152,20 @@ def test_every_law_acts_and_says_how_it_is_told() -> None:
     assert not missing
 
 
-def test_the_plan_asks_every_law_at_two_strengths_and_keeps_its_recordings(root: Path, tmp_path: Path) -> None:
-    cases = plan.read_plan(root / "experiments" / "20_concealed_physics" / "eleventh.toml")
+@pytest.mark.parametrize(("name", "laws"), [("eleventh", "sixth"), ("thirteenth", "seventh")])
+def test_the_plan_asks_every_law_at_two_strengths(name: str, laws: str, root: Path, tmp_path: Path) -> None:
+    cases = plan.read_plan(root / "experiments" / "20_concealed_physics" / f"{name}.toml")
     for strength in (200, 600):
         assert sorted(c.number for c in cases if (c.kind, c.strength) == ("unknown", strength)) == list(range(24))
-    assert all(c.independent for c in cases)
+    assert all(c.independent and c.laws == laws for c in cases)
+    case = next(c for c in cases if (c.kind, c.strength, c.number) == ("unknown", 200, 0))
+    conceal.conceal(case, tmp_path / "recordings", tmp_path / "sealed")
+    truth = json.loads((tmp_path / "sealed" / f"{case.name}.json").read_text(encoding="utf-8"))
+    assert truth["effects"][0]["text"].split("'")[1] == next(iter(made.SETS[laws]))
+
+
+def test_a_plan_keeps_its_recordings(root: Path, tmp_path: Path) -> None:
+    cases = plan.read_plan(root / "experiments" / "20_concealed_physics" / "eleventh.toml")
     case = next(c for c in cases if (c.kind, c.strength, c.number) == ("single", 200, 3))
     for folder in ("a", "b"):
         conceal.conceal(case, tmp_path / folder / "recordings", tmp_path / folder / "sealed")
@@ -164,9 +178,10 @@ def test_the_plan_asks_every_law_at_two_strengths_and_keeps_its_recordings(root:
     assert not [kind.name for kind in CATALOGUE if kind.name in text]
 
 
-def test_a_plan_with_a_wrong_simulator_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", ['simulator = "none"', 'simulator = "independent"\nlaws = "all"', 'laws = "seventh"'])
+def test_a_plan_with_a_wrong_simulator_or_set_of_laws_is_refused(line: str, tmp_path: Path) -> None:
     file = tmp_path / "plan.toml"
-    file.write_text('seed = 1\nsimulator = "none"\n', encoding="utf-8")
+    file.write_text(f"seed = 1\n{line}\n", encoding="utf-8")
     with pytest.raises(SystemExit, match="not one of"):
         plan.read_plan(file)
 

@@ -55,7 +55,7 @@ def conceal(case: Case, recordings: Path, sealed: Path) -> None:
 def _made_independently(case: Case) -> tuple[Recording, dict[str, Any]]:
     """A recording of the second simulator; what the catalogue explains of an unknown law is asked of ltsim."""
     draw, noise = (stream(case.seed, *case.key, what) for what in ("scene", "noise"))
-    made = make(case.kind, case.strength, case.number, draw, noise)
+    made = make(case.kind, case.strength, case.number, draw, noise, case.laws)
     truth = _plan_entry(case) | made.truth
     if case.kind == "unknown":
         space = ResidualSpace.of(adjust(made.silent, misalignment()))

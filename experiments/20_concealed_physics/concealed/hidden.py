@@ -30,7 +30,7 @@ from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.geometry.rotations import about_z
 from ltsim.scene.sightings import Sightings
 
-from .invented import Laws, draw_invented
+from .invented import draw_invented
 
 ABSURD = 20.0
 """Sizes beyond so many prior sigmas are not drawn."""
@@ -210,7 +210,7 @@ def _sized(space: ResidualSpace, hidden: Hidden, wanted: float) -> Hidden | None
 
 
 def draw_hidden(
-    space: ResidualSpace, rng: np.random.Generator, wanted: float, *, known: bool = True, laws: Laws = "all"
+    space: ResidualSpace, rng: np.random.Generator, wanted: float, *, known: bool = True, laws: str = "all"
 ) -> Hidden:
     """An effect drawn at random, of the catalogue or (not `known`) of a set of laws, with the wanted strength."""
     for _ in range(ALLOWED_TRIES):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -14,23 +13,21 @@ from ltsim.units import MICROMETRE, MICRORADIAN
 
 from .laws import first, last, later, latest, motions, newest
 
-Laws = Literal["first", "later", "latest", "last", "newest", "motions", "all"]
-"""Which of the invented laws are drawn.
-
-all: those of the first four sets, so that its recordings stay the same; motions: for tuning.
-"""
-
 SETS_OF_LAWS = {"first": first, "later": later, "latest": latest, "last": last, "newest": newest, "motions": motions}
 ALL = {name: law for part in SETS_OF_LAWS.values() for name, law in part.LAWS.items()}
-SETS: dict[Laws, tuple[str, ...]] = {
+SETS: dict[str, tuple[str, ...]] = {
+    "all": tuple(name for part in (first, later, latest, last) for name in part.LAWS),
     "first": tuple(first.LAWS),
     "later": tuple(later.LAWS),
     "latest": tuple(latest.LAWS),
     "last": tuple(last.LAWS),
     "newest": tuple(newest.LAWS),
     "motions": tuple(motions.LAWS),
-    "all": tuple(name for part in (first, later, latest, last) for name in part.LAWS),
 }
+"""Which of the invented laws are drawn.
+
+all: those of the first four sets, so that its recordings stay the same; motions: for tuning.
+"""
 AT_A_STATION = set().union(*(part.AT_A_STATION for part in SETS_OF_LAWS.values()))
 OF_NEIGHBOURS = set().union(*(part.OF_NEIGHBOURS for part in SETS_OF_LAWS.values()))
 WORDS = newest.WORDS | motions.WORDS
@@ -81,7 +78,7 @@ class Invented(Effect):
         return by_displacement(sightings, moved)
 
 
-def draw_invented(sightings: Sightings, rng: np.random.Generator, laws: Laws = "all") -> Invented:
+def draw_invented(sightings: Sightings, rng: np.random.Generator, laws: str = "all") -> Invented:
     """An invented law of a set, with random constants, that acts on this network."""
     names = SETS[laws]
     while True:

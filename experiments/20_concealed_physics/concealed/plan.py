@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from .invented import Laws
+from .independent import make
+from .invented import SETS
 
-SIMULATORS = ("ltsim", "independent")
+LAWS = {"ltsim": tuple(SETS), "independent": tuple(make.SETS)}
+"""Sets of laws that unknown physics is drawn from, by simulator: the first where a plan names none."""
 Kind = Literal["clean", "single", "unknown", "pair", "mistake"]
 
 
@@ -26,7 +28,7 @@ class Case:
     kind: Kind
     strength: int
     number: int
-    laws: Laws = "all"
+    laws: str = "all"
     independent: bool = False
 
     @property
@@ -43,11 +45,12 @@ class Case:
 def read_plan(path: Path) -> list[Case]:
     """The recordings of a plan, in the order of their names: numbers, strengths and kinds are shuffled by it."""
     plan = tomllib.loads(path.read_text(encoding="utf-8"))
-    laws, simulator = plan.get("laws", "all"), plan.get("simulator", "ltsim")
-    if laws not in get_args(Laws):
-        raise SystemExit(f"{path}: laws is {laws!r}, not one of {', '.join(get_args(Laws))}")
-    if simulator not in SIMULATORS:
-        raise SystemExit(f"{path}: simulator is {simulator!r}, not one of {', '.join(SIMULATORS)}")
+    simulator = plan.get("simulator", "ltsim")
+    if simulator not in LAWS:
+        raise SystemExit(f"{path}: simulator is {simulator!r}, not one of {', '.join(LAWS)}")
+    laws = plan.get("laws", LAWS[simulator][0])
+    if laws not in LAWS[simulator]:
+        raise SystemExit(f"{path}: laws is {laws!r}, not one of {', '.join(LAWS[simulator])}")
     if simulator == "independent" and {"pair", "mistake"} & set(plan):
         raise SystemExit(f"{path}: the independent simulator makes no pairs and no mistakes")
     cases = [

@@ -25,6 +25,8 @@ CARRIERS = {
     "vertical-index": ("elevation", "vertical index"),
     "beam-tilt": ("beam tilt",),
     "transit-tilt": ("transit tilt",),
+    "vertical-offset": ("beam offset", "vertical offset"),
+    "eccentricity": ("eccentricity", "azimuth"),
     "station": ("stand", "station"),
     "yaw": ("stand", "station", "azimuth"),
     "targets": ("target",),
@@ -72,6 +74,21 @@ def one_station(h: Hall, rng: Draw) -> tuple[str, Array]:
     """A station and where it is the one that measures (n,)."""
     s = int(rng.integers(len(h.stations)))
     return h.stations[s], (h.pointings.station == s).astype(np.float64)
+
+
+def one_tracker(h: Hall, rng: Draw) -> tuple[str, Array]:
+    """One of two trackers, as a place, and where it is the one that measures (n,)."""
+    if len(h.trackers) < 2:
+        raise LookupError("one tracker only")
+    k = int(rng.integers(len(h.trackers)))
+    return f"instrument {h.trackers[k]}", (h.pointings.tracker == k).astype(np.float64)
+
+
+def latched(h: Hall, values: Array, low: float, high: float) -> Array:
+    """(n,) 1 once values rose above the high mark, until they fall below the low one; 0 when a set-up begins."""
+    known = (values < low) | (values > high) | (h.turn_of_work == 0)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
+    return np.asarray(values[last] > high, dtype=np.float64)
 
 
 def group(h: Hall, name: str) -> tuple[tuple[str, ...], Array]:

@@ -11,13 +11,15 @@ from scipy.optimize import brentq
 
 from ltsim.recording import Recording
 
+from . import laws as sixth, seventh
 from .cause import CARRIERS, Cause
 from .hall import LENGTH_SIGMA, Hall, draw_hall
 from .known import KNOWN, Known
-from .laws import LAWS
 from .network import Network
 from .tracker import NOTHING, Array, Change, within_a_turn
 
+SETS = {"sixth": sixth.LAWS, "seventh": seventh.LAWS}
+"""Which laws are drawn."""
 TRIES = 60
 ABSURD = {"reading": 300e-6, "target": 600e-6, "station": 600e-6, "turn": 300e-6, "constants": 300e-6, "variance": 50.0}
 """[m, rad] Causes as large as this would be seen by eye, and are not drawn."""
@@ -38,7 +40,7 @@ class Made:
     change: Array
 
 
-def make(kind: str, strength: int, number: int, draw: Draw, noise: Draw) -> Made:
+def make(kind: str, strength: int, number: int, draw: Draw, noise: Draw, laws: str = "sixth") -> Made:
     """Hide a cause of a kind in a hall.
 
     Parameters
@@ -51,9 +53,11 @@ def make(kind: str, strength: int, number: int, draw: Draw, noise: Draw) -> Made
         Laws and causes take turns by it.
     draw, noise : numpy.random.Generator
         Of hall and cause, and of the noise.
+    laws : str
+        The set that an unknown law is drawn from.
     """
     excluded: Counter[str] = Counter()
-    hall, network, cause, change, name = _drawn(kind, strength, number, draw, excluded)
+    hall, network, cause, change, name = _drawn(kind, strength, number, draw, excluded, laws)
     standard = network.noise(noise)
     spread = hall.sigma if change.variance is None else hall.sigma * np.sqrt(1.0 + change.variance)
     quiet = hall.pointings.readings(change)
@@ -78,18 +82,18 @@ def make(kind: str, strength: int, number: int, draw: Draw, noise: Draw) -> Made
 
 
 def _drawn(
-    kind: str, strength: int, number: int, rng: Draw, excluded: Counter[str]
+    kind: str, strength: int, number: int, rng: Draw, excluded: Counter[str], laws: str
 ) -> tuple[Hall, Network, Known | Cause | None, Change, str]:
     """A hall and a cause of the wanted strength that acts in it; halls that were thrown away are counted."""
-    laws: dict[str, Any] = KNOWN if kind == "single" else LAWS
-    name = list(laws)[STRIDE * number % len(laws)] if kind != "clean" else ""
+    causes: dict[str, Any] = KNOWN if kind == "single" else SETS[laws]
+    name = list(causes)[STRIDE * number % len(causes)] if kind != "clean" else ""
     for _ in range(TRIES):
         hall = draw_hall(rng)
         network = Network.of(hall)
         if not name:
             return hall, network, None, NOTHING, name
         try:
-            cause = laws[name](hall, rng)
+            cause = causes[name](hall, rng)
         except LookupError:
             excluded["no second tracker, no such column, or two faces"] += 1
             continue
