@@ -135,6 +135,8 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
         sentence=finding_sentence(name, where, rows, hypothesis.probability, law),
         equivalents=hypothesis.equivalents,
         formula=law,
+        carrier="noise" if law else "",
+        driver=" ".join(effect.covariates) if law else "",
     )
 
 

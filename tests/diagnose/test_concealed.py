@@ -263,3 +263,58 @@ def test_a_recording_is_diagnosed_by_a_process_that_has_its_folder_only(tmp_path
     assert row["found"]
     assert row["named"], row["answer"]
     assert len(read(tmp_path / "recordings" / hidden.name)) == row["pointings"]
+
+
+def law(carrier: str, strengths: tuple[float, float, float], words: tuple[str, ...]) -> dict[str, Any]:
+    return {"words": {"carrier": carrier}, "strengths": strengths, "told_as": {"carrier": words}}
+
+
+def told(carrier: str, observables: tuple[str, ...], scatter: dict[str, float] | None = None) -> dict[str, Any]:
+    parameters = [{"name": f"noise-{n}", "value": v, "sigma": 0.1} for n, v in (scatter or {}).items()]
+    return {"carrier": carrier, "where": {"observables": list(observables)}, "parameters": parameters}
+
+
+STAND, YAW = ("stand", "station"), ("stand", "station", "azimuth")
+
+
+@pytest.mark.parametrize(
+    ("effect", "finding", "right"),
+    [
+        (law("station", (0, 30, 170), STAND), told("lean of the stand", ("azimuth", "elevation")), True),
+        (law("station", (0, 2, 198), STAND), told("lean of the stand", ("azimuth", "elevation")), True),
+        (law("station", (80, 0, 120), STAND), told("place of targets", ()), False),
+        (law("station", (80, 0, 120), STAND), told("elevation", ("elevation",)), False),
+        (law("targets", (5, 0, 195), ("target",)), told("elevation", ("elevation",)), True),
+        (law("targets", (5, 0, 195), ("target",)), told("distance", ("distance",)), False),
+        (law("yaw", (0, 200, 0), YAW), told("azimuth eccentricity", ()), False),
+        (law("yaw", (0, 200, 0), YAW), told("azimuth", ("azimuth",)), True),
+        (law("distance", (200, 0, 0), ("distance",)), told("distance", ("distance",)), True),
+        (law("distance", (200, 0, 0), ("distance",)), told("distance per metre", ()), False),
+        (law("noise", (60, 70, 70), ("noise",)), told("", ()), True),
+        (law("noise", (0, 200, 0), ("noise",)), told("", (), {"distance": 0.1, "azimuth": 3.0}), True),
+        (law("noise", (0, 200, 0), ("noise",)), told("", (), {"distance": 1.0, "azimuth": 3.0}), False),
+        ({"words": {"carrier": "lean of the station"}, "strengths": (0, 9, 91)}, told("stand about x", ()), True),
+        ({"words": {}, "strengths": (0, 9, 91)}, told("stand about x", ()), False),
+    ],
+)
+def test_an_observable_is_right_when_it_shows_the_law_or_what_moves_is_told(
+    effect: dict[str, Any], finding: dict[str, Any], right: bool
+) -> None:
+    assert (_score._moves_alike(effect, finding) or _score._told(finding) == _score._shown(effect)) is right
+
+
+def test_what_an_observable_has_in_a_strength_adds_up_and_leaves_others_alone() -> None:
+    scene = draw_scene(stream(7, "strengths"))
+    space = space_of([], scene)
+    sloped = Hidden(Invented((), (), next(n for n in SETS["first"] if ALL[n][0] == "azimuth"), (0.3,) * 5), np.ones(1))
+    parts = _hidden.strengths(space, sloped)
+    assert parts.sum() == pytest.approx(strength(space, sloped), rel=1e-6)
+    assert parts[[0, 2]] == pytest.approx([0.0, 0.0], abs=1e-9 * parts[1])
+
+
+def test_a_true_vector_stands_in_the_frame_of_the_adjustment() -> None:
+    scene = draw_scene(stream(7, "frames"))
+    found = adjust(measured(scene, [], stream(7, "noise")), misalignment()).state
+    turn = np.array([a @ b.T for a, b in zip(found.rotation, scene.state.rotation, strict=True)]) - np.eye(3)
+    assert np.abs(turn).max() < 0.01
+    assert np.abs(found.points - scene.state.points).max() < 0.05

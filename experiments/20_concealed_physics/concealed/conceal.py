@@ -32,7 +32,7 @@ from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, MILLIMETRE
 
-from .hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength
+from .hidden import MISTAKES, Hidden, draw_hidden, draw_mistake, left_by_adjustment, strength, strengths
 from .independent.make import make
 from .invented import Invented
 from .plan import Case
@@ -243,6 +243,7 @@ def _entry(hidden: Hidden, space: ResidualSpace) -> dict[str, Any]:
         "shape": felt,
         "size": hidden.size,
         "strength": strength(space, hidden),
+        "strengths": strengths(space, hidden).tolist(),
         "words": effect.words if isinstance(effect, Invented) else {},
     }
 

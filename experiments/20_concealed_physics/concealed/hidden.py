@@ -162,23 +162,34 @@ def left_by_adjustment(space: ResidualSpace, hidden: Hidden) -> tuple[Floats, Fl
     return whole[:, 0], space.project(whole)[:, 0]
 
 
-def _expected_drop(space: ResidualSpace, hidden: Hidden) -> float:
-    """Expected drop of minus twice the restricted log likelihood of a change of the noise."""
+def _expected_drop(space: ResidualSpace, hidden: Hidden) -> Floats:
+    """Expected drop (r,) of minus twice the restricted log likelihood of a change of the noise, reading by reading."""
     effect = hidden.effect
     assert isinstance(effect, NoiseEffect)
     used = space.use
     factor = (effect.variance(space.sightings, space.sigma, hidden.values) / space.sigma**2)[used]
     share = space.redundancy[: len(factor)]
-    return float(share @ (factor - 1.0 - np.log(factor)))
+    drop: Floats = share * (factor - 1.0 - np.log(factor))
+    return drop
 
 
 def strength(space: ResidualSpace, hidden: Hidden) -> float:
     """Noncentrality left after the ordinary adjustment, or the expected drop for a change of the noise; 0: unseen."""
     if isinstance(hidden.effect, NoiseEffect):
-        return _expected_drop(space, hidden)
+        return float(_expected_drop(space, hidden).sum())
     whole, left = left_by_adjustment(space, hidden)
     square = float(left @ left)
     return square if square > INVISIBLE * float(whole @ whole) else 0.0
+
+
+def strengths(space: ResidualSpace, hidden: Hidden) -> Floats:
+    """(3,) What distance, azimuth and elevation have in the strength: their changes times what is left of these."""
+    if isinstance(hidden.effect, NoiseEffect):
+        each = _expected_drop(space, hidden)
+    else:
+        each = np.multiply(*left_by_adjustment(space, hidden))
+    used = np.flatnonzero(space.use)
+    return np.bincount(used % 3, each[: len(used)], minlength=3)
 
 
 def _direction(effect: Effect, rng: np.random.Generator) -> Floats:
@@ -223,4 +234,4 @@ def draw_hidden(
     raise RuntimeError("no effect of a sensible size was found for this network")
 
 
-__all__ = ["MISTAKES", "Hidden", "draw_hidden", "draw_mistake", "left_by_adjustment", "strength"]
+__all__ = ["MISTAKES", "Hidden", "draw_hidden", "draw_mistake", "left_by_adjustment", "strength", "strengths"]

@@ -61,16 +61,17 @@ def lines(rows: Sequence[Row]) -> list[str]:
     """The table of a page."""
     made = ["", "Stated probabilities of first findings against the truth:", ""]
     made += [
-        "| kind | stated | recordings | mean stated | right | 95 % interval | log score |",
-        "|---|---|---|---|---|---|---|",
+        "| kind | stated | recordings | mean stated | right | 95 % interval | as stated | log score |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for kind, block in by_kind(rows).items():
         for i, b in enumerate(block["bins"]):
             score = f"{block['log_score']:.2f}" if i == 0 else ""
             share = f"{b['right']} ({100 * b['right'] / b['of']:.0f} %)"
+            holds = "yes" if b["holds"] else "no"
             interval = f"{100 * b['least']:.0f} to {100 * b['most']:.0f}"
-            bounds = f"{b['low']:g} to {b['high']:g}"
-            made.append(f"| {kind} | {bounds} | {b['of']} | {b['stated']:.3f} | {share} | {interval} | {score} |")
+            stated = f"{b['low']:g} to {b['high']:g} | {b['of']} | {b['stated']:.3f}"
+            made.append(f"| {kind} | {stated} | {share} | {interval} | {holds} | {score} |")
     return made
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ltsim.recording.recording import OBSERVABLES
 from ltsim.units import MILLIMETRE
 
 from .conceal import rigid_error
@@ -19,6 +20,10 @@ OVERLAP = 0.5
 """Share of common targets from which a finding on several targets is at the right place."""
 HIGH = 0.9
 LIMIT = 1.959964
+SHOWN = 0.1
+"""Share of the strength from which an observable is one that shows a law."""
+MOTIONS = (("stand", "station"), ("target", "nest"))
+"""Words of what moves, those of one line alike."""
 EXPLAINED = ("right_carrier", "right_driver", "right_carrier_or_driver")
 """Asked of laws that say in which words they are told rightly."""
 NOISE = ("noise-level", "station-noise", "turbulence")
@@ -48,6 +53,7 @@ def score(truth: dict[str, Any], folder: Path) -> Row:
     row["held_out_after"] = found["fit"]["after"]["held_out_rms"]
     row["error_um"] = _target_error(truth, folder / "targets.csv")
     row["told_um"], row["ordinary_um"] = truth["told_um"], truth["ordinary_um"]
+    row["told_as_one"] = len(findings) == 1
     row["carrier"], row["driver"] = (findings[0].get(k, "") if findings else "" for k in ("carrier", "driver"))
     row["stated"] = " ".join(f"{e['effect']}:{e['probability']:.2f}" for f in findings[:1] for e in f["equivalents"])
     row["right"] = row["first"] in {e["effect"] for e in truth["effects"]} | _rightly(truth)
@@ -138,13 +144,32 @@ def _unknown(truth: dict[str, Any], findings: list[dict[str, Any]]) -> Row:
     first = findings[0]
     row["called_unknown"] = first["effect"] in _rightly(truth)
     where = first["where"]
-    same = set(where["observables"]) == set(effect["observables"])
-    moved = row.get("right_carrier", False) and not where["observables"]  # a motion need not say in what it shows
-    row["observable_right"] = row["called_unknown"] and (same or moved)
+    row["shown"] = " ".join(sorted(_shown(effect)))
+    row["observable_right"] = row["called_unknown"] and (_moves_alike(effect, first) or _told(first) == _shown(effect))
     row["right_covariates"] = row["called_unknown"] and bool(set(where["covariates"]) & set(effect["covariates"]))
     row["wrong_name"] = first["known"] and not row["called_unknown"] and first["evidence"]["probability"] > HIGH
     row["where"] = f"{where['observables']} {where['covariates']} {where['stations']}"
     return row
+
+
+def _shown(effect: dict[str, Any]) -> set[str]:
+    """The observables in which a law shows, by what each has in its strength."""
+    whole = sum(effect["strengths"])
+    return {name for name, part in zip(OBSERVABLES, effect["strengths"], strict=True) if part > SHOWN * whole}
+
+
+def _told(finding: dict[str, Any]) -> set[str]:
+    """The observables that a finding tells, all where it names none; of the noise those that scatter beyond doubt."""
+    scatter = {p["name"].removeprefix("noise-") for p in finding["parameters"] if p["value"] > LIMIT * p["sigma"]}
+    return set(finding["where"]["observables"]) or scatter & set(OBSERVABLES) or set(OBSERVABLES)
+
+
+def _moves_alike(effect: dict[str, Any], finding: dict[str, Any]) -> bool:
+    """Whether a constant or a motion is told as itself: in which readings it shows is then for the network to say."""
+    true, told = effect.get("words", {}).get("carrier", ""), finding.get("carrier", "")
+    words = effect.get("told_as", {}).get("carrier") or next((m for m in MOTIONS if any(w in true for w in m)), (true,))
+    named = [word for word in words if word not in ("", *OBSERVABLES)]
+    return told not in OBSERVABLES and any(word in told for word in named)
 
 
 def _explained(told_as: dict[str, Any], finding: dict[str, Any] | None) -> Row:

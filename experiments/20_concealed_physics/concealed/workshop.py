@@ -1,7 +1,7 @@
 """A workshop, its stations and the order of the work, all drawn at random; nothing here knows of effects.
 
-Two walls with 24 reflectors on three levels, a gauge of 4 on the floor, 4 to 6 stations. The network frame is that
-of the first station, as an adjustment without control has it.
+Two walls with 24 reflectors on three levels, a gauge of 4 on the floor, 4 to 6 stations. The truth stands in the frame
+of the floor plan, as an adjustment of the recording does: a vector that is told can be held against the true one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Scene:
     recording : Recording
         Readings NaN, no gauge yet.
     state : State
-        True poses, points and instrument parameters; frame of the first station.
+        True poses, points and instrument parameters; frame of the floor plan.
     first, second : (g,) int
         Targets of the gauge's lengths.
     lengths : (g,) float, [m]
@@ -92,11 +92,8 @@ def draw_scene(rng: np.random.Generator) -> Scene:
     )
     construction = misalignment()
     sizes = np.array([p.sigma_from(setup.instrument.prior) for p in construction.parameters])
-    home = rotation[0].T
-    placed = (points[seen] - position[0]) @ home.T
-    state = State(
-        (position - position[0]) @ home.T, home @ rotation, placed, (sizes * rng.standard_normal(len(sizes)))[None]
-    )
+    placed = points[seen]
+    state = State(position, rotation, placed, (sizes * rng.standard_normal(len(sizes)))[None])
     gauge = [seen.index(t) for t in range(24, 28)]
     first, second = np.array(list(combinations(gauge, 2))).T
     measured_at = round(float(rng.uniform(18.0, 27.0)), 1)

@@ -125,8 +125,9 @@ def _entry(name: str, cause: Known | Cause, change: Change, network: Network) ->
         "stations": list(cause.stations),
         "targets": list(cause.targets),
         "observables": list(cause.observables),
-        "strength": network.strength(change),
+        "strengths": network.strengths(change).tolist(),
     }
+    entry["strength"] = sum(entry["strengths"])
     if isinstance(cause, Known):
         units = cause.unit.split() if " " in cause.unit else [cause.unit] * len(cause.names)
         listed = zip(cause.names, cause.values.tolist(), units, strict=True)

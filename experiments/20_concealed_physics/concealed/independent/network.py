@@ -45,14 +45,18 @@ class Network:
 
     def strength(self, change: Change) -> float:
         """Noncentrality that is left; for noise the expected drop of minus twice the restricted log likelihood."""
+        return float(self.strengths(change).sum())
+
+    def strengths(self, change: Change) -> Array:
+        """(3,) What distance, azimuth and elevation have in it: their changes times what is left of these."""
+        readings = self.base.size
         if change.variance is not None:
-            readings = change.variance.size
-            share = 1.0 - (self.basis[:readings] ** 2).sum(axis=1)
             factor = 1.0 + change.variance.ravel()
-            return float(share @ (factor - 1.0 - np.log(factor)))
-        whole = self.signature(change)
-        left = whole - self.basis @ (self.basis.T @ whole)
-        return float(left @ left)
+            each = (1.0 - (self.basis[:readings] ** 2).sum(axis=1)) * (factor - 1.0 - np.log(factor))
+        else:
+            whole = self.signature(change)
+            each = (whole * (whole - self.basis @ (self.basis.T @ whole)))[:readings]
+        return np.asarray(each.reshape(-1, 3).sum(axis=0))
 
     def noise(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Standard noise of the readings (n, 3), and that of the lengths (g,)."""
