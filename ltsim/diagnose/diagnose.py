@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
+from ltsim.adjust.gross import GrossFinding, explain_gross
+from ltsim.adjust.mixed_up import mend_faces, mend_stations
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.averaging import averaged_targets
@@ -15,7 +17,6 @@ from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
 from ltsim.diagnose.findings import equivalents, gross_finding, instrument_finding, mean_finding, noise_finding
-from ltsim.diagnose.gross import GrossFinding, explain_gross
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
@@ -24,7 +25,6 @@ from ltsim.diagnose.schema import Finding, Fit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
-from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, stated_construction

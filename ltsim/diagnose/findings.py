@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.gross import GrossFinding
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.evidence import carried_by
-from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.law import Law, curve_of, describe
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
