@@ -54,7 +54,7 @@ def words(diagnosis: Diagnosis, effect: str, stations: Sequence[str]) -> Row:
     return {
         "named": f"{first.effect} {' '.join(first.where.stations)}".strip(),
         "probability": round(first.evidence.probability, 3),
-        "not_excluded": " ".join(name for name, _ in first.equivalents),
+        "not_excluded": " ".join(other.effect for other in first.equivalents),
         "right": first.effect == effect and tuple(first.where.stations) == tuple(stations),
     }
 

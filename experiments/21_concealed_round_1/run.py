@@ -46,7 +46,7 @@ def examine(folder: Path, out: Path) -> str:
     for finding in found.findings:
         where = finding.where
         place = ", ".join((*where.stations, *where.targets, *where.observables)) or "everywhere"
-        others = ", ".join(name for name, _ in finding.equivalents)
+        others = ", ".join(other.effect for other in finding.equivalents)
         name, probability = finding.effect, finding.evidence.probability
         rows.append(f"{head} {name} | {place} | {probability:.2f} | {others} | {fit} | {held_out} |\n")
         head, fit, held_out = "| | | |", "", ""

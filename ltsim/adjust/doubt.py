@@ -9,6 +9,7 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.curvature import BENT, curvature
 from ltsim.adjust.estimate import adjust
+from ltsim.adjust.gross import mistakes
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
@@ -62,8 +63,8 @@ def _require_known_points(adjustment: Adjustment) -> None:
 
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
-    """Sentences: what nobody can tell, stations that lost most of their readings, sigmas that state nothing."""
-    kinds = _undecided, _thin_stations, _held, _bent, _contradiction, _copies
+    """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
+    kinds = _undecided, _mistakes, _thin_stations, _held, _bent, _contradiction, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -147,6 +148,14 @@ def _undecided(adjustment: Adjustment) -> Iterator[str]:
         names = [recording.targets[t] for t in np.flatnonzero(two & (kept.sum(axis=0) == stations))]
         if names:
             yield f"{_named(names)}: two stations disagree about where it is and nobody can tell which is right; {end}"
+
+
+def _mistakes(adjustment: Adjustment) -> Iterator[str]:
+    """Exchanged reflectors, units and faces behind pointings that were left out."""
+    told = [finding.sentence.rstrip(".") for finding, *_ in mistakes(adjustment)]
+    if told:
+        more = f"; {len(told) - MOST_NAMED} more such mistakes" if len(told) > MOST_NAMED else ""
+        yield f"{'; '.join(told[:MOST_NAMED])}{more}: left out here; ltsim diagnose adjusts with them mended"
 
 
 def _thin_stations(adjustment: Adjustment) -> Iterator[str]:

@@ -39,14 +39,14 @@ def diagnose(
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
-    from ltsim.diagnose.files import COMPANIONS, diagnosis_file, write_diagnosis
+    from ltsim.diagnose.files import COMPANIONS, write_diagnosis
     from ltsim.diagnose.schema import DiagnosisFile
 
     claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = reading.open(source, terminal)
     with terminal.busy("diagnosing"):
         found = lt.diagnose(recording, seed=seed, level=level)
-    content = diagnosis_file(found, recording) if out is None else write_diagnosis(found, out, recording)
+    content = found.file(recording) if out is None else write_diagnosis(found, out, recording)
     terminal.answer(content.content())
     show(terminal, found)
     terminal.written(out)
@@ -66,15 +66,15 @@ def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
             f"chi-square falls by {finding.evidence.chi2_drop:.0f} for {finding.evidence.parameters} parameters; "
             f"probability {percent(finding.evidence.probability)}"
         )
-        for name, probability in finding.equivalents:
-            terminal.say(f"not excluded: {name} ({percent(probability)})")
+        for other in finding.equivalents:
+            terminal.say(f"not excluded: {other.effect} ({percent(other.probability)})")
         if finding.separate_by:
             terminal.say(f"to decide: {finding.separate_by}")
-    blind = [u for u in diagnosis.undetectable if u.hides_um >= 1.0]
+    blind = [(u.hides_um, u.effect, u.cure) for u in diagnosis.undetectable if u.hides_um and u.hides_um >= 1.0]
     if blind:
         terminal.say("\nNot to be seen in this recording, and the error of the targets it would hide:")
-        rows = [[u.effect, f"{u.hides_um:.0f}", u.cure] for u in sorted(blind, key=lambda u: -u.hides_um)]
-        terminal.say(table(["effect", "um", "cure"], [[r[0], r[1], r[2]] for r in rows]))
+        rows = [[effect, f"{um:.0f}", cure] for um, effect, cure in sorted(blind, key=lambda row: -row[0])]
+        terminal.say(table(["effect", "um", "cure"], rows))
 
 
 NOTHING = 1e-7

@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.diagnose.cards import Cards
-from ltsim.diagnose.diagnosis import Undetectable
+from ltsim.diagnose.schema import Undetectable
 from ltsim.effects.effect import Effect
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.remedies.detectability import MinimalSize, information_left, seen_from, thinned
@@ -64,7 +64,7 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
     hides = max(_hidden_error(space, effect, size) for size in sizes)
     share = f"only {times:.0f} times that size" if np.isfinite(times) else "nothing"
     reason = f"absorbed by poses, targets and instrument parameters: of a bad but plausible size {share} would show"
-    return Undetectable(effect.name, reason, hides, advice("cause"))
+    return Undetectable(effect=effect.name, reason=reason, hides_um=hides, cure=advice("cause"))
 
 
 def _hidden_error(space: ResidualSpace, effect: Effect, values: Floats) -> float:

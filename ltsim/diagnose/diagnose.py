@@ -8,22 +8,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
+from ltsim.adjust.gross import GrossFinding, explain_gross
+from ltsim.adjust.mixed_up import mend_faces, mend_stations
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
-from ltsim.diagnose.diagnosis import NOT_EXCLUDED, Diagnosis, Equivalent, Finding, Fit
-from ltsim.diagnose.findings import equivalents_of, gross_finding, instrument_finding, mean_finding, noise_finding
-from ltsim.diagnose.gross import GrossFinding, explain_gross
+from ltsim.diagnose.diagnosis import Diagnosis
+from ltsim.diagnose.findings import equivalents, gross_finding, instrument_finding, mean_finding, noise_finding
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnose.refit import Refit, refit
+from ltsim.diagnose.schema import Finding, Fit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
-from ltsim.diagnose.stations import mend_faces, mend_stations
 from ltsim.diagnose.words import summarise
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, stated_construction
@@ -147,8 +148,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     for (_, one), w in zip(ranked, weight[2:], strict=True):
         total[one.effect.name] = total.get(one.effect.name, 0.0) + float(w)
     probability = total.pop(best.effect.name)
-    others = sorted((Equivalent(n, p) for n, p in total.items() if p > NOT_EXCLUDED), key=lambda e: -e.probability)
-    return replace(best, probability=probability, equivalents=tuple(others[:3]))
+    return replace(best, probability=probability, equivalents=equivalents(total))
 
 
 def _joined(known: Sequence[NoiseHypothesis], further: NoiseHypothesis) -> list[NoiseHypothesis]:
@@ -276,7 +276,7 @@ class _Report:
     def _finding(self, member: int, ranking: Ranking, fitted: Refit) -> Finding:
         hypothesis = replace(self.found.members[member], effect=fitted.effects[member])
         others = self.case.searcher.without(self.found, member)
-        rivals = [name for name, _ in equivalents_of(ranking, hypothesis.name)[1]]
+        rivals = [other.effect for other in equivalents(ranking.probabilities(), hypothesis.name)]
         beside = [e for k, e in enumerate(fitted.effects) if k != member]
         named = isinstance(hypothesis.effect, Effect)
         advice = separating_measurement(self.baseline, hypothesis.name, rivals, beside) if named else ""
@@ -297,7 +297,7 @@ class _Report:
 def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
     """Chi2 and held-out error; the latter of another adjustment where one is given."""
     space = ResidualSpace.of(predicting or adjustment)
-    return Fit(adjustment.chi2, dof, held_out_rms(space, pair_folds(space)))
+    return Fit(chi2=adjustment.chi2, dof=dof, held_out_rms=held_out_rms(space, pair_folds(space)))
 
 
 __all__ = ["diagnose"]

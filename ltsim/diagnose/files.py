@@ -12,7 +12,7 @@ from ltsim.diagnose.diagnosis import Diagnosis
 from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile
 from ltsim.recording.native import OBSERVATIONS, SETUP, recording_texts
 from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.recording.result_file import write_result
 from ltsim.units import MILLIMETRE
 
 RECORDING = "recording"
@@ -38,13 +38,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING)
         texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}
-    return write_result(folder, diagnosis_file(diagnosis, recording), texts)
-
-
-def diagnosis_file(diagnosis: Diagnosis, recording: Recording | None = None) -> DiagnosisFile:
-    """The content of `diagnosis.json`."""
-    source = {} if recording is None else {"recording": SourceEntry.of(recording)}
-    return DiagnosisFile.model_validate(diagnosis.to_json() | source)
+    return write_result(folder, diagnosis.file(recording), texts)
 
 
 def targets_csv(diagnosis: Diagnosis) -> str:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.gross import GrossFinding
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.diagnosis import NOT_EXCLUDED, Curve, Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.evidence import carried_by
-from ltsim.diagnose.gross import GrossFinding
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.law import Law, curve_of, describe
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
+from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.words import finding_sentence, number, percent, without_clock
@@ -22,6 +23,8 @@ from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
 MOST_EQUIVALENTS = 3
+NOT_EXCLUDED = 0.01
+"""Probability above which another effect is stated as an equivalent."""
 
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
@@ -35,22 +38,18 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         observables = carried or observables
     instruments = effect.instruments if isinstance(effect, Law) else ()
     return Where(
-        () if set(observables) == set(OBSERVABLES) else observables,
-        () if instruments else effect.stations,
-        effect.targets,
-        tuple(effect.covariates),
-        instruments,
+        observables=() if set(observables) == set(OBSERVABLES) else observables,
+        stations=() if instruments else effect.stations,
+        targets=effect.targets,
+        instruments=instruments,
+        covariates=tuple(effect.covariates),
     )
 
 
-def equivalents_of(ranking: Ranking, name: str) -> tuple[float, tuple[Equivalent, ...]]:
-    """Probability of a name beside the others, and the others that are not excluded."""
-    probability = ranking.probabilities()
-    others = sorted(
-        (Equivalent(n, p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED),
-        key=lambda other: -other.probability,
-    )
-    return probability.get(name, 0.0), tuple(others[:MOST_EQUIVALENTS])
+def equivalents(probability: Mapping[str, float], name: str = "") -> tuple[Equivalent, ...]:
+    """The likeliest of the other names that are not excluded."""
+    others = [Equivalent(effect=n, probability=p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED]
+    return tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
 
 def mean_finding(
@@ -67,17 +66,18 @@ def mean_finding(
 ) -> Finding:
     """The finding of a mean shift beside the `others` of what was `found`."""
     effect, name, space = hypothesis.effect, hypothesis.name, searcher.space
-    probability, equivalents = equivalents_of(ranking, name)
+    probabilities = ranking.probabilities()
+    probability = probabilities.get(name, 0.0)
     drop = float(others.residual @ others.residual - found.residual @ found.residual)
     spent = found.extension.shape[1] - others.extension.shape[1]
     gain = (others.residual**2 - found.residual**2)[: int(space.use.sum())]
     where = where_of(effect, carried_by(space.use, gain))
     estimates = tuple(told) if clock else tuple(without_clock(e) for e in told)
-    law: str = ""
-    curve: Curve | None = None
+    law = law_words(effect, clock=clock) if isinstance(effect, Law) else ""
+    more: dict[str, Any] = {"separate_by": separate_by, "formula": law if not hypothesis.known else ""}
     if isinstance(effect, Law):
-        law = law_words(effect, clock=clock)
         curve = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
+        more |= {"carrier": effect.carrier.name, "driver": describe(effect.driver, clock=clock), "curve": curve}
     sentence = finding_sentence(
         name, where, estimates, probability, law, implausible=_implausible(hypothesis, estimates)
     )
@@ -86,14 +86,12 @@ def mean_finding(
         known=hypothesis.known,
         where=where,
         parameters=estimates,
-        evidence=Evidence(drop, spent, detection.chance(ranking.total), probability),
+        evidence=Evidence(
+            chi2_drop=drop, parameters=spent, p_value=detection.chance(ranking.total), probability=probability
+        ),
         sentence=sentence,
-        equivalents=equivalents,
-        separate_by=separate_by,
-        formula=law if not hypothesis.known else "",
-        carrier=effect.carrier.name if isinstance(effect, Law) else "",
-        driver=describe(effect.driver, clock=clock) if isinstance(effect, Law) else "",
-        curve=curve,
+        equivalents=equivalents(probabilities, name),
+        **{key: value for key, value in more.items() if value},
     )
 
 
@@ -121,22 +119,25 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
     effect = hypothesis.effect
     name = effect.name if hypothesis.known else "unknown"
     where = where_of(effect)
-    rows = [
-        Estimate(p.name, v / p.factor, s / p.factor, p.unit)
-        for p, v, s in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
-    ]
+    rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
     law = effect.law if isinstance(effect, NoisePattern) else ""
+    more: dict[str, Any] = {"formula": law, "carrier": "noise"} if law else {}
+    if law and effect.covariates:
+        more["driver"] = " ".join(effect.covariates)
     return Finding(
         effect=name,
         known=hypothesis.known,
         where=where,
         parameters=tuple(rows),
-        evidence=Evidence(hypothesis.drop, len(rows), detection.p_value, hypothesis.probability),
+        evidence=Evidence(
+            chi2_drop=hypothesis.drop,
+            parameters=len(rows),
+            p_value=detection.p_value,
+            probability=hypothesis.probability,
+        ),
         sentence=finding_sentence(name, where, rows, hypothesis.probability, law),
         equivalents=hypothesis.equivalents,
-        formula=law,
-        carrier="noise" if law else "",
-        driver=" ".join(effect.covariates) if law else "",
+        **more,
     )
 
 
@@ -146,10 +147,17 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
     return Finding(
         effect=gross.effect,
         known=True,
-        where=Where(gross.observables, gross.stations, gross.targets, ()),
-        parameters=(Estimate("size", 1e3 * gross.size, 1e3 * floor, "mm"),),
-        evidence=Evidence((gross.size / floor) ** 2, 3, 0.0, 1.0),
+        where=Where(
+            observables=gross.observables,
+            stations=gross.stations,
+            targets=gross.targets,
+            instruments=(),
+            covariates=(),
+        ),
+        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
+        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=0.0, probability=1.0),
         sentence=gross.sentence,
+        equivalents=(),
     )
 
 
@@ -157,7 +165,7 @@ def instrument_finding(found: Contradiction) -> Finding:
     """The finding of a constant that contradicts what else is known of its instrument."""
     p = found.parameter
     name = next(e.name for e in BASELINE if p.name in {q.name for q in e.parameters})
-    estimate = Estimate(p.name, found.difference / p.factor, found.sigma / p.factor, p.unit)
+    estimate = Estimate.of(p, found.difference, found.sigma)
     probability = 1.0 / (1.0 + float(np.exp(-found.evidence)))
     instrument = found.instrument or "the instrument"
     sentence = (
@@ -167,8 +175,20 @@ def instrument_finding(found: Contradiction) -> Finding:
     return Finding(
         effect=name,
         known=True,
-        where=Where(instruments=(found.instrument,) if found.instrument else ()),
+        where=Where(
+            observables=(),
+            stations=(),
+            targets=(),
+            instruments=(found.instrument,) if found.instrument else (),
+            covariates=(),
+        ),
         parameters=(estimate,),
-        evidence=Evidence((found.difference / found.sigma) ** 2, 1, float(np.exp(-found.evidence)), probability),
+        evidence=Evidence(
+            chi2_drop=(found.difference / found.sigma) ** 2,
+            parameters=1,
+            p_value=float(np.exp(-found.evidence)),
+            probability=probability,
+        ),
         sentence=sentence,
+        equivalents=(),
     )

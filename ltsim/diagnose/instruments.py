@@ -8,8 +8,8 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
-from ltsim.diagnose.diagnosis import Combination, Estimate, InstrumentEntry
 from ltsim.diagnose.evidence import log_evidence
+from ltsim.diagnose.schema import Combination, Estimate, InstrumentEntry
 from ltsim.effects.effect import Parameter
 
 DETERMINED = 0.25
@@ -28,17 +28,14 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     values = adjustment.state.instrument[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    told = tuple(
-        Estimate(p.name, float(v) / p.factor, float(s) / p.factor, p.unit)
-        for p, v, s in zip(parameters, values, sigma, strict=True)
-    )
+    told = tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True))
     found: list[Combination] = []
     for unit in dict.fromkeys(p.unit for p in parameters):
         at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
         found += _determined(
             [parameters[i].name for i in at], values[at], covariance[np.ix_(at, at)], unit, parameters[at[0]].factor
         )
-    return InstrumentEntry(adjustment.recording.instruments[instrument], told, tuple(found))
+    return InstrumentEntry(name=adjustment.recording.instruments[instrument], parameters=told, determined=tuple(found))
 
 
 def _determined(names: list[str], values: Floats, covariance: Floats, unit: str, factor: float) -> list[Combination]:
@@ -53,7 +50,8 @@ def _determined(names: list[str], values: Floats, covariance: Floats, unit: str,
             continue
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
         weights = {names[i]: float(vector[i]) for i in members}
-        found.append(Combination(weights, float(vector @ values) / factor, sigma / factor, unit))
+        value = float(vector @ values) / factor
+        found.append(Combination(combination=weights, value=value, sigma=sigma / factor, unit=unit))
     return found
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
-from ltsim.diagnose.diagnosis import Curve, Estimate
 from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
+from ltsim.diagnose.schema import Curve, Estimate
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -281,7 +281,7 @@ def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) ->
         phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
         turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
         amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along), factor, unit)
-        return amplitude, Estimate("phase", phase, min(turn, 180.0), "deg")
+        return amplitude, Estimate(name="phase", value=phase, sigma=min(turn, 180.0), unit="deg")
     columns = law.driver.columns(sightings)[law.mask(sightings) > 0]
     values = columns @ means.T @ way
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
@@ -292,7 +292,8 @@ def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) ->
 
 
 def _estimate(name: str, value: float, variance: float, factor: float, unit: str) -> Estimate:
-    return Estimate(name, float(value) / factor, float(np.sqrt(max(variance, 0.0))) / factor, unit)
+    sigma = float(np.sqrt(max(variance, 0.0)))
+    return Estimate(name=name, value=float(value) / factor, sigma=sigma / factor, unit=unit)
 
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
@@ -319,9 +320,9 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean
     return Curve(
-        driver.covariates[0],
-        law.carrier.unit,
-        tuple(at.tolist()),
-        tuple((values / factor).tolist()),
-        tuple((sigma / factor).tolist()),
+        covariate=driver.covariates[0],
+        unit=law.carrier.unit,
+        at=tuple(at.tolist()),
+        value=tuple((values / factor).tolist()),
+        sigma=tuple((sigma / factor).tolist()),
     )

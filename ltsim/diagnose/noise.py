@@ -16,9 +16,9 @@ import scipy.sparse as sp
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.diagnosis import Equivalent
 from ltsim.diagnose.drivers import further
 from ltsim.diagnose.evidence import PRIOR, log_means
+from ltsim.diagnose.schema import Equivalent
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature, Parameter

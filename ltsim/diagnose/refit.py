@@ -10,14 +10,13 @@ import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.diagnose.diagnosis import Estimate
 from ltsim.diagnose.evidence import WIDE
+from ltsim.diagnose.schema import Estimate
 from ltsim.effects.signature import Parameter, Signature, Tunable
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.units import FACTOR
 
 ITERATIONS = 4
 SHAPE_STEP = 1e-3
@@ -192,14 +191,13 @@ def _estimates(
     for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
         row = []
         for parameter, value in zip(effect.parameters, values, strict=True):
-            row.append(Estimate(parameter.name, value / parameter.factor, sigma[at] / parameter.factor, parameter.unit))
+            row.append(Estimate.of(parameter, value, sigma[at]))
             at += 1
         group = directions[i] if carrier is joint and i < len(directions) else []
         for direction in group:
             shape = next(s for s in type(effect).shape if s.name == direction.constant)
             now = float(getattr(effect, shape.name))
-            size = FACTOR[shape.unit]
-            row.append(Estimate(shape.name, now / size, float(sigma[shape_at]) * abs(now) / size, shape.unit))
+            row.append(Estimate.of(shape, now, float(sigma[shape_at]) * abs(now)))
             shape_at += 1
         rows.append(tuple(row))
     return tuple(rows)

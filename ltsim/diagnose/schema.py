@@ -1,13 +1,15 @@
-"""diagnosis.json and the tables beside it: what stands in them, for writers and readers."""
+"""What a diagnosis says, in the models that stand in diagnosis.json as they are; the tables beside it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
-from ltsim.calibrate.schema import COORDINATES, RESIDUALS, ParameterEntry
+from ltsim.calibrate.schema import COORDINATES, RESIDUALS
+from ltsim.effects.signature import Parameter, ShapeParameter
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.recording.result_table import ResultTable, numbers
+from ltsim.units import FACTOR
 
 TARGETS = ResultTable(
     "targets.csv",
@@ -20,7 +22,7 @@ TARGETS = ResultTable(
 BEFORE = replace(RESIDUALS, file="residuals_before.csv", about="what the ordinary adjustment left")
 
 
-class WhereEntry(Entry):
+class Where(Entry):
     """What a finding is confined to; empty means everything."""
 
     observables: tuple[str, ...] = ()
@@ -35,12 +37,12 @@ class WhereEntry(Entry):
     """What it follows: time, angles, or a further column of the recording."""
 
 
-class EvidenceEntry(Entry):
+class Evidence(Entry):
     """How strong a finding is; `p_value` is corrected for everything that was searched."""
 
-    chi2_drop: Known = None
+    chi2_drop: Finite
     """How much chi-square falls."""
-    parameters: int | None = None
+    parameters: int
     """For how many."""
     p_value: Known = None
     """Chance of as much in a clean recording, in the whole search."""
@@ -48,7 +50,7 @@ class EvidenceEntry(Entry):
     """Against the other explanations."""
 
 
-class EquivalentEntry(Entry):
+class Equivalent(Entry):
     """Another effect that cannot be excluded."""
 
     effect: str
@@ -57,20 +59,26 @@ class EquivalentEntry(Entry):
     """That it is this one."""
 
 
-class EstimateEntry(Entry):
-    """A parameter of a finding."""
+class Estimate(Entry):
+    """A parameter of a finding, or a constant of an instrument: a correction, truth minus reading."""
 
     name: str
     """Its name."""
     value: Finite
     """Its size."""
-    sigma: Known = None
+    sigma: Finite = 0.0
     """Its standard deviation."""
     unit: str = ""
-    """Of both."""
+    """Of both: that in which a person reads it."""
+
+    @classmethod
+    def of(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
+        """The estimate of a parameter from value and deviation [SI]."""
+        factor = FACTOR[parameter.unit]
+        return cls(name=parameter.name, value=value / factor, sigma=sigma / factor, unit=parameter.unit)
 
 
-class CurveEntry(Entry):
+class Curve(Entry):
     """What a carrier does over a covariate."""
 
     covariate: str
@@ -85,7 +93,7 @@ class CurveEntry(Entry):
     """Standard deviations."""
 
 
-class FindingEntry(Entry):
+class Finding(Entry):
     """One thing left out of the model."""
 
     effect: str
@@ -94,13 +102,13 @@ class FindingEntry(Entry):
     """It is one of the catalogue."""
     sentence: str = ""
     """The same for a person."""
-    where: WhereEntry = WhereEntry()
+    where: Where = Where()
     """What it is confined to."""
-    parameters: tuple[EstimateEntry, ...] = ()
+    parameters: tuple[Estimate, ...] = ()
     """Its size."""
-    evidence: EvidenceEntry = EvidenceEntry()
+    evidence: Evidence
     """How strong it is."""
-    equivalents: tuple[EquivalentEntry, ...] = ()
+    equivalents: tuple[Equivalent, ...] = ()
     """What else it may be."""
     separate_by: str = ""
     """The measurement that would tell it from its equivalents."""
@@ -110,7 +118,7 @@ class FindingEntry(Entry):
     """What an effect that no card names acts on."""
     driver: str = ""
     """What an effect that no card names follows."""
-    curve: CurveEntry | None = None
+    curve: Curve | None = None
     """The same as a curve, where it follows one covariate."""
 
 
@@ -127,10 +135,10 @@ class GlobalTest(Entry):
     """Of the whole search."""
 
 
-class DiagnosisFit(Entry):
+class Fit(Entry):
     """Chi-square, and the normalised error on observations that the fit did not see."""
 
-    chi2: Known
+    chi2: Finite
     """Weighted sum of squares."""
     dof: int
     """Degrees of freedom."""
@@ -141,13 +149,13 @@ class DiagnosisFit(Entry):
 class BeforeAfter(Entry):
     """Fit without and with the findings."""
 
-    before: DiagnosisFit
+    before: Fit
     """Without the findings."""
-    after: DiagnosisFit
+    after: Fit
     """With them."""
 
 
-class UndetectableEntry(Entry):
+class Undetectable(Entry):
     """An effect that leaves no residual."""
 
     effect: str
@@ -173,8 +181,8 @@ class DetectableEntry(Entry):
     """Of the size."""
 
 
-class DeterminedEntry(Entry):
-    """A combination of parameters that the recording determines."""
+class Combination(Entry):
+    """A combination of parameters that the recording determines better than each of them."""
 
     combination: dict[str, Finite]
     """Coefficient of each parameter."""
@@ -191,9 +199,9 @@ class InstrumentEntry(Entry):
 
     name: str
     """Its name."""
-    parameters: tuple[ParameterEntry, ...] = ()
+    parameters: tuple[Estimate, ...] = ()
     """Estimates."""
-    determined: tuple[DeterminedEntry, ...] = ()
+    determined: tuple[Combination, ...] = ()
     """Combinations that the recording determines."""
 
 
@@ -209,11 +217,11 @@ class DiagnosisFile(ResultFile):
     """The answer in a few sentences."""
     global_test: GlobalTest
     """Of the ordinary model."""
-    findings: tuple[FindingEntry, ...] = ()
+    findings: tuple[Finding, ...] = ()
     """What was left out of the model."""
     fit: BeforeAfter | None = None
     """Without and with the findings."""
-    undetectable: tuple[UndetectableEntry, ...] = ()
+    undetectable: tuple[Undetectable, ...] = ()
     """What this network cannot see."""
     detectable: tuple[DetectableEntry, ...] = ()
     """How small everything else may be."""

@@ -19,11 +19,11 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.carriers import CARRIERS
-from ltsim.diagnose.diagnosis import Estimate
 from ltsim.diagnose.evidence import PRIOR, evidence_with, log_average, posterior, sign_weight
 from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
+from ltsim.diagnose.schema import Estimate
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
 from ltsim.diagnose.shapes import shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
@@ -249,11 +249,12 @@ class Searcher:
             return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
         found = shape_posterior(self, effect, others, {e.name: e.sigma for e in told})
         wider = any(found[e.name][1] > WIDER * e.sigma for e in told if e.name in found)
-        rows = [
-            replace(e, value=found[e.name][0], sigma=found[e.name][1]) if wider and e.name in found else e for e in told
-        ]
+        rows = list(told)
+        for i, e in enumerate(told):
+            if wider and e.name in found:
+                rows[i] = e.model_copy(update=dict(zip(("value", "sigma"), found[e.name], strict=True)))
         if "time" in found and all(e.name != "time" for e in rows):
-            rows.append(Estimate("time", *found["time"], "s"))
+            rows.append(Estimate(name="time", value=found["time"][0], sigma=found["time"][1], unit="s"))
         return tuple(rows)
 
     def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:

@@ -38,7 +38,7 @@ def separating_measurement(
 def open_question(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[Signature, ...]]:
     """The explanations between which a diagnosis leaves its first open finding, and the effects found beside it."""
     for finding in diagnosis.findings:
-        names = _comparable(finding.effect, [name for name, _ in finding.equivalents]) if finding.known else ()
+        names = _comparable(finding.effect, [other.effect for other in finding.equivalents]) if finding.known else ()
         if names:
             return names, tuple(e for e in diagnosis.adjusted.effects if e.name != finding.effect)
     return (), ()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.diagnose.diagnosis import Estimate, Finding, Fit, Where
+from ltsim.diagnose.schema import Estimate, Finding, Fit, Where
 from ltsim.effects import card_of, find_effect
 
 MOST_NAMED = 4
@@ -103,7 +103,7 @@ def finding_sentence(
 
 def _law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
     """A law that no card names, in one sentence: what varies with what, where, how much."""
-    kept = Where((), where.stations, where.targets, (), where.instruments)
+    kept = where.model_copy(update={"observables": ()})
     at = f" {place(kept)}" if kept.stations or kept.targets or kept.instruments else ""
     told = estimates(parameters)
     size = f" ({told})" if told else ""
@@ -123,7 +123,8 @@ def without_clock(parameter: Estimate) -> Estimate:
         unit, factor = WITHOUT_CLOCK[parameter.unit]
     else:
         return parameter
-    return Estimate(parameter.name, factor * parameter.value, factor * parameter.sigma, unit)
+    value, sigma = factor * parameter.value, factor * parameter.sigma
+    return Estimate(name=parameter.name, value=value, sigma=sigma, unit=unit)
 
 
 def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:
@@ -141,10 +142,10 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
         )
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
-    others = ["physics outside the catalogue" if e == "unknown" else e for e, _ in first.equivalents]
+    others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
     gain = ""
-    if after is not before:
+    if after is not before and before.held_out_rms is not None and after.held_out_rms is not None:
         was, now = f"{before.held_out_rms:.2f}", f"{after.held_out_rms:.2f}"
         course = (
             f"falls from {was} to {now}" if after.held_out_rms < before.held_out_rms else f"rises from {was} to {now}"

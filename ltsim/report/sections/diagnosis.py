@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.calibrate.files import read_targets
 from ltsim.calibrate.schema import RESIDUALS
-from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile, DiagnosisFit, FindingEntry, WhereEntry
+from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
 from ltsim.recording import Recording
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import check_source, companion, read_result
@@ -71,7 +71,7 @@ def _good(content: DiagnosisFile) -> bool:
     return content.verdict == "consistent"
 
 
-def _ratio(fit: DiagnosisFit) -> str:
+def _ratio(fit: Fit) -> str:
     return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else "–"
 
 
@@ -88,7 +88,7 @@ def _residuals(
     return (before if stored else None), (after.with_covariates(geometry) if geometry else after)
 
 
-def _finding(finding: FindingEntry, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
+def _finding(finding: Finding, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
     """One finding: sentence, parameters, rivals, signature."""
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
     words = typeset(finding.sentence) or f"{name} {_place(finding.where)}"
@@ -99,10 +99,7 @@ def _finding(finding: FindingEntry, number: int, before: Residuals | None, after
     rows = [[p.name, style.with_unit(p.value, p.sigma, p.unit)] for p in finding.parameters]
     rows.append(["where", _place(finding.where)])
     evidence = finding.evidence
-    if evidence.chi2_drop is not None:
-        rows.append(
-            ["χ² falls by", f"{style.number(evidence.chi2_drop)} for {count(evidence.parameters or 0, 'parameter')}"]
-        )
+    rows.append(["χ² falls by", f"{style.number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"])
     rows.append(["p, corrected for the search", p_text(evidence.p_value)])
     blocks.append(Table(f"Finding {number} in figures", ["", "value"], rows, text_columns=2))
     rivals = [
@@ -114,7 +111,7 @@ def _finding(finding: FindingEntry, number: int, before: Residuals | None, after
     return blocks + _curve(finding, number, before) + _signature(finding, number, before, after)
 
 
-def _curve(finding: FindingEntry, number: int, before: Residuals | None) -> list[Block]:
+def _curve(finding: Finding, number: int, before: Residuals | None) -> list[Block]:
     """What a carrier does over its driver, where a finding has a curve."""
     curve = finding.curve
     if curve is None or len(curve.at) < MOST_STEPS:
@@ -155,7 +152,7 @@ def _instruments(content: DiagnosisFile) -> list[Block]:
     return blocks
 
 
-def _signature(finding: FindingEntry, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
+def _signature(finding: Finding, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
     """Residuals against the finding's first covariate, without and with it."""
     if before is None or after is None:
         return []
@@ -176,7 +173,7 @@ def _signature(finding: FindingEntry, number: int, before: Residuals | None, aft
     return [picture(f"Signature of finding {number}", figure, text)]
 
 
-def _place(where: WhereEntry) -> str:
+def _place(where: Where) -> str:
     """Where a finding acts, in words."""
     parts = [
         f"{word} {listing(list(names))}"

@@ -8,7 +8,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from ltsim.diagnose.schema import DiagnosisFile, FindingEntry
+from ltsim.diagnose.schema import DiagnosisFile, Finding
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Section, Table
@@ -41,14 +41,14 @@ def beside_truth(section: Section, folder: Path) -> Section:
     return replace(section, answer=answer, blocks=[table, *section.blocks])
 
 
-def _in_order(hidden: Sequence[Mapping[str, Any]], found: Sequence[FindingEntry]) -> list[Mapping[str, Any] | None]:
+def _in_order(hidden: Sequence[Mapping[str, Any]], found: Sequence[Finding]) -> list[Mapping[str, Any] | None]:
     """The hidden effects in the order of the findings that name them; those that nobody found come last."""
     names = [finding.effect for finding in found]
     named = {h["effect"]: h for h in hidden}
     return [named.get(name) for name in names] + [h for h in hidden if h["effect"] not in names]
 
 
-def _rows(hidden: Mapping[str, Any] | None, found: FindingEntry | None) -> list[list[str]]:
+def _rows(hidden: Mapping[str, Any] | None, found: Finding | None) -> list[list[str]]:
     """Effect, place and values of one pair."""
     entries = {} if hidden is None else {p["name"]: p for p in hidden["parameters"]}
     values = {} if found is None else {p.name: p for p in found.parameters}

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltsim.adjust.gross import GrossFinding
 from ltsim.adjust.start import station_clouds
 from ltsim.arrays import Floats
-from ltsim.diagnose.gross import GrossFinding
 from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
@@ -33,7 +33,8 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         One a station; empty where every shape agrees or nothing explains the difference.
     """
     findings: list[GrossFinding] = []
-    for s in _odd_stations(recording):
+    odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE) if len(recording.stations) > 2 else ()
+    for s in odd:
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.at(name):
             readings = recording.readings.copy()
@@ -78,13 +79,6 @@ def mend_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         observables = ("azimuth", "elevation")
         findings.append(GrossFinding("face-confusion", rows, (name,), (), observables, 2 * far, sentence))
     return recording.replace(face=np.where(wrong, shown, recording.face)), findings
-
-
-def _odd_stations(recording: Recording) -> list[int]:
-    """Stations whose cloud differs in shape from most others."""
-    if len(recording.stations) < 3:
-        return []
-    return [int(s) for s in np.flatnonzero(_misfit(recording) > WRONG_SHAPE)]
 
 
 def _misfit(recording: Recording) -> Floats:
