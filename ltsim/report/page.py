@@ -163,9 +163,7 @@ def _parts(folder: Path, recording: Path | None) -> list[Part]:
     used = Counter(part.recording for part in found)
     diagnosed = {part.recording for part in found if part.kind == "diagnosis.json"} - {None}
     return [
-        replace(
-            part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed
-        )
+        replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed)
         for part in found
     ]
 
