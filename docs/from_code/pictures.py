@@ -1,10 +1,10 @@
 """Pictures drawn while the documentation is built: they go straight into the built pages' folder."""
 
-import base64
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Self
+from urllib.request import urlopen
 
 from sphinx.environment import BuildEnvironment
 
@@ -34,7 +34,7 @@ class Pictures:
 
     def keep(self, name: str, data_address: str, alt: str) -> str:
         """Keep a picture given as a `data:` address; the HTML that shows it."""
-        kind, _, content = data_address.partition(";base64,")
-        file = f"{name}.{'png' if kind.endswith('png') else 'svg'}"
-        (self.folder / file).write_bytes(base64.b64decode(content))
+        with urlopen(data_address) as picture:
+            file = f"{name}.{'png' if picture.headers.get_content_subtype() == 'png' else 'svg'}"
+            (self.folder / file).write_bytes(picture.read())
         return f'<img src="{self.address}/{file}" alt="{escape(alt)}" loading="lazy">'

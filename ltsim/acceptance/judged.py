@@ -55,18 +55,17 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Fou
     """
     place = {test.name: i for i, test in enumerate(tests)}
     found: dict[str, Found] = {}
-    for number, row in enumerate(rows_of(file, ("test", "error_um"), ("U_um",)), start=1):
+    for line, row in rows_of(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
-            raise SetupError(f"{file}: row {number}: {unknown_name('test', name, place)}")
+            raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
         if name in found:
-            raise SetupError(f"{file}: row {number}: test '{shown(name)}' stands there twice; give its largest error")
+            raise SetupError(f"{file}: row {line}: test '{shown(name)}' stands there twice; give its largest error")
         numbers = [
-            number_of(row, column, number, file, "micrometres") if (row.get(column) or "").strip() else float("nan")
-            for column in ("error_um", "U_um")
+            number_of(row, column, line, file) if row.get(column) else float("nan") for column in ("error_um", "U_um")
         ]
         if not np.isfinite(numbers[0]):
-            raise SetupError(f"{file}: row {number}: error_um is empty, expected micrometres")
+            raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
         found[name] = Found(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
     if not found:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +10,9 @@ from typing import Literal
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.errors import SetupError
+from ltsim.errors import SetupError, as_setup_error
 from ltsim.geometry.polar import from_polar
-from ltsim.recording.files import read_text, shown
+from ltsim.recording.files import comma_number, shown, table_rows
 
 Kind = Literal["length", "two-face"]
 COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
@@ -110,53 +108,51 @@ def builtin(standard: str, height: float, ranges: Sequence[float]) -> list[Test]
 
 
 def read_tests(file: Path) -> list[Test]:
-    """A plan of one's own: a CSV with the columns `COLUMNS`; a two-face test leaves its second point empty.
+    """A plan of one's own: a table with the columns `COLUMNS`; a two-face test leaves its second point empty.
 
     Raises
     ------
     SetupError
         One sentence: row, column, what was found, what would be right.
     """
-    tests = [_test(row, number, file) for number, row in enumerate(rows_of(file, COLUMNS), start=1)]
+    tests = [_test(row, line, file) for line, row in rows_of(file, COLUMNS)]
     if not tests:
         raise SetupError(f"{file}: holds no test, expected a row for each")
     return tests
 
 
-def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[dict[str, str]]:
-    """The rows of a CSV that a person wrote, with the columns that are `needed`; raises SetupError."""
-    reader = csv.DictReader(io.StringIO(read_text(file)), restval="")
-    missing = [name for name in needed if name not in (reader.fieldnames or ())]
+def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[tuple[int, dict[str, str]]]:
+    """Lines and rows of a table that a person wrote, with the columns that are `needed`; raises SetupError."""
+    with as_setup_error():
+        header, rows = table_rows(file)
+    missing = [name for name in needed if name not in header]
     if missing:
         raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *further])}")
-    return list(reader)
+    return rows
 
 
-def number_of(row: Mapping[str, str], column: str, number: int, file: Path, unit: str) -> float:
-    """The number in a cell of row `number`; raises SetupError."""
-    text = row[column]
-    try:
-        return float(text)
-    except ValueError:
-        raise SetupError(f"{file}: row {number}: {column} is '{shown(text)}', expected {unit}") from None
+def number_of(row: Mapping[str, str], column: str, line: int, file: Path) -> float:
+    """The number in a cell, with a decimal point or comma; raises SetupError."""
+    with as_setup_error():
+        return comma_number(row[column], file=file, row=line, column=column)
 
 
-def _test(row: dict[str, str], number: int, file: Path) -> Test:
-    kind = row["kind"].strip()
+def _test(row: dict[str, str], line: int, file: Path) -> Test:
+    kind = row["kind"]
     if kind not in ("length", "two-face"):
-        raise SetupError(f"{file}: row {number}: kind is '{shown(kind)}', expected length or two-face")
-    first = _point(row, "1", number, file)
-    second = _point(row, "2", number, file) if kind == "length" else first
+        raise SetupError(f"{file}: row {line}: kind is '{shown(kind)}', expected length or two-face")
+    first = _point(row, "1", line, file)
+    second = _point(row, "2", line, file) if kind == "length" else first
     if kind == "length" and first == second:
-        raise SetupError(f"{file}: row {number}: both ends of the length are the same point")
-    name = row["test"].strip() or f"{kind} {number}"
-    return Test(name, row["group"].strip() or kind, kind, first, second)  # type: ignore[arg-type]
+        raise SetupError(f"{file}: row {line}: both ends of the length are the same point")
+    name = row["test"] or f"{kind} in line {line}"
+    return Test(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
 
 
-def _point(row: dict[str, str], end: str, number: int, file: Path) -> tuple[float, float, float]:
-    values = [number_of(row, f"{axis}{end}_mm", number, file, "millimetres") / 1000 for axis in "xyz"]
+def _point(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float, float, float]:
+    values = [number_of(row, f"{axis}{end}_mm", line, file) / 1000 for axis in "xyz"]
     if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
-        raise SetupError(f"{file}: row {number}: point {end} is on the instrument's own axis, which has no azimuth")
+        raise SetupError(f"{file}: row {line}: point {end} is on the instrument's own axis, which has no azimuth")
     return values[0], values[1], values[2]
 
 

@@ -16,6 +16,7 @@ from scipy import optimize, special
 from ltsim.adjust import Adjustment
 from ltsim.adjust.reliability import surprise
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
+from ltsim.chances import p_is
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.errors import ModelError
 from ltsim.model.construction import Construction
@@ -104,7 +105,7 @@ class FittedEffect:
             for p in self.parameters
         )
         tried = f", the best of {self.tried}" if self.tried > 1 else ""
-        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} (p {self.p_value:.2g}{tried})"
+        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
 
 
 def _more(parameter: FittedParameter) -> str:

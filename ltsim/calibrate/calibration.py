@@ -12,6 +12,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.beside import FittedEffect
+from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
 from ltsim.model.construction import Construction
@@ -213,7 +214,8 @@ class Calibration(Shown):
 
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
-        test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}" + ("" if fit.p_value is None else f", p {fit.p_value:.2g}")
+        test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
+        test += "" if fit.p_value is None else f", two-sided {p_is(two_sided(fit.p_value))}"
         known = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
         lines = [
             f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",

@@ -19,6 +19,7 @@ from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.dates import days_of
 from ltsim.calibrate.evidence import Evidence, evidence
+from ltsim.chances import p_is
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown
@@ -193,7 +194,7 @@ class History(Shown):
         since = self.change(0, len(self) - 1).joint
         return [
             f"History: {len(self)} calibrations, {self.labels[0]} to {self.labels[-1]}",
-            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, p {since.p_value:.2g}",
+            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_is(since.p_value)}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:

@@ -13,6 +13,7 @@ from ltsim.adjust.start import reached_network
 from ltsim.adjust.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose
+from ltsim.chances import AGREES
 from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
@@ -24,8 +25,6 @@ from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
-AGREES = 0.01
-"""Level at which chi-square says that readings and model disagree."""
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
 MOST_NAMED = 6
@@ -102,7 +101,7 @@ def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
 
 def verdict_of(adjustment: Adjustment) -> Verdict:
     """Which test to trust, the global one at the level at which fits are said to agree."""
-    return verdict(adjustment, level=2 * AGREES)
+    return verdict(adjustment, level=AGREES)
 
 
 def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

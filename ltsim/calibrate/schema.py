@@ -48,7 +48,9 @@ class FitEntry(Entry):
     sigma0: Known = None
     """Square root of chi-square over degrees of freedom."""
     p_value: Known = None
-    """Chance of as much or more in a correct model."""
+    """Chance of as much or more in a correct model: near 1 where the readings scatter less than stated. What is printed
+    is two-sided, twice the smaller of it and of its complement.
+    """
     iterations: int = 0
     """Steps of Gauss-Newton."""
     status: str = "not stated"

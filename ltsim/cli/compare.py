@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltsim.chances import p_is, p_text
 from ltsim.cli.options import Out, Reading, Robust, Source, names_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
@@ -77,8 +78,8 @@ def show(terminal: Terminal, content: ComparisonFile) -> None:
     """The verdict, then a line a point."""
     terminal.say("\n" + content.sentence)
     terminal.say(
-        f"no motion at all has p = {content.p_value:.2g} (chi-square {content.statistic:.1f}, {content.dof} degrees of "
-        f"freedom); without the points that moved p = {content.p_value_after:.2g}"
+        f"no motion at all has {p_is(content.p_value)} (chi-square {content.statistic:.1f}, {content.dof} degrees of "
+        f"freedom); without the points that moved {p_is(content.p_value_after)}"
     )
     rows = [
         [
@@ -87,7 +88,7 @@ def show(terminal: Terminal, content: ComparisonFile) -> None:
             *(f"{v:.1f}" for v in d.shift_um),
             *(f"{v:.1f}" for v in d.sigma_um),
             f"{d.visible_um[1]:.0f}",
-            f"{d.p_value:.2g}",
+            p_text(d.p_value),
         ]
         for d in content.displacements
     ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
+from ltsim.chances import p_is, p_text
 from ltsim.cli.options import NoiseFromData, Out, Reading, Robust
 from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of
@@ -145,7 +146,7 @@ def show(terminal: Terminal, found: History) -> None:
             continue
         value, sigma = digits(found.values[-1, k] / parameter.factor, found.sigma[-1, k] / parameter.factor)
         mean, spread = found.population.mean[k] / parameter.factor, found.population.spread[k] / parameter.factor
-        constant = chance(test.p_value).removeprefix("p = ")
+        constant = p_text(test.p_value)
         rows.append([parameter.name, parameter.unit, value, sigma, f"{mean:.2f}", f"{spread:.2f}", constant])
     header = ("parameter", "unit", "last", "sigma", "mean", "spread", "p constant")
     terminal.say(f"{len(found)} calibrations, {found.labels[0]} to {found.labels[-1]}\n")
@@ -166,7 +167,7 @@ def _sentence(found: History, change: Change, stood_out: Sequence[Event]) -> str
     """From one calibration to another, with the events between them."""
     test = change.joint
     said = _events(found, stood_out) if stood_out else _verdict(found, change)
-    return f"{change.first} to {change.second}: chi2 {test.chi2:.1f}/{test.dof}, {chance(test.p_value)}: {said}"
+    return f"{change.first} to {change.second}: chi2 {test.chi2:.1f}/{test.dof}, {p_is(test.p_value)}: {said}"
 
 
 def _verdict(found: History, change: Change) -> str:
@@ -189,8 +190,3 @@ def _events(found: History, stood_out: Sequence[Event]) -> str:
         usual = f"{event.usual / parameter.factor:.2g} {parameter.unit}"
         parts.append(f"{parameter.name} by {value} +- {sigma} {parameter.unit} (its usual step: {usual})")
     return f"an event (a service, a blow): {'; '.join(parts)}"
-
-
-def chance(p_value: float) -> str:
-    """A p-value as printed; below what chi-square tables mean anything for, a bound."""
-    return f"p = {p_value:.2g}" if p_value > 1e-12 else "p < 1e-12"

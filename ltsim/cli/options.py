@@ -53,8 +53,9 @@ FrameFile = Annotated[
     typer.Option(
         "--frame",
         metavar="FILE",
-        help="Axes of the results: coordinates of some targets (targets.csv or a list of points), a scenario, or a "
-        'TOML file with three targets: origin = "T01", x_axis = "T02", xy_plane = "T03".',
+        help="Axes of the results: coordinates of some targets (targets.csv or a list of points), a scenario (file, "
+        "or the name of a built-in one), or a TOML file with three targets: "
+        'origin = "T01", x_axis = "T02", xy_plane = "T03".',
     ),
 ]
 Robust = Annotated[
@@ -175,16 +176,17 @@ def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def in_axes(recording: Recording, frame: Path) -> Recording:
-    """The recording with its datum in the axes that a file names; raises RecordError or SetupError."""
+    """The recording with its datum in the axes of a file or a built-in scenario; raises RecordError or SetupError."""
     from ltsim.adjust.axes import in_axes_of_points, in_axes_of_three, read_axes
-
-    if frame.suffix.lower() != ".toml":
-        return in_axes_of_points(recording, read_axes(frame), str(frame))
     from ltsim.recording.settings import read_toml
+    from ltsim.simulate.builtin import builtin_names
 
-    named = read_toml(frame, "frame")
-    if {"origin", "x_axis", "xy_plane"} <= named.keys():
-        return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
+    if frame.exists() and str(frame) not in builtin_names():
+        if frame.suffix.lower() != ".toml":
+            return in_axes_of_points(recording, read_axes(frame), str(frame))
+        named = read_toml(frame, "frame")
+        if {"origin", "x_axis", "xy_plane"} <= named.keys():
+            return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
     from ltsim.simulate.scenario import load_scenario
     from ltsim.simulate.workshop import planned
 

@@ -1,8 +1,13 @@
-"""Where a verb may write: it replaces what it wrote itself and nobody changed since, anything else with --force."""
+"""Where a verb may write without --force.
+
+A folder that is new, empty or ltsim's own; and there over nothing but what the verb wrote itself and nobody changed.
+"""
 
 from __future__ import annotations
 
+import json
 import os
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +24,8 @@ Force = Annotated[bool, typer.Option("--force", help="Replace what is there, als
 GENERATOR = '<meta name="generator" content="ltsim'
 """How a page says that it can be made again."""
 HEAD = 4096
+OWN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
+"""What the beginning of a file says that ltsim wrote, or that a person wrote for it."""
 
 
 def claim(
@@ -30,6 +37,8 @@ def claim(
     own: Callable[[Any], bool] = lambda found: True,
 ) -> None:
     """Make sure that a result and the files beside it replace nothing but an older result of the same verb.
+
+    The folder is new, empty or holds what commands of ltsim wrote, and folders.
 
     Parameters
     ----------
@@ -52,6 +61,7 @@ def claim(
     taken = [name for name in (model.FILE, *names) if os.path.lexists(folder / name)]
     if taken and not _is_own(folder, model, taken, own):
         _refuse(folder, taken)
+    _refuse_foreign(folder)
 
 
 def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callable[[Any], bool]) -> bool:
@@ -66,12 +76,15 @@ def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callab
 
 
 def claim_recording(folder: Path, *, force: bool) -> None:
-    """Make sure that a recording replaces none; raises RecordError."""
+    """Make sure that a recording replaces none and lies among nothing foreign; raises RecordError."""
     from ltsim.recording.native import OBSERVATIONS, SETUP
 
     taken = [name for name in (OBSERVATIONS, SETUP) if os.path.lexists(folder / name)]
-    if taken and not force:
+    if force:
+        return
+    if taken:
         _refuse(folder, taken)
+    _refuse_foreign(folder)
 
 
 def claim_empty(folder: Path, *, force: bool) -> None:
@@ -93,10 +106,40 @@ def claim_file(file: Path | None, *, force: bool) -> None:
     raise RecordError("is there already; give another name, or replace it with --force", file=file)
 
 
+def _refuse_foreign(folder: Path) -> None:
+    """Raise RecordError where a folder holds files that no command of ltsim wrote; hidden ones and folders aside."""
+    from ltsim.recording.native import OBSERVATIONS, SETUP
+
+    files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
+    own = {OBSERVATIONS, SETUP}.union(*map(_answered_for, files))
+    foreign = sorted({p.name for p in files} - own)
+    if foreign:
+        raise RecordError(
+            f"holds {_listed(foreign)}, which ltsim did not write: it is somebody's own folder; "
+            "name another place, or write into it with --force",
+            file=folder,
+        )
+
+
+def _answered_for(file: Path) -> set[str]:
+    """A file that says it is ltsim's, with those that it says were written beside it."""
+    try:
+        with file.open("rb") as stream:
+            if not OWN.search(stream.read(HEAD).decode("latin-1")):
+                return set()
+        beside = json.loads(file.read_text(encoding="utf-8")).get("files", ()) if file.suffix == ".json" else ()
+    except (OSError, ValueError):
+        return set()
+    return {file.name, *beside}
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
 def _refuse(folder: Path, taken: list[str]) -> None:
-    listed = ", ".join(taken[:3]) + (f" and {len(taken) - 3} more" if len(taken) > 3 else "")
     raise RecordError(
-        f"holds {listed}, which this command did not write or which was changed since; "
+        f"holds {_listed(taken)}, which this command did not write or which was changed since; "
         "name another place, or replace them with --force",
         file=folder,
     )

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ltsim.chances import AGREES, p_is, two_sided
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.units import MICROMETRE
 
@@ -61,21 +62,20 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
 
 def fit_line(calibration: Calibration) -> str:
     """chi2/dof and what it says, and how the iteration ended."""
-    from ltsim.calibrate.result import AGREES
-
     fit = calibration.fit
     ended = f"{fit.status} after {fit.iterations} iterations ({fit.sentence})"
     if fit.sigma0 is None or fit.p_value is None:
         return f"construction {calibration.construction.name}: {ended}; no redundancy to test it with"
-    verb = "agree" if fit.p_value >= AGREES else "do not agree"
-    verdict = f"readings, model and stated noise {verb}"
-    if fit.p_value > 1.0 - AGREES:
+    p = two_sided(fit.p_value)
+    agrees = p >= AGREES
+    verdict = f"readings, model and stated noise {'agree' if agrees else 'do not agree'}"
+    if not agrees and fit.p_value > 0.5:
         verdict = "the readings scatter less than the stated noise says"
     if calibration.noise_estimated:
         verdict = "no test, the noise was estimated from the same readings"
     return (
         f"construction {calibration.construction.name}: {ended}\n"
-        f"chi2/dof = {fit.chi2:.1f}/{fit.dof} = {fit.chi2 / fit.dof:.3f}, p = {fit.p_value:.2g}: {verdict}"
+        f"chi2/dof = {fit.chi2:.1f}/{fit.dof} = {fit.chi2 / fit.dof:.3f}, two-sided {p_is(p)}: {verdict}"
     )
 
 

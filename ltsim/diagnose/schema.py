@@ -130,7 +130,7 @@ class GlobalTest(Entry):
     dof: int
     """Degrees of freedom."""
     p_value: Known
-    """Of chi-square."""
+    """Chance of as large a chi-square or larger; pages print the two-sided one, from both tails."""
     search_p_value: Known = None
     """Of the whole search."""
 

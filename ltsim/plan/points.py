@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
 from ltsim.errors import RecordError, as_setup_error
-from ltsim.recording.files import check_name, comma_number, read_text, shown
+from ltsim.recording.files import check_name, comma_number, shown, table_rows
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section
 
 PLACE = ("x_mm", "y_mm", "z_mm")
@@ -43,20 +42,11 @@ def read_points(path: Path) -> tuple[Point, ...]:
 
 
 def _points(path: Path) -> tuple[Point, ...]:
-    lines = read_text(path).splitlines()
-    remarks = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines) - 1)
-    lines = lines[remarks:]
-    separator = next((mark for mark in ";\t" if mark in lines[0]), ",")
-    reader = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
-    header = [name.strip() for name in reader.fieldnames or ()]
-    reader.fieldnames = header
+    header, rows = table_rows(path)
     _check_header(header, path)
     found: dict[str, Point] = {}
-    for row in reader:
-        if not any((text or "").strip() for key, text in row.items() if key is not None):
-            continue
-        line = remarks + reader.line_num
-        point = _point(row, path, line)
+    for line, cells in rows:
+        point = _point(cells, path, line)
         if point.name in found:
             raise RecordError(f"the point '{shown(point.name)}' stands twice", file=path, row=line)
         found[point.name] = point
@@ -77,11 +67,7 @@ def _check_header(header: list[str], path: Path) -> None:
             raise RecordError(f"has the column '{shown(name)}' {what}; {wanted}", file=path)
 
 
-def _point(row: Mapping[str | None, str | None], path: Path, line: int) -> Point:
-    if None in row or any(text is None for text in row.values()):
-        raise RecordError("has another number of cells than the header", file=path, row=line)
-    cells = {str(key): str(text).strip() for key, text in row.items()}
-
+def _point(cells: Mapping[str, str], path: Path, line: int) -> Point:
     def value(column: str, usual: float | None = None) -> float | None:
         if column not in PLACE and not cells.get(column):
             return usual

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import tempfile
@@ -79,6 +80,32 @@ def read_lines(path: Path, *, latin: bool = False) -> list[str]:
         if len(line) > MAX_LINE:
             raise RecordError(f"line {i + 1} is longer than {MAX_LINE} characters", file=path)
     return [line.rstrip("\r") for line in lines]
+
+
+def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """The header of a small table that a person wrote, and its rows by column, each with its line; blank ones left out.
+
+    Cells are separated by semicolons, tabs or commas; with the former two a number may have a decimal comma
+    (`comma_number`). Lines before the header that begin with # are remarks.
+
+    Raises
+    ------
+    RecordError
+        When a row has more or fewer cells than the header.
+    """
+    lines = read_lines(path)
+    remarks = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines) - 1)
+    separator = next((mark for mark in ";\t" if mark in lines[remarks]), ",")
+    reader = csv.reader(lines[remarks:], delimiter=separator, skipinitialspace=True)
+    header = [name.strip() for name in next(reader, [])]
+    rows = []
+    for cells in reader:
+        if any(cell.strip() for cell in cells):
+            line = remarks + reader.line_num
+            if len(cells) != len(header):
+                raise RecordError("has another number of cells than the header", file=path, row=line)
+            rows.append((line, dict(zip(header, (cell.strip() for cell in cells), strict=True))))
+    return header, rows
 
 
 def is_number(text: str) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ltsim.calibrate.schema import CalibrationFile
+from ltsim.chances import AGREES
 from ltsim.diagnose.schema import DiagnosisFile
 from ltsim.plan.schema import NextFile
 from ltsim.recording.result_file import read_result
@@ -53,7 +54,7 @@ def _calibration(folder: Path) -> list[str]:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
         said.append(f"Measure again or leave out {count(len(left), 'reading')} that did not fit: {which}.")
     test = content.fit.p_value
-    if test is not None and test < 0.01 and not content.noise_estimated:
+    if test is not None and test < AGREES / 2 and not content.noise_estimated:
         said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
     cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
     said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]

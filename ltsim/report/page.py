@@ -17,7 +17,8 @@ from ltsim.campaign import require_packages
 from ltsim.errors import LtsimError, RecordError
 from ltsim.recording import Recording, read
 from ltsim.recording.files import write_text
-from ltsim.recording.native import SETUP
+from ltsim.recording.native import OBSERVATIONS, SETUP
+from ltsim.recording.result_file import digest_of
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import About
 from ltsim.report.actions import MOST, actions_of, headline
@@ -51,7 +52,7 @@ def _campaign_section(folder: Path) -> Section:
 
 Builder = Callable[["Part", Recording | None, Detail], Section]
 KINDS: dict[str, Builder] = {
-    "observations.csv": lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
+    OBSERVATIONS: lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
     "calibration.json": lambda part, recording, detail: calibration_section(
         part.folder, recording, detail=detail, brief=part.brief
     ),
@@ -156,14 +157,13 @@ def _parts(folder: Path, recording: Path | None) -> list[Part]:
     ]
     if not found:
         raise RecordError(f"holds nothing to report; expected one of {', '.join(KINDS)} in it", file=folder)
-    behind = {_digest(part): part.recording for part in found if part.recording}
-    found = [part if part.recording else replace(part, recording=behind.get(_digest(part) or "-")) for part in found]
+    digests = [_digest(part) for part in found]
+    near = {digest: part.recording for digest, part in zip(digests, found, strict=True) if digest and part.recording}
+    found = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, found, strict=True)]
     used = Counter(part.recording for part in found)
     diagnosed = {part.recording for part in found if part.kind == "diagnosis.json"} - {None}
     return [
-        replace(
-            part, brief=used[part.recording] > 1 if part.kind == "observations.csv" else part.recording in diagnosed
-        )
+        replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed)
         for part in found
     ]
 
@@ -190,10 +190,12 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
 
 
 def _digest(part: Part) -> str:
-    """Digest of the recording that a result names; empty where it names none."""
+    """Digest of a recording, or of the one that a result names; empty where it names none."""
     try:
+        if part.kind == OBSERVATIONS:
+            return digest_of(read(part.folder))
         named = json.loads((part.folder / part.kind).read_text(encoding="utf-8"))["recording"]["digest"]
-    except (ValueError, KeyError, TypeError, OSError):
+    except (LtsimError, ValueError, KeyError, TypeError, OSError):
         return ""
     return str(named)
 
@@ -223,6 +225,6 @@ def versions() -> list[tuple[str, str]]:
 def _recording_of(place: Path, top: Path) -> Path | None:
     """The recording behind the results of a folder, if it lies near."""
     for candidate in (place, place / "recording", place.parent / "recording", top):
-        if (candidate / "observations.csv").is_file():
+        if (candidate / OBSERVATIONS).is_file():
             return candidate.resolve()
     return None

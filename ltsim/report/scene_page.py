@@ -35,6 +35,9 @@ body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
 HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta name="generator" content="ltsim">'
 
 
+FINEST = 40_000
+"""Steps of places across a scene: too small to see on a screen of 1400 pixels, and numbers of few digits pack well."""
+
 Camera = Sequence[Sequence[float]]
 """Where it stands, where it looks to, and what is up there [m]."""
 
@@ -45,10 +48,11 @@ def scene_page(workshop: Workshop, camera: Camera | None = None) -> str:
     if camera is not None:
         plotter.camera_position = [tuple(v) for v in camera]
     _solid_labels(plotter, workshop)
+    step = 2.0 ** np.floor(np.log2(workshop.size / FINEST))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
         if mesh is not None:
-            mesh.points = mesh.points.astype(np.float32)  # a tenth of a millimetre is too small to see
+            mesh.points = (step * np.round(mesh.points / step)).astype(np.float32)
     html = viewer_page(plotter)
     plotter.close()
     title = escape(workshop.title or "Workshop")

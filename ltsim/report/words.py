@@ -6,14 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-
-def p_text(p: float | None) -> str:
-    """A p-value as a person writes it."""
-    if p is None or not math.isfinite(p):
-        return "–"
-    if p < 1e-4:
-        return "< 0.0001"
-    return f"{p:.4f}" if p < 0.01 else f"{p:.2f}"
+from ltsim.chances import AGREES, p_is, two_sided
 
 
 def duration(seconds: float) -> str:
@@ -50,15 +43,10 @@ def typeset(sentence: str) -> str:
 
 
 def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
-    """Whether readings agree with the model at the 1 % level, and the words for it."""
+    """Whether readings agree with the model, at 1 % on each side, and the words for it; `p` is that of a larger one."""
     if dof <= 0 or p is None or not math.isfinite(p):
         return True, "there is no redundancy to test the model with"
-    agrees = p >= 0.01
-    verb = "agree" if agrees else "do not agree"
-    return agrees, f"the readings {verb} with the model and the stated noise (χ² {chi2:.0f} for {dof}, {p_is(p)})"
-
-
-def p_is(p: float) -> str:
-    """`p = 0.02` or `p < 0.0001`."""
-    text = p_text(p)
-    return f"p {text}" if text.startswith("<") else f"p = {text}"
+    agrees, tested = two_sided(p) >= AGREES, f"(χ² {chi2:.0f} for {dof}, two-sided {p_is(two_sided(p))})"
+    if not agrees and p > 0.5:
+        return False, f"the readings scatter less than the stated noise says {tested}"
+    return agrees, f"the readings {'agree' if agrees else 'do not agree'} with the model and the stated noise {tested}"

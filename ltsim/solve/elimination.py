@@ -238,13 +238,17 @@ class _Groups:
 
 
 def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Rows low to high on the columns (k,) where they have entries, or on sorted ones given, and these columns."""
+    """Rows low to high on the columns (k,) where they have entries, or on sorted ones given, and these columns.
+
+    What stands in none of the columns given is left out.
+    """
     begin, end = matrix.indptr[low], matrix.indptr[high]
     indices = matrix.indices[begin:end]
     columns = np.unique(indices) if columns is None else columns
     dense = np.zeros((high - low, len(columns)))
     row = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1]))
-    np.add.at(dense, (row, np.searchsorted(columns, indices)), matrix.data[begin:end])
+    there = np.isin(indices, columns)
+    np.add.at(dense, (row[there], np.searchsorted(columns, indices[there])), matrix.data[begin:end][there])
     return dense, columns
 
 

@@ -23,6 +23,7 @@ from scipy import special
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.reliability import noncentrality
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.chances import p_is
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
@@ -80,7 +81,7 @@ class Congruence(Shown):
     """Scale of the second epoch less 1, where it was estimated."""
 
     def _lines(self) -> list[str]:
-        return [self.sentence, f"no motion at all: p = {self.p_value:.2g}; without what moved: p = {self.after:.2g}"]
+        return [self.sentence, f"no motion at all: {p_is(self.p_value)}; without what moved: {p_is(self.after)}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:
         return {"displacements": self._displacements}

@@ -70,6 +70,19 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "1 tests of the plan were not measured" in capsys.readouterr().out
 
 
+def test_tables_with_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
+    """As a German spreadsheet writes them: the same answer as from commas and points."""
+    answers = []
+    for bar, mark, comma in (("-12.5", ",", "."), ("-12,5", ";", ",")):
+        plan = "# drawn up by hand\n" + PLAN.replace(",", mark).replace("1150", f"1150{comma}25")
+        errors = mark.join(("test", "error_um", "U_um")) + f"\nbar{mark}{bar}{mark}4\n\nball{mark}30{mark}2\n"
+        text = 'tests = "plan.csv"\ninstrument = "leica-at500"\nmeasured = "found.csv"'
+        file = write(tmp_path, text, plan=plan, found=errors)
+        answers.append(lt.accept(file).model_dump(exclude={"recording"}))
+    assert answers[0] == answers[1]
+    assert answers[0]["tests"][0]["error_um"] == -12.5
+
+
 @pytest.mark.parametrize(
     ("text", "plan", "found", "said"),
     [
@@ -77,13 +90,18 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
         ('instrument = "leica-at500"', PLAN, "", "either standard or tests"),
         ('instrument = "leica-at5"\nstandard = "asme-b89.4.19-2006"', PLAN, "", "did you mean leica-at500"),
         ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("two-face", "face"), "", "kind is 'face'"),
-        ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("3000,1150", "3000,x"), "", "y2_mm is 'x'"),
+        (
+            'instrument = "leica-at500"\ntests = "plan.csv"',
+            PLAN.replace("3000,1150", "3000,x"),
+            "",
+            "row 2, column y2_mm: found 'x', expected a number",
+        ),
         ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("2000,0", "0,0"), "", "own axis"),
         (
             'instrument = "leica-at500"\ntests = "plan.csv"\nmeasured = "found.csv"',
             PLAN,
             "test,error_um\nbat,1\n",
-            "row 1: there is no test called 'bat'; did you mean bar",
+            "row 2: there is no test called 'bat'; did you mean bar",
         ),
     ],
 )

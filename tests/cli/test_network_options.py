@@ -79,13 +79,16 @@ def test_a_simulated_recording_comes_out_in_the_axes_of_its_scenario(tmp_path: P
     plan.write_text(capsys.readouterr().out)
     assert run(["simulate", str(plan), "--out", str(rec), "--truth", str(truth), "-q"]) == 0
     true = {t["name"]: t["position_mm"] for t in json.loads(truth.read_text())["targets"]}
-    for options, gap_mm in ([], 100.0), (["--frame", str(plan)], 20.0):
-        out = tmp_path / f"adjusted-{len(options)}"
+    for frame, gap_mm in ("", 100.0), (str(plan), 20.0), ("paper-workshop", 20.0):
+        options = ["--frame", frame] if frame else []
+        out = tmp_path / f"adjusted-{Path(frame).stem}"
         assert run(["adjust", str(rec), *options, "--out", str(out), "-q"]) == 0
         rows = csv.DictReader((out / "targets.csv").read_text().splitlines())
         gaps = [np.subtract([float(row[f"{axis}_mm"]) for axis in "xyz"], true[row["target"]]) for row in rows]
         assert len(gaps) == len(true)
         assert np.abs(gaps).max() < gap_mm
+    assert run(["adjust", str(rec), "--frame", "paper-workshp"]) == 2
+    assert "did you mean paper-workshop" in capsys.readouterr().err
 
 
 def test_a_corrected_recording_keeps_the_axes_it_was_given(source: Path, tmp_path: Path) -> None:

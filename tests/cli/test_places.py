@@ -142,3 +142,43 @@ def test_an_own_result_without_its_digests_is_not_known(
     hand = {"format": "ltsim-calibration/1", "construction": "misalignment", "parameters": []}
     (tmp_path / "calibration.json").write_text(json.dumps(hand))
     refused(["calibrate", str(made / "rec"), "--out", str(tmp_path)], capsys)
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["adjust", "REC"],
+        ["calibrate", "REC"],
+        ["check", "REC"],
+        ["evaluate", "REC"],
+        ["correct", "REC", "--calibration", "CAL"],
+        ["simulate", "paper-workshop"],
+        ["recover", "paper-workshop"],
+    ],
+)
+def test_somebodys_folder_is_not_written_into(
+    verb: list[str], made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A file of another name stops a verb too; hidden files and folders do not make a folder somebody's."""
+    (tmp_path / "thesis.txt").write_text("mine")
+    (tmp_path / "data.json").write_text("[1, 2]")
+    arguments = [{"REC": str(made / "rec"), "CAL": str(made / "cal")}.get(word, word) for word in verb]
+    said = refused([*arguments, "--out", str(tmp_path)], capsys)
+    assert "data.json, thesis.txt, which ltsim did not write" in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["data.json", "thesis.txt"]
+
+
+def test_a_folder_of_ltsim_takes_other_verbs_results(
+    made: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    rec, out = str(made / "rec"), str(tmp_path)
+    (tmp_path / ".DS_Store").write_bytes(b"\0")
+    (tmp_path / "photographs").mkdir()
+    assert run(["calibrate", rec, "--out", out, "-q"]) == 0
+    assert run(["evaluate", rec, "--out", out, "-q"]) == 0
+    assert run(["report", out, "-q"]) == 0
+    assert run(["check", rec, "--out", out, "-q"]) in (0, 1)
+    (tmp_path / "thesis.txt").write_text("mine")
+    refused(["evaluate", rec, "--out", out], capsys)
+    assert run(["evaluate", rec, "--out", out, "--force", "-q"]) == 0
+    assert (tmp_path / "thesis.txt").read_text() == "mine"

@@ -84,3 +84,20 @@ def test_the_order_of_a_shuffled_band_is_narrow_again():
     order, edges = arrange(sp.csr_array(band[shuffle][:, shuffle]))
     assert len(edges) > 15
     assert sorted(order.tolist()) == list(range(size))
+
+
+def test_entries_that_are_stored_as_zero_ask_for_nothing():
+    """As a level line of sight has in its height: a product with it is 0 and has no entry, by the readings' seed."""
+    rng, kept, blocks = stream(4, "zeros"), 2, 3
+    design = np.zeros((9 * blocks, kept + 3 * blocks))
+    design[:, :kept] = rng.standard_normal((len(design), kept))
+    row = np.arange(len(design))
+    first = kept + 3 * (row % blocks)
+    design[row, first + row // blocks % 3] = 1.0 + rng.random(len(design))
+    at = np.concatenate([np.tile(np.arange(kept), (len(design), 1)), first[:, None] + np.arange(3)], axis=1)
+    stored = sp.csr_array((design[row[:, None], at].ravel(), (np.repeat(row, kept + 3), at.ravel())), design.shape)
+    assert stored.nnz > np.count_nonzero(design)
+    dense, sparse = DenseElimination(design, kept, 0.3), SparseElimination(stored, kept, 0.3)
+    edges = np.arange(0, len(design) + 1, 3)
+    for ours, theirs in zip(sparse.forms(stored, edges), dense.forms(stored, edges), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-12)

@@ -24,7 +24,7 @@ from ltsim.errors import RecordError
 from ltsim.recording.build import NAN, recording_of
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import MAX_TEXT, check_name, number, shown
-from ltsim.recording.formats.xml import attribute, parse, tag, value_of
+from ltsim.recording.formats.xml import attribute, line_of, parse, tag, value_of
 from ltsim.recording.merge import Merged, Observed, merged
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Gauge, GaugeDistance, Instrument, Noise, Setup, Station, Target
@@ -233,16 +233,16 @@ def _observation(child: Element, block: Element, station: str, sigma: float, net
         if not 0 < value < 1e6:
             raise RecordError(f"found {value:g}, expected a distance above 0", file=file, column=f"<{kind}> val")
         stated = sigma if np.isfinite(sigma) else _stdev(child, "distance", network, value)
-        flat = kind == "distance"
-        return Observed("distance", station, target, value, stated * MILLIMETRE, *heights, horizontal=flat)
+        flat, line = kind == "distance", line_of(child)
+        return Observed("distance", station, target, value, stated * MILLIMETRE, *heights, horizontal=flat, line=line)
     value, second = _angle(attribute(child, "val", file), file, kind)
     name = "direction" if kind == "direction" else "zenith-angle"
     stated = (sigma if np.isfinite(sigma) else _stdev(child, name, network)) * second
     if kind == "direction":
-        return Observed("azimuth", station, target, network.angle_sign * value, stated)
+        return Observed("azimuth", station, target, network.angle_sign * value, stated, line=line_of(child))
     if value > np.pi:
         raise RecordError("a zenith angle beyond half a circle", file=file, column="<z-angle> val")
-    return Observed("elevation", station, target, np.pi / 2 - value, stated, *heights)
+    return Observed("elevation", station, target, np.pi / 2 - value, stated, *heights, line=line_of(child))
 
 
 def _angle(text: str, file: Path, kind: str) -> tuple[float, float]:
@@ -278,12 +278,12 @@ def _read_angle(child: Element, block: Element, sigma: float, network: _Network)
     stated = (sigma if np.isfinite(sigma) else _stdev(child, "angle", network)) * second / np.sqrt(2)
     for name, turned in (("bs", 0.0), ("fs", network.angle_sign * value)):
         target = check_name(attribute(child, name, file), "point", file=file)
-        network.observed.append(Observed("azimuth", station, target, turned, stated))
+        network.observed.append(Observed("azimuth", station, target, turned, stated, line=line_of(child)))
 
 
 def _finished(network: _Network, title: str) -> Recording:
     gauge, observed = _lengths(network)
-    together = merged(observed)
+    together = merged(observed, network.file.name)
     for what, count in network.left_out.items():
         network.notes.append(f"{count} <{shown(what)}> left out: a recording has no place for it")
     stations = {

@@ -18,7 +18,7 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recording.build import NAN, Pointing, recording_of
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
 from ltsim.recording.files import check_name, number, shown
-from ltsim.recording.formats.xml import attribute, parse, tag
+from ltsim.recording.formats.xml import attribute, line_of, parse, tag
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -103,6 +103,7 @@ def _pointing(
         elevation,
         _seconds(reading.get("time", "")),
         sigmas,
+        source=f"{path.name}, line {line_of(element)}",
     )
 
 

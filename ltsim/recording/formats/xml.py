@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, ParseError
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 
 from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import fromstring
+from defusedxml.ElementTree import DefusedXMLParser
 
 from ltsim.errors import RecordError
 from ltsim.recording.files import number, read_bytes, shown
+
+LINE = "{ltsim}line"
+"""An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
+
+
+class _Numbered(TreeBuilder):
+    """Elements that know the line they begin in."""
+
+    parser: Any = None
+
+    def start(self, tag: Any, attrs: Any, /) -> Element:
+        return super().start(tag, {**attrs, LINE: str(self.parser.parser.CurrentLineNumber)})
 
 
 def parse(path: Path) -> Element:
@@ -22,7 +35,10 @@ def parse(path: Path) -> Element:
     """
     content = read_bytes(path)
     try:
-        root = fromstring(content, forbid_dtd=False, forbid_entities=True, forbid_external=True)
+        builder = _Numbered()
+        builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
+        parser.feed(content)
+        root = parser.close()
     except DefusedXmlException:
         raise RecordError("declares entities, which are not read", file=path) from None
     except ParseError as problem:
@@ -33,6 +49,11 @@ def parse(path: Path) -> Element:
     if not isinstance(root, Element):
         raise RecordError("holds no XML element", file=path)
     return root
+
+
+def line_of(element: Element) -> int:
+    """The line of the file that an element begins in."""
+    return int(element.get(LINE, "0"))
 
 
 def tag(element: Element) -> str:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ltsim.arrays import Floats
 from ltsim.calibrate.files import fitted_effects, read_targets
 from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.chances import p_text, two_sided
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.recording import Recording, Setup
 from ltsim.recording.result_file import check_source, companion, read_result
@@ -19,7 +20,7 @@ from ltsim.report.document import Block, Detail, Fact, Note, Section, Table, moo
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.network import residual_blocks, station_table, target_table, undetermined, workshop_blocks
 from ltsim.report.sections.recording import adjusted
-from ltsim.report.words import agreement, count, p_text
+from ltsim.report.words import agreement, count
 from ltsim.report.workshop import Sights, Workshop, assemble
 from ltsim.units import MILLIMETRE
 
@@ -106,9 +107,10 @@ def _answer(content: CalibrationFile, agreement_words: str) -> str:
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     """Figures at a glance."""
     fit, found = content.fit, content.noise_estimated
+    p = None if found or fit.p_value is None else two_sided(fit.p_value)
     return [
         Fact("sigma0", style.fixed(fit.sigma0, 3), mood(agrees)),
-        Fact("p of the fit", "–" if found else p_text(fit.p_value), "plain" if found else mood(agrees)),
+        Fact("p of the fit, two-sided", p_text(p), "plain" if found else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("construction", content.construction or "–"),
         Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ltsim.chances import p_text
 from ltsim.check.files import CheckFile
 from ltsim.recording.result_file import companion, read_result
 from ltsim.report.document import Block, Fact, Picture, Section, Table, mood
 from ltsim.report.style import svg_text_uri
-from ltsim.report.words import p_text
 
 PICTURES = ("check.svg", "check-narrow.svg")
 """For a page, and for a phone."""

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.chances import p_text
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Fact, Section, Table, mood, picture
 from ltsim.report.figures.displacements import displacements, enlargement
-from ltsim.report.words import natural, p_text
+from ltsim.report.words import natural
 from ltsim.uncertainty.comparison import ComparisonFile
 
 

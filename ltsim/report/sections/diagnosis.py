@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.calibrate.files import read_targets
 from ltsim.calibrate.schema import RESIDUALS
+from ltsim.chances import p_text, two_sided
 from ltsim.diagnose.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
 from ltsim.recording import Recording
 from ltsim.recording.recording import OBSERVABLES
@@ -17,7 +18,7 @@ from ltsim.report.document import Block, Fact, Note, Section, Table, mood, pictu
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.calibration import residuals_before
 from ltsim.report.sections.network import residual_blocks, target_table
-from ltsim.report.words import count, listing, p_text, typeset
+from ltsim.report.words import count, listing, typeset
 
 LEAST_UM = 0.1
 """What an effect hides below this [um] is no matter."""
@@ -54,7 +55,7 @@ def _facts(content: DiagnosisFile) -> list[Fact]:
     facts = [
         Fact("verdict", content.verdict, verdict),
         Fact("findings", str(len(content.findings)), verdict),
-        Fact("global test, p", p_text(test.p_value)),
+        Fact("global test, two-sided p", p_text(two_sided(test.p_value) if test.p_value and test.dof > 0 else None)),
     ]
     if test.search_p_value is not None:
         facts.append(Fact("whole search, p", p_text(test.search_p_value)))

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from ltsim.calibrate.events import ENOUGH_STEPS
 from ltsim.calibrate.schema import ChangeEntry, CourseEntry, HistoryFile
+from ltsim.chances import p_is, p_text
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
 from ltsim.report.document import Block, Fact, Section, Table, mood, picture
 from ltsim.report.figures.history import history_figure, told_apart
-from ltsim.report.words import count, listing, p_is, p_text
+from ltsim.report.words import count, listing
 
 LEVEL = 0.01
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
+from ltsim.chances import p_text, two_sided
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.model.construction import stated_construction
 from ltsim.recording import Recording, read
@@ -15,7 +16,7 @@ from ltsim.report import figures
 from ltsim.report.document import Block, Detail, Fact, Listing, Note, Section, Table, picture
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.network import residual_blocks, workshop_blocks
-from ltsim.report.words import agreement, count, duration, p_text
+from ltsim.report.words import agreement, count, duration
 from ltsim.report.workshop import from_adjustment
 from ltsim.units import DEGREE
 
@@ -43,7 +44,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
     answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
     facts += [
         Fact("χ² per degree of freedom", f"{full.chi2 / max(full.dof, 1):.3f}", "good" if agrees else "bad"),
-        Fact("p", p_text(full.p_value), "good" if agrees else "bad"),
+        Fact("p, two-sided", p_text(two_sided(full.p_value)), "good" if agrees else "bad"),
         Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
     before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
