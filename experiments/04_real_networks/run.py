@@ -109,7 +109,7 @@ class Turns:
         """The system with the columns of the turns."""
         system = self.problem.linearise(state)
         rows = system.design[:, self.free]
-        return BlockSystem(rows.tocsr(), system.residual, rows.shape[1])
+        return BlockSystem(rows, system.residual, rows.shape[1])
 
     def residual(self, state: State) -> np.ndarray:
         """The whitened residual."""

@@ -1,4 +1,4 @@
-"""A recording as a least-squares problem: whitened residuals and a sparse design."""
+"""A recording as a least-squares problem: whitened residuals and their design."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from ltsim.adjust.marks import Marks
 from ltsim.adjust.prior import ParameterPrior, prior_sigmas
@@ -18,6 +17,7 @@ from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import MeasurementModel, Prediction, State
 from ltsim.solve.blocks import BlockSystem
+from ltsim.solve.design import Pattern
 
 DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
@@ -152,22 +152,13 @@ class NetworkProblem:
 
     def system(self, state: State, prediction: Prediction) -> BlockSystem:
         """The whitened system at a state whose readings are predicted already."""
-        data = np.concatenate([values.ravel() for values in self._values(state, prediction)])
-        indices, pointers = self._pattern
-        design = sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, self.unknowns.size))
-        if len(self.unknowns.extra):  # Effects on one station or target are zero in most rows.
-            design = design.copy()
-            design.eliminate_zeros()
+        design = self._pattern.filled(self._values(state, prediction))
         return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.kept)
 
     @cached_property
-    def _pattern(self) -> tuple[Ints, Ints]:
-        """Column of every entry and where each row begins: the same at every state."""
-        columns = self._columns()
-        widths = np.concatenate([np.full(len(block), block.shape[1]) for block in columns])
-        pointers = np.concatenate([[0], np.cumsum(widths)])
-        kind = np.int32 if pointers[-1] < 2**31 else np.int64
-        return np.concatenate([block.ravel() for block in columns]).astype(kind), pointers.astype(kind)
+    def _pattern(self) -> Pattern:
+        """Where the entries of the design are: the same at every state."""
+        return Pattern(self._columns(), self.unknowns.size)
 
     def _columns(self) -> list[Ints]:
         """Columns (rows, width) of each kind of row, in the order of the system."""

@@ -12,6 +12,7 @@ from ltsim.adjust.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normal
 from ltsim.arrays import Bools, Floats
 from ltsim.model.measurement import State
 from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.robust import median_deviation
 
@@ -124,9 +125,9 @@ def _retested(
         new &= np.nan_to_num(np.abs(w)) > 0.5 * most
     out = np.flatnonzero(rejected[problem.use])
     if len(out):
-        rows = problem.linearise(solution.x).design[out]
-        response = solution.factor.covariance_columns(np.ascontiguousarray(rows.toarray().T))
-        spread = np.sqrt(1.0 + np.maximum(np.sum(rows.toarray() * response.T, axis=1), 0.0))
+        rows = as_dense(problem.linearise(solution.x).design[out])
+        response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
+        spread = np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0))
         miss = np.abs((residuals / problem.sigma)[rejected & problem.use]) / spread
         still = np.zeros_like(rejected)
         still[rejected & problem.use] = miss > limit * scale

@@ -16,6 +16,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats, Ints
 from ltsim.calibrate.amplitude import cosine_and_sine
 from ltsim.remedies.undetermined import SILENT
+from ltsim.solve.design import as_dense
 
 WORSE = 2.0
 """Sum of squares over the targets held out by which a term has to be worse: what Akaike's criterion asks of one."""
@@ -98,7 +99,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOut]:
     for target in own.tolist():
         rows = np.flatnonzero(row_target == target)
         if len(rows) > 3:
-            design = system.design[rows].toarray()
+            design = as_dense(system.design[rows])
             reduced = _without(design[:, unknowns.target[target]], design[:, :kept], system.residual[rows])
             found.append(_held_out(adjustment, *reduced))
     return found

@@ -21,6 +21,7 @@ from ltsim.calibrate.distance_solver import Estimate
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
+from ltsim.solve.design import as_dense
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Propagation:
     def _design(self) -> Floats:
         """(m, size) whitened design of readings and gauge."""
         rows = len(self._used) + len(self.adjustment.problem.gauge)
-        return self.adjustment.solution.system.design[:rows].toarray()
+        return as_dense(self.adjustment.solution.system.design[:rows])
 
     @cached_property
     def _response(self) -> Floats:

@@ -28,6 +28,7 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.solve.chain import inverse_of
+from ltsim.solve.design import as_dense
 from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 CAP = 8
@@ -141,7 +142,7 @@ class BatchNetwork:
         problem, count = self.problem, int(self.problem.use.sum())
         known = problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
         system = problem.system(self.nominal, known)
-        dense = system.design.toarray()[:, self.order]
+        dense = as_dense(system.design)[:, self.order]
         return dense, np.ascontiguousarray(dense[count:]), system.residual[count:, None]
 
     def _prediction(self, known: Known) -> Prediction:

@@ -122,6 +122,8 @@ class Truth:
 
     def _linear(self, entry: TrueEffect) -> tuple[Floats, Floats] | None:
         constant = entry.effect.shift(self.sightings, entry.mean)
+        if not np.any(entry.sigma):  # nothing is drawn
+            return constant, np.zeros((*constant.shape, len(entry.mean)))
         design = entry.effect.design(self.sightings)
         probe = entry.mean + 3 * entry.sigma
         miss = entry.effect.shift(self.sightings, probe) - constant - design @ (3 * entry.sigma)

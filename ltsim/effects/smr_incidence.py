@@ -15,7 +15,9 @@ Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig
 Status: the table is met at its own angles; first order validated against the geometry of the sightings.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -36,20 +38,6 @@ _SIZE = 5 * MICROMETRE
 
 def _edge_parameter(name: str, meaning: str) -> Parameter:
     return Parameter(name, "um", meaning + ", its size at 30 deg", _SIZE)
-
-
-def table_error(table: tuple[float, ...], incidence: Floats, direction: Floats) -> Floats:
-    """Range error (n,) [m] at incidence (n,) [rad] and direction (n,) [rad] from the table's positive side.
-
-    Even and odd parts are interpolated by monotone cubics; beyond 30 deg the value at the edge stays.
-    """
-    from scipy.interpolate import PchipInterpolator  # half a second that the catalogue need not wait for
-
-    values = np.asarray(table)
-    even = PchipInterpolator(TABLE_ANGLES, 0.5 * (values + values[::-1]))
-    odd = PchipInterpolator(TABLE_ANGLES, 0.5 * (values - values[::-1]))
-    angle = np.clip(incidence, 0.0, EDGE)
-    return even(angle) + odd(angle) * np.cos(direction)
 
 
 @dataclass(frozen=True)
@@ -77,6 +65,22 @@ class SmrIncidence(Effect):
         if self.table and len(self.table) != len(TABLE_ANGLES):
             raise ModelError(f"smr-incidence.table has {len(self.table)} values, expected {len(TABLE_ANGLES)}")
 
+    @cached_property
+    def _even_and_odd(self) -> Callable[[Floats], Floats]:
+        """Even and odd part (n, 2) of the table at angles (n,): monotone cubics."""
+        from scipy.interpolate import PchipInterpolator  # half a second that the catalogue need not wait for
+
+        values = np.array(self.table)
+        return PchipInterpolator(TABLE_ANGLES, 0.5 * np.stack([values + values[::-1], values - values[::-1]], axis=1))
+
+    def table_error(self, incidence: Floats, direction: Floats) -> Floats:
+        """Range error (n,) [m] at incidence (n,) [rad] and direction (n,) [rad] from the table's positive side.
+
+        Beyond 30 deg the value at the edge stays.
+        """
+        even, odd = self._even_and_odd(np.clip(incidence, 0.0, EDGE)).T
+        return even + odd * np.cos(direction)
+
     def incidence(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Incidence and direction (n,) [rad]; both 0 for a reflector that is re-aimed or whose nest is unknown."""
         fixed = ~sightings.reaimed[sightings.target] & np.isfinite(sightings.incidence)
@@ -103,5 +107,5 @@ class SmrIncidence(Effect):
         change: Floats = self.design(sightings) @ values
         if self.table:
             angle, direction = self.incidence(sightings)
-            change[:, 0] += self.mask(sightings) * table_error(self.table, angle, direction - self.direction)
+            change[:, 0] += self.mask(sightings) * self.table_error(angle, direction - self.direction)
         return change

@@ -23,6 +23,8 @@ from ltsim.units import ARCSECOND, MICROMETRE, PPM
 
 NEWTON_STEPS = 12
 CLOSED = 1e-14
+NEARLY = 1e-11
+"""[m, rad] gap that a last step with the exact derivative closes to rounding."""
 
 
 @dataclass(frozen=True)
@@ -130,24 +132,40 @@ class Construction:
         return p, by_reading, by_value * bases[:, None, :]
 
     def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
-        """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact.
+        """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
+        raw = self._approached(points, face, values, CLOSED)
+        raw[:, 1] = wrap(raw[:, 1])
+        return raw
+
+    def _approached(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
+        """Raw readings (n, 3) of points, azimuths unwrapped, to a gap of `closed`.
 
         Newton's method with the ideal tracker's derivative: each step closes the gap by a factor of the size
         of the errors (1e-5), so that three steps reach rounding. The next step is as much smaller than the last
-        as that was than the one before; where it would be rounding it is not taken.
+        as that was than the one before; where it would be below `closed` it is not taken.
         """
         polar = to_polar(points)
-        raw, by_point = to_face(polar, face), polar_jacobian(polar, face)
-        before = np.inf
-        for _ in range(NEWTON_STEPS if self.terms else 0):
+        raw = to_face(polar, face)
+        if not np.any(values):
+            return raw
+        by_point, before = polar_jacobian(polar, face), np.inf
+        for _ in range(NEWTON_STEPS):
             step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, values))
             raw = raw + step
             size = float(np.max(np.abs(step), initial=0.0))
-            if not (size > CLOSED and (before == np.inf or size * size > CLOSED * before)):
+            if not (size > closed and (before == np.inf or size * size > closed * before)):
                 break
             before = size
-        raw[:, 1] = wrap(raw[:, 1])
         return raw
+
+    def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """`readings` of points and `reading_design` there, in one go."""
+        raw = self._approached(points, face, values, NEARLY)
+        reached, by_reading, by_value = self.linearised(raw, values)
+        by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
+        raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
+        raw[:, 1] = wrap(raw[:, 1])
+        return raw, by_point, -by_point @ by_value
 
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""

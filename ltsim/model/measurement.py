@@ -187,10 +187,9 @@ class MeasurementModel:
         """Predicted readings and their derivatives by poses, targets, instrument and further effects."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
-        raw = self._instrument_readings(sightings, state)
+        raw, by_point, by_instrument = self.construction.readings_and_design(sightings.local, sightings.face, values)
         if self.effects:
             sightings = self._completed(sightings, state, raw)
-        by_point, by_instrument = self.construction.reading_design(raw, values)
         by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.arm)
         by_extra = self._extra_design(sightings)

@@ -25,6 +25,7 @@ from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction, misalignment
 from ltsim.plan.survey import Survey
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.design import as_dense
 from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
@@ -99,7 +100,7 @@ class Reducer:
         self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)
         self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.kept)
         rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
-        other = rows[: rows.shape[0] - self._rank_free].toarray()
+        other = as_dense(rows[: rows.shape[0] - self._rank_free])
         self._other_blocks(other, problem.unknowns.target, problem.unknowns.pose, problem.unknowns.instrument[0])
         self._weight = survey.weight
         self._motion = rigid_motion(survey.points) @ self._free

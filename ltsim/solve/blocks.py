@@ -18,20 +18,19 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError
+from ltsim.solve.design import Design
 from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
 from ltsim.solve.rank import DOUBTFUL, RANK
 from ltsim.solve.threads import in_one_thread
 
 UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
-DENSE = 600_000
-"""Designs with fewer entries are worked on as dense ones: sparse bookkeeping would cost more than the zeros."""
 
 
 @dataclass(frozen=True)
 class BlockSystem:
     """A whitened linear system: minimise |design @ step - residual|^2."""
 
-    design: sp.csr_array
+    design: Design
     """(m, K + 3 E): kept columns first."""
     residual: Floats
     """(m,): observed minus predicted, over sigma."""
@@ -65,17 +64,16 @@ class Factor:
 
     @in_one_thread
     def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
-        self._system = system
-        self._scale = column_scale(system.design)
-        design = system.design
+        self._system, design = system, system.design
         self._elimination: Elimination
         try:
-            if design.shape[0] * design.shape[1] <= DENSE:
-                self._elimination = DenseElimination(design.toarray() * self._scale, system.kept, damping)
+            if isinstance(design, np.ndarray):
+                self._elimination = DenseElimination(design, system.kept, damping)
             else:
-                self._elimination = SparseElimination(_scaled(design, self._scale), system.kept, damping)
+                self._elimination = SparseElimination(design, system.kept, damping)
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED) from error
+        self._scale = self._elimination.scale
         if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest() <= RANK:
             raise SingularSystemError(UNDETERMINED)
 
@@ -130,19 +128,9 @@ class Factor:
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """Covariance R N^-1 R' of groups of functions (q, K + 3 E): group i are the rows edges[i] to edges[i + 1]."""
-        return self._elimination.forms(_scaled(rows, self._scale), edges)
+        return self._elimination.forms(rows, edges)
 
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
         return self._local[1]
 
-
-def _scaled(rows: sp.csr_array, scale: Floats) -> sp.csr_array:
-    """Rows with every column times its scale."""
-    return sp.csr_array((rows.data * scale[rows.indices], rows.indices, rows.indptr), rows.shape)
-
-
-def column_scale(design: sp.csr_array) -> Floats:
-    """One over the norm of each column; 1 for an empty column."""
-    squares = np.bincount(design.indices, design.data**2, design.shape[1])
-    return np.where(squares > 0, 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0)), 1.0)

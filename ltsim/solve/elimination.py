@@ -1,7 +1,7 @@
 """Elimination of blocks of three from normal equations: a dense way for small systems, a sparse one for large.
 
 Both answer the same questions (solution, inverse where rows of the design need it, leverage) and are compared with
-each other in the tests. Everything here is in units of scaled columns.
+each other in the tests. All answers are in units of scaled columns.
 """
 
 from __future__ import annotations
@@ -17,14 +17,19 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.solve.chain import BlockChain, Window, inverse_of
+from ltsim.solve.design import column_scale, scaled
+from ltsim.solve.rank import unit_diagonal
 
 
 class Elimination(Protocol):
     """What `Factor` asks of a factorisation of K kept unknowns and E blocks of three."""
 
+    scale: Floats
+    """(K + 3 E,): one over the norm of each column of the design."""
+
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the blocks and of the Schur complement."""
+        """The smallest pivot."""
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K + 3 E, c)."""
@@ -43,61 +48,49 @@ class Elimination(Protocol):
 
 
 class DenseElimination:
-    """Everything as dense matrices; design (m, K + 3 E) with scaled columns."""
+    """Everything as dense matrices; design (m, K + 3 E)."""
 
     def __init__(self, design: Floats, kept: int, damping: float) -> None:
         self._design, self._kept = design, kept
         normal = design.T @ design
-        normal[np.diag_indices_from(normal)] += damping
-        count = (len(normal) - kept) // 3
-        at = kept + np.arange(3 * count).reshape(count, 3)
-        self._inverse, self._least = block_inverse(normal[at[:, :, None], at[:, None, :]])
-        across = normal[:kept, kept:].reshape(kept, count, 3)
-        carry = np.swapaxes(across, 0, 1) @ self._inverse
-        self._carry = np.swapaxes(carry, 0, 1).reshape(kept, 3 * count)
-        schur = normal[:kept, :kept] - self._carry @ normal[kept:, :kept]
-        self._root = scipy.linalg.cholesky(schur, lower=True, check_finite=False)
+        normal, self.scale = unit_diagonal(normal, np.diag(normal))
+        normal.flat[:: len(normal) + 1] += damping
+        self._root, failed = scipy.linalg.lapack.dpotrf(normal.T, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError
 
     @property
     def smallest_pivot(self) -> float:
-        """The smallest pivot of the blocks and of the Schur complement."""
-        return min(self._least, float(np.diag(self._root).min(initial=1.0) ** 2))
+        """The smallest pivot."""
+        return float(np.diag(self._root).min(initial=1.0) ** 2)
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K + 3 E, c)."""
-        front, back = right[: self._kept], right[self._kept :]
-        kept = scipy.linalg.cho_solve((self._root, True), front - self._carry @ back, check_finite=False)
-        blocks = back.reshape(-1, 3, right.shape[1])
-        return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
+        return scipy.linalg.lapack.dpotrs(self._root, right, lower=1)[0]
 
     @cached_property
-    def _kept_inverse(self) -> Floats:
+    def _inverse(self) -> Floats:
         return inverse_of(self._root)
 
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
-        return self._kept_inverse
+        return self._inverse[: self._kept, : self._kept]
 
     def kept_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
-        return self._kept_inverse[columns[:, :, None], columns[:, None, :]]
+        return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
-        kept, count = self._kept, len(self._inverse)
-        spread = (self._kept_inverse @ self._carry).reshape(kept, count, 3)
-        blocks = self._inverse + np.einsum("kei,kej->eij", self._carry.reshape(kept, count, 3), spread, optimize=True)
-        back = self._design[:, kept:]
-        reduced = self._design[:, :kept] - back @ self._carry.T
-        shared = np.sum((reduced @ self._kept_inverse) * reduced, axis=1)
-        triples = back.reshape(len(back), count, 3)
-        own = np.sum((np.swapaxes(triples, 0, 1) @ self._inverse) * np.swapaxes(triples, 0, 1), axis=(0, 2))
-        return blocks, shared + own
+        at = np.arange(self._kept, len(self._root)).reshape(-1, 3)
+        rows = (self._design * self.scale).T
+        whitened = scipy.linalg.solve_triangular(self._root, rows, lower=True, check_finite=False)
+        return self.kept_sets(at), np.einsum("um,um->m", whitened, whitened)
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """R N^-1 R' for groups of neighbouring rows."""
         for low, high in pairwise(edges.tolist()):
-            group = rows[low:high].toarray()
+            group = rows[low:high].toarray() * self.scale
             yield group @ self.solve(group.T)
 
 
@@ -105,8 +98,9 @@ class SparseElimination:
     """Sparse elimination; the Schur complement is a chain of blocks where its structure allows."""
 
     def __init__(self, design: sp.csr_array, kept: int, damping: float) -> None:
-        self._design, self._kept = design, kept
-        normal = sp.csr_array(design.T @ design)
+        self.scale = column_scale(design)
+        self._design, self._kept = scaled(design, self.scale), kept
+        normal = sp.csr_array(self._design.T @ self._design)
         count = (normal.shape[0] - kept) // 3
         blocks = _diagonal_blocks(normal[kept:, kept:], count) + damping * np.eye(3)
         self._inverse, self._least = block_inverse(blocks)
@@ -175,6 +169,7 @@ class SparseElimination:
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """R N^-1 R' for groups of neighbouring rows: each asks for the inverse where it has entries only."""
+        rows = scaled(rows, self.scale)
         back = sp.csr_array(rows[:, self._kept :])
         reduced = sp.csr_array(rows[:, : self._kept] - back @ self._carry.T)
         carried = sp.csr_array(back @ _block_diagonal(self._inverse))

@@ -15,7 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
-from ltsim.solve.blocks import BlockSystem, Factor, column_scale
+from ltsim.solve.blocks import BlockSystem, Factor
+from ltsim.solve.design import Design, as_dense, column_scale
 
 DENSE = 4_000_000
 """Designs with fewer entries get a basis: dense products are so much faster than sparse ones."""
@@ -48,9 +49,9 @@ class BasisProjection:
     basis: Floats
 
     @classmethod
-    def of(cls, design: sp.csr_array) -> BasisProjection:
+    def of(cls, design: Design) -> BasisProjection:
         """The projection off a design."""
-        return cls(np.linalg.qr(design.toarray() * column_scale(design))[0])
+        return cls(np.linalg.qr(as_dense(design) * column_scale(design))[0])
 
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q)."""
@@ -83,8 +84,9 @@ class FactorProjection:
     _scale: Floats = field(repr=False)
 
     @classmethod
-    def of(cls, design: sp.csr_array, factor: Factor) -> FactorProjection:
+    def of(cls, design: Design, factor: Factor) -> FactorProjection:
         """The projection off a design."""
+        design = sp.csr_array(design)
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
 
     def project(self, rows: Floats) -> Floats:

@@ -32,7 +32,7 @@ def test_exact_readings_give_back_the_network(faces):
 def test_the_design_is_the_derivative_of_the_residuals(construction):
     recording, truth = network(faces=2, values=drawn(construction, 3), construction=construction)
     problem = NetworkProblem.of(MeasurementModel(recording, construction))
-    design = problem.linearise(truth.state).design.toarray()
+    design = problem.linearise(truth.state).design
     rng = stream(0, "directions")
     scale = 1e-6
     rows = int(problem.use.sum()) + len(problem.gauge) + int(np.isfinite(problem.prior_sigma).sum())

@@ -15,7 +15,7 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Setup
-from ltsim.solve import blocks
+from ltsim.solve import design
 
 network = pytest.importorskip("benchmarks.adjust_size", reason="the benchmarks are not here").network
 
@@ -36,7 +36,7 @@ def test_a_ring_of_210_set_ups_with_all_statistics():
 def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
     recording = network("ring", 60, 106, 960)
     sparse = adjust(recording)
-    monkeypatch.setattr(blocks, "DENSE", 10**9)
+    monkeypatch.setattr(design, "DENSE", 10**9)
     dense = adjust(recording)
     np.testing.assert_allclose(sparse.state.points, dense.state.points, atol=1e-9)
     np.testing.assert_allclose(sparse.target_covariance, dense.target_covariance, rtol=1e-5, atol=1e-18)

@@ -105,7 +105,7 @@ def joint_covariance(adjustment, names=None) -> np.ndarray:
 def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
     adjustment = adjust(make(drawn(misalignment(), 1, 5)), misalignment())
     unknowns, system = adjustment.problem.unknowns, adjustment.solution.system
-    rows = system.design[: -adjustment.problem.free.shape[1]].toarray()  # without the datum
+    rows = system.design[: -adjustment.problem.free.shape[1]]  # without the datum
     # Dense: targets alone, everything else eliminated; the pseudo-inverse of a normal matrix is the datum of all.
     at = unknowns.target.ravel()
     rest = np.setdiff1d(np.arange(unknowns.size), at)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.effects.smr_incidence import EDGE, PAPER_TABLE, TABLE_ANGLES, SmrIncidence, table_error
+from ltsim.effects.smr_incidence import EDGE, PAPER_TABLE, TABLE_ANGLES, SmrIncidence
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, MICROMETRE
 
@@ -71,7 +71,7 @@ def test_across_the_plane_only_the_even_part_is_left() -> None:
 
 def test_interpolation_stays_between_neighbours_and_is_smooth_in_the_middle() -> None:
     fine = np.linspace(-30, 30, 481) * DEGREE
-    error = table_error(PAPER_TABLE, *signed(fine))
+    error = SmrIncidence(table=PAPER_TABLE).table_error(*signed(fine))
     assert error.min() >= min(PAPER_TABLE) - 0.05 * MICROMETRE
     assert error.max() <= max(PAPER_TABLE) + 1e-12
     step = np.diff(error) / np.diff(fine)

@@ -55,6 +55,19 @@ def test_point_of_reading_of_point_closes(name: str, size: float, seed: int) -> 
     np.testing.assert_allclose(made.point(raw, values), points, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", [*CONSTRUCTIONS, "steering-mirror", "ideal"])
+@pytest.mark.parametrize("size", [0.0, 1.0, 10.0])
+def test_readings_with_their_design_are_both_of_them(name: str, size: float) -> None:
+    made = CONSTRUCTIONS.get(name) or construction(name)
+    points, face = room(3)
+    values = drawn(made, 3, size)
+    raw, by_point, by_value = made.readings_and_design(points, face, values)
+    np.testing.assert_allclose(raw, made.readings(points, face, values), rtol=0, atol=2e-13)
+    np.testing.assert_allclose(made.point(raw, values), points, rtol=0, atol=1e-12)
+    for ours, alone in zip((by_point, by_value), made.reading_design(raw, values), strict=True):
+        np.testing.assert_allclose(ours, alone, rtol=1e-9, atol=1e-10)
+
+
 @every
 @given(seed=seeds)
 @few

@@ -1,11 +1,14 @@
 """Rank is decided by the stated tolerances: near them, far from them, for any unit."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
 from ltsim.randomness import stream
 from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+from ltsim.solve.design import Design
 from ltsim.solve.rank import DOUBTFUL, FORMED, RANK, cholesky_where_determined, unit_diagonal
 
 
@@ -21,14 +24,15 @@ def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
 CASES = ((100 * RANK, True), (3 * RANK, True), (RANK / 3, False), (0.0, False))
 
 
+@pytest.mark.parametrize("kind", [np.array, sp.csr_array])
 @pytest.mark.parametrize(("image", "determined"), CASES)
 @pytest.mark.parametrize(("size", "kept"), [(12, 12), (300, 300), (3, 0)])
 def test_the_solver_decides_by_the_image_of_the_weakest_direction(
-    size: int, kept: int, image: float, determined: bool
+    size: int, kept: int, image: float, determined: bool, kind: Callable[[np.ndarray], Design]
 ) -> None:
     """Among the kept unknowns, or in a block that is eliminated; whatever the units."""
     design = nearly_dependent(size, image) * 10.0 ** stream(1, "unit").uniform(-6, 6, size)
-    system = BlockSystem(sp.csr_array(design), np.zeros(len(design)), kept)
+    system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
         assert Factor(system).smallest_pivot < DOUBTFUL
     else:
