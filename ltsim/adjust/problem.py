@@ -132,7 +132,7 @@ class NetworkProblem:
     def _residual_rows(self, state: State, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
         stated = self.gauge.predict(state.points) + self._gauge_by_extra(state) @ state.extra
-        gauge = (self.gauge.length - stated) / self.gauge.sigma
+        gauge = self.gauge.whitened(self.gauge.length - stated)
         control = self.control.residual(state.points)
         marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
@@ -155,10 +155,19 @@ class NetworkProblem:
         data = np.concatenate([values.ravel() for values in self._values(state, prediction)])
         indices, pointers = self._pattern
         design = sp.csr_array((data, indices, pointers), shape=(len(pointers) - 1, self.unknowns.size))
+        if self.gauge.root is not None:
+            design = self._with_shared_errors(design)
         if len(self.unknowns.extra):  # Effects on one station or target are zero in most rows.
             design = design.copy()
             design.eliminate_zeros()
         return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.kept)
+
+    def _with_shared_errors(self, design: sp.csr_array) -> sp.csr_array:
+        """The design with the rows of lengths that share errors made independent of one another."""
+        first = int(self.use.sum())
+        last = first + len(self.gauge)
+        lengths = self.gauge.uncorrelated(design[first:last].toarray())
+        return sp.vstack([design[:first], sp.csr_array(lengths), design[last:]], format="csr")
 
     @cached_property
     def _pattern(self) -> tuple[Ints, Ints]:
