@@ -17,7 +17,7 @@ from ltsim.simulate.scenario import Scenario, load_scenario
 from ltsim.simulate.sections import EffectEntry
 from ltsim.uncertainty.inputs import Inputs
 from ltsim.uncertainty.measurands import Measurand, best_fit
-from ltsim.uncertainty.propagation import Propagated, Stretch, propagate
+from ltsim.uncertainty.propagation import Propagated, expansion_of, propagate
 from ltsim.uncertainty.spec import Tasks, load_tasks
 
 HERE = Path(__file__).resolve().parent
@@ -73,7 +73,7 @@ def predicted(truth: Truth, tasks: Tasks, dropped: str = "") -> tuple[Propagated
     inputs = Inputs.of(truth.recording, told)
     measurands = [Measurand.of(task, inputs.targets, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.factor) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, Stretch()), names, inputs.adjustment.state.points
+    return propagate(inputs, measurands, expansion_of(None)), names, inputs.adjustment.state.points
 
 
 def table_of(case: str, errors: Floats, linear: Propagated, names: Names) -> list[Any]:

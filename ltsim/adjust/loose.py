@@ -25,7 +25,7 @@ def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
         idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
         if not loose.any() and not idle.any():
             return problem
-        problem = replace(problem, gauge=replace(gauge, sigma=np.where(idle, np.inf, gauge.sigma)))
+        problem = replace(problem, gauge=gauge.without(idle))
         problem = problem.using(problem.use & ~loose[problem.model.recording.target][:, None])
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from ltsim.adjust.marks import Marks
 from ltsim.adjust.prior import ParameterPrior, prior_sigmas
@@ -17,7 +18,7 @@ from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import MeasurementModel, Prediction, State
 from ltsim.solve.blocks import BlockSystem
-from ltsim.solve.design import Pattern
+from ltsim.solve.design import Design, Pattern, as_dense
 
 DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
@@ -132,7 +133,7 @@ class NetworkProblem:
     def _residual_rows(self, state: State, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
         stated = self.gauge.predict(state.points) + self._gauge_by_extra(state) @ state.extra
-        gauge = (self.gauge.length - stated) / self.gauge.sigma
+        gauge = self.gauge.whitened(self.gauge.length - stated)
         control = self.control.residual(state.points)
         marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
@@ -153,7 +154,18 @@ class NetworkProblem:
     def system(self, state: State, prediction: Prediction) -> BlockSystem:
         """The whitened system at a state whose readings are predicted already."""
         design = self._pattern.filled(self._values(state, prediction))
+        if self.gauge.root is not None:
+            design = self._with_shared_errors(design)
         return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.kept)
+
+    def _with_shared_errors(self, design: Design) -> Design:
+        """The design with the rows of lengths that share errors made independent of one another."""
+        first = int(self.use.sum())
+        last = first + len(self.gauge)
+        lengths = self.gauge.uncorrelated(as_dense(design[first:last]))
+        if isinstance(design, np.ndarray):
+            return np.vstack([design[:first], lengths, design[last:]])
+        return sp.vstack([design[:first], sp.csr_array(lengths), design[last:]], format="csr")
 
     @cached_property
     def _pattern(self) -> Pattern:

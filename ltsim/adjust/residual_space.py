@@ -77,7 +77,7 @@ class ResidualSpace:
         readings = design.reshape(-1, design.shape[2])
         np.multiply(readings if self.use.all() else readings[place], weight, out=rows[: len(place)])
         if gauge is not None and len(gauge):
-            rows[len(place) : len(place) + len(gauge)] = gauge / self.adjustment.problem.gauge.sigma[:, None]
+            rows[len(place) : len(place) + len(gauge)] = self.adjustment.problem.gauge.whitened(gauge)
         return rows
 
     def signature(self, law: Signature) -> Floats:

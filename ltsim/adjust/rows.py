@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 
 from ltsim.adjust.marks import Marks
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import verticals
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Target, symmetric
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -20,26 +23,52 @@ VERTICAL = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class GaugeRows:
-    """Known lengths brought to the workshop: L (1 + expansion dT) (eq. 15 with its missing length)."""
+    """Known lengths brought to the workshop (`KnownLengths`)."""
 
     first: Ints
     second: Ints
     length: Floats
+    """(g,) [m]."""
     sigma: Floats
+    """(g,) [m]: infinite for a length without weight."""
+    certificate: Floats
+    """(g,) [m]: the part of `sigma` that each length has alone."""
+    shared: dict[str, Floats]
+    """(g,) [m]: change of the lengths by one standard deviation of what several share, by its name."""
 
     @classmethod
     def of(cls, recording: Recording) -> GaugeRows:
         """The gauge of a recording."""
-        gauge = recording.gauge
-        index = {name: i for i, name in enumerate(recording.targets)}
-        grown = 1.0 + gauge.expansion_per_k * (gauge.measured_at_c - gauge.calibrated_at_c)
-        rows = [d for d in gauge.distance if d.from_ in index and d.to in index]
-        return cls(
-            np.array([index[d.from_] for d in rows], dtype=np.int64),
-            np.array([index[d.to] for d in rows], dtype=np.int64),
-            np.array([d.length_mm * MILLIMETRE * grown for d in rows]),
-            np.array([d.sigma_mm * MILLIMETRE for d in rows]),
-        )
+        known = KnownLengths.of(recording)
+        return cls(known.first, known.second, known.length, known.sigma, known.certificate, known.shared)
+
+    def without(self, idle: Bools) -> GaugeRows:
+        """The same rows, some of them (g,) without weight."""
+        return replace(self, sigma=np.where(idle, np.inf, self.sigma))
+
+    @cached_property
+    def root(self) -> Floats | None:
+        """Lower triangular root (g, g) of the correlation of the lengths; None where they share nothing."""
+        if not self.shared:
+            return None
+        together = np.array([*self.shared.values()]) / self.sigma
+        correlation = together.T @ together
+        np.fill_diagonal(correlation, 1.0)
+        return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
+
+    @property
+    def spread(self) -> Floats:
+        """(g, g) [m]: change of the lengths by independent standard deviations, the inverse of `whitened`."""
+        return np.diag(self.sigma) if self.root is None else self.sigma[:, None] * self.root
+
+    def whitened(self, values: Floats) -> Floats:
+        """Values (g,) or (g, q) [m] in independent standard deviations: their errors are uncorrelated and of size 1."""
+        single = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
+        return self.uncorrelated(single)
+
+    def uncorrelated(self, single: Floats) -> Floats:
+        """Values (g, ...) in the standard deviation of each length as independent ones."""
+        return single if self.root is None else scipy.linalg.solve_triangular(self.root, single, lower=True)
 
     def __len__(self) -> int:
         return len(self.length)

@@ -80,10 +80,8 @@ def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_
     pick = sp.csr_array(
         sp.coo_array((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), len(distances.length)))
     )
-    # A gauge length's own error shifts all rows that compare with it.
-    spread = sp.csr_array(
-        sp.coo_array((-problem.gauge.sigma[which], (np.arange(len(at)), which)), shape=(len(at), known))
-    )
+    # The error of a gauge length shifts all rows that compare with it.
+    spread = sp.csr_array(-problem.gauge.spread[which])
     matrix = sp.vstack([compare, pick], format="csr")
     residual = matrix @ distances.length
     residual[compare.shape[0] :] -= problem.gauge.length[which]

@@ -14,14 +14,14 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
-from ltsim.simulate.gauge import expansion, frame_of
+from ltsim.simulate.lengths import certified_by, true_lengths
 from ltsim.simulate.physics import effect_from, instrument_law, resolution_of, stated_noise
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.simulator import measure
 from ltsim.simulate.workshop import Layout
-from ltsim.units import MILLIMETRE
 
 
 def truth_of(
@@ -51,11 +51,9 @@ def truth_of(
     if like is not None and _same_names(work, like):
         state, noise = _start_frame(work, like.mean), stated_noise(scenario, work.sightings)
         return replace(like, recording=_like(work, like), state=state, sightings=work.sightings, noise=noise)
-    recording = _template(work, seed, *key)
-    grown, pairs = _gauge(work, recording)
+    recording, known = _template(work, seed, *key)
     mean, sigma = instrument_law(scenario, work.construction)
-    effects = _true_effects(work, grown, pairs)
-    stated = [d.sigma_mm * MILLIMETRE for d in recording.gauge.distance]
+    effects = _true_effects(work, known)
     return Truth(
         recording=recording,
         state=_start_frame(work, mean),
@@ -64,7 +62,8 @@ def truth_of(
         mean=mean,
         sigma=sigma,
         noise=stated_noise(scenario, work.sightings),
-        gauge_sigma=scenario.cmm.noise_factor * grown * np.array(stated),
+        gauge_sigma=scenario.cmm.noise_factor * known.factor * known.certificate,
+        gauge_shared=np.array([*known.shared.values()]).T,
         effects=effects,
         step=resolution_of(scenario),
     )
@@ -79,22 +78,12 @@ def _start_frame(work: Fieldwork, mean: Floats) -> State:
     return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
 
 
-def _template(work: Fieldwork, seed: int, *key: str | int) -> Recording:
-    """The recording with nominal readings and error-free lengths."""
+def _template(work: Fieldwork, seed: int, *key: str | int) -> tuple[Recording, KnownLengths]:
+    """The recording with nominal readings and error-free lengths, and these."""
     recording = measure(work, seed, *key)[0].with_readings(work.sightings.raw)
-    scenario = work.scenario
-    if recording.setup.gauge is not None and scenario.gauge is not None:
-        frame = frame_of(scenario.gauge)
-        lengths = {
-            (frame.names[a], frame.names[b]): float(length) / MILLIMETRE
-            for a, b, length in zip(frame.first, frame.second, frame.length, strict=True)
-        }
-        exact = tuple(
-            d.model_copy(update={"length_mm": lengths[d.from_, d.to]}) for d in recording.setup.gauge.distance
-        )
-        gauge = recording.setup.gauge.model_copy(update={"distance": exact})
-        recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
-    return recording
+    stated = KnownLengths.of(recording)
+    exact = certified_by(recording, true_lengths(work, stated) / stated.factor)
+    return exact, KnownLengths.of(exact)
 
 
 def _same_names(work: Fieldwork, known: Truth) -> bool:
@@ -118,22 +107,7 @@ def _like(work: Fieldwork, known: Truth) -> Recording:
     )
 
 
-def _gauge(work: Fieldwork, recording: Recording) -> tuple[float, list[int]]:
-    """How much the gauge has grown, and which of the frame's pairs are stated."""
-    gauge = work.scenario.gauge
-    if gauge is None:
-        return 1.0, []
-    frame = frame_of(gauge)
-    stated = {(d.from_, d.to) for d in recording.gauge.distance}
-    pairs = [
-        i
-        for i, (a, b) in enumerate(zip(frame.first, frame.second, strict=True))
-        if (frame.names[a], frame.names[b]) in stated
-    ]
-    return expansion(gauge, work.scenario.workshop.temperature_c), pairs
-
-
-def _true_effects(work: Fieldwork, grown: float, pairs: list[int]) -> tuple[TrueEffect, ...]:
+def _true_effects(work: Fieldwork, known: KnownLengths) -> tuple[TrueEffect, ...]:
     """The scenario's effects with the law of their values; entries and effects are in the same order."""
     entries, seen, found = work.scenario.effects, Counter[tuple[str, str]](), []
     for i, effect in enumerate(work.effects):
@@ -145,15 +119,9 @@ def _true_effects(work: Fieldwork, grown: float, pairs: list[int]) -> tuple[True
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
         key = f"{place} {seen[effect.name, place]}"
-        found.append(TrueEffect(effect, mean, sigma, key, _by_length(work, effect, grown, pairs)))
+        by_length = effect.gauge_design(known.first, known.second, work.sightings.points)
+        found.append(TrueEffect(effect, mean, sigma, key, by_length))
     return tuple(found)
-
-
-def _by_length(work: Fieldwork, effect: Effect, grown: float, pairs: list[int]) -> Floats:
-    if not pairs or work.scenario.gauge is None:
-        return np.zeros((0, 0))
-    frame = frame_of(work.scenario.gauge)
-    return grown * effect.gauge_design(frame.first, frame.second, frame.points)[pairs]
 
 
 def fitted_construction(method: Method) -> Construction:

@@ -190,7 +190,7 @@ class BatchDistance:
         points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
         change = self.problem.lengths(points) - self._distances.length[:, None]
         rows, gauge = self._pair_rows, self.problem.gauge
-        stated = block.gauge_error[:, trials] / gauge.sigma[:, None]
+        stated = gauge.whitened(block.gauge_error[:, trials])
         by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
         return rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
 

@@ -21,9 +21,9 @@ from ltsim.errors import LtsimError
 from ltsim.evaluate.clouds import on_points
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Setup
-from ltsim.units import MILLIMETRE
+from ltsim.simulate.lengths import certified_by
 
 SUSPECT = 0.6e-3
 SUSPECT_FACTOR = 10.0
@@ -53,20 +53,8 @@ class Calibrated:
 def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
     """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
-    return recording.replace(setup=_with_lengths(recording.setup, block.gauge_error[:, trial]))
-
-
-def _with_lengths(setup: Setup, error: Floats) -> Setup:
-    """The set-up with other known lengths; `error` [m] at the temperature of the workshop."""
-    gauge = setup.gauge
-    if gauge is None or not len(error):
-        return setup
-    grown = 1.0 + gauge.expansion_per_k * (gauge.measured_at_c - gauge.calibrated_at_c)
-    stated = tuple(
-        d.model_copy(update={"length_mm": d.length_mm + e / grown / MILLIMETRE})
-        for d, e in zip(gauge.distance, error, strict=True)
-    )
-    return setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": stated})})
+    known = KnownLengths.of(recording)
+    return certified_by(recording, (known.length + block.gauge_error[:, trial]) / known.factor)
 
 
 def determined_points(adjustment: Adjustment) -> Floats:

@@ -318,7 +318,7 @@ class BatchNetwork:
             bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
             if gauge_error is not None:
                 bent += gauge_error
-            rows[: len(gauge)] += bent / gauge.sigma[:, None]
+            rows[: len(gauge)] += gauge.whitened(bent)
         return rows
 
 

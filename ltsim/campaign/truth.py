@@ -79,10 +79,12 @@ class Truth:
     noise: Floats
     """(n, 3): true standard deviations of the readings, without what effects on the noise add."""
     gauge_sigma: Floats
-    """(g,) [m]: of the stated lengths."""
+    """(g,) [m]: of the certificates of the stated lengths."""
     effects: tuple[TrueEffect, ...] = ()
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
+    gauge_shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(g, k) [m]: change of the stated lengths by one standard deviation of what several share; empty for none."""
 
     @cached_property
     def _programs(self) -> list[tuple[Construction, ChainProgram]]:
@@ -158,6 +160,8 @@ class Truth:
             return stream(seed, "campaign", what, number).standard_normal((*shape, deviation.shape[2]))
 
         gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
+        if self.gauge_shared.size:
+            gauge_error += self.gauge_shared @ normal("gauge shared", self.gauge_shared.shape[1])
         amounts = []
         for place, entry in enumerate(self.effects):
             drawn = normal(f"effect {entry.effect.name} {entry.key}", len(entry.mean))

@@ -21,15 +21,13 @@ def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
     `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
     turn = from_rotation_vector(motion[:, 3:]) @ sightings.rotation[sightings.station]
-    at = sightings.position[sightings.station] + motion[:, :3]
-    local = np.einsum("nji,nj->ni", turn, sightings.points[sightings.target] - at)
+    local = np.einsum("nji,nj->ni", turn, sightings.arm - motion[:, :3])
     return reading_change(sightings, local)
 
 
 def station_design(sightings: Sightings) -> Floats:
     """Change (n, 3, 6) of the raw readings per unit of the same motion, first order."""
-    arm = sightings.points[sightings.target] - sightings.position[sightings.station]
-    return pose_design(sightings.by_target, arm)
+    return pose_design(sightings.by_target, sightings.arm)
 
 
 def reading_change(sightings: Sightings, local: Floats) -> Floats:

@@ -23,6 +23,7 @@ from ltsim.recording.files import (
     shown,
     write_texts,
 )
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.plausibility import check_degrees
 from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, SIGMA_COLUMNS, Recording
 from ltsim.recording.result_table import guarded, plain
@@ -224,6 +225,7 @@ def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Float
 
 
 def _check_gauge(recording: Recording, file: Path) -> None:
+    """Lengths between targets that were measured, of stated materials and temperatures."""
     for i, line in enumerate(recording.gauge.distance):
         for name in (line.from_, line.to):
             if name not in recording.targets:
@@ -231,6 +233,7 @@ def _check_gauge(recording: Recording, file: Path) -> None:
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
                 message = f"the target '{shown(name)}' was never measured{hint}"
                 raise RecordError(message, file=file, column=f"gauge.distance {i + 1}")
+    KnownLengths.of(recording, file)
 
 
 def write_recording(recording: Recording, path: Path) -> None:

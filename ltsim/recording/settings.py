@@ -167,7 +167,8 @@ def setup_to_toml(setup: Setup) -> str:
     named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
     table["instruments"] = named
     if setup.gauge is not None:
-        table["gauge"] = setup.gauge.model_dump(by_alias=True, exclude_none=True)
+        lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
+        table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}
     for kind in ("stations", "targets"):
         entries: dict[str, BaseModel] = getattr(setup, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}

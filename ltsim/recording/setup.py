@@ -148,7 +148,31 @@ class Instrument(Section):
     """What it can point at."""
 
 
-class GaugeDistance(Section):
+class Material(Section):
+    """What a gauge or a scale bar is made of; lengths of one material share the error of its coefficient."""
+
+    expansion_per_k: Finite = 0.0
+    """Coefficient of thermal expansion."""
+    sigma_expansion_per_k: NonNegative | None = None
+    """Standard deviation of the coefficient; none where it is not given."""
+
+
+class LengthUse(Section):
+    """What a known length is made of, and how warm it was when it was used."""
+
+    measured_at_c: Finite | Line | None = None
+    """Temperature of this length: a number, or a column of the recording, whose mean over the pointings at both ends
+    counts; the gauge's where it is not given."""
+    sigma_temperature_k: NonNegative | None = None
+    """Standard deviation of that temperature, shared by all lengths of the same column; the gauge's where it is not
+    given."""
+    material: Line | None = None
+    """Name of a table of materials; the gauge's own coefficient holds where it is not given."""
+    measured_in_place: bool = False
+    """Measured between its ends where they stand, as by an interferometer: it does not grow."""
+
+
+class GaugeDistance(LengthUse):
     """A known length between two targets, at `calibrated_at_c`."""
 
     from_: str = Field(alias="from")
@@ -156,7 +180,7 @@ class GaugeDistance(Section):
     to: str
     """Target at the other end."""
     length_mm: Positive
-    """Length at `calibrated_at_c`."""
+    """Length at `calibrated_at_c`, or as it was measured in place."""
     sigma_mm: Positive
     """Standard deviation of the length."""
 
@@ -166,10 +190,16 @@ class Gauge(Section):
 
     calibrated_at_c: Finite = 20.0
     """Temperature to which the lengths refer."""
-    measured_at_c: Finite = 20.0
-    """Temperature of the gauge during the recording."""
+    measured_at_c: Finite | Line = 20.0
+    """Temperature of the gauge during the recording, or the column that holds it."""
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion."""
+    sigma_expansion_per_k: NonNegative | None = None
+    """Standard deviation of the coefficient, shared by all lengths; none where it is not given."""
+    sigma_temperature_k: NonNegative | None = None
+    """Standard deviation of that temperature; none where it is not given."""
+    materials: dict[str, Material] | None = None
+    """Other materials by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()
     """One table `[[gauge.distance]]` a length."""
 

@@ -135,6 +135,6 @@ class Network:
         length = float(np.linalg.norm(self.state.points[first] - self.state.points[second])) / MILLIMETRE
         # `from` is a keyword: the alias goes in through a mapping.
         ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
-        added = GaugeDistance(**ends, sigma_mm=sigma_mm)
+        added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)
         gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, added)})
         return replace(self, recording=recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))

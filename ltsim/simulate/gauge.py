@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import SetupError
+from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
 from ltsim.simulate.sections import Cmm, Gauge
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -103,9 +104,9 @@ def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
 
 
 def expansion(gauge: Gauge, workshop_c: float) -> float:
-    """Factor of all lengths between calibration and workshop, 1 + a dT (eq. 15 with its missing length)."""
+    """Factor of all lengths between calibration and workshop."""
     measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
-    return 1.0 + gauge.expansion_per_k * (measured - gauge.calibrated_at_c)
+    return Expansion.of(gauge.expansion_per_k, measured - gauge.calibrated_at_c).factor
 
 
 def orientation(gauge: Gauge) -> Floats:
@@ -124,18 +125,6 @@ def length_sigma(cmm: Cmm, length: Floats) -> Floats:
     """Standard deviation (g,) [m] of lengths (g,) [m] from the measuring machine: its largest error over `coverage`."""
     largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
     return largest * MICROMETRE / cmm.coverage
-
-
-def calibrated(gauge: Gauge, frame: Frame, cmm: Cmm, seed: int, *key: str | int) -> tuple[Floats, Floats]:
-    """Lengths (g,) as the measuring machine gives them, and their stated standard deviation [m]."""
-    sigma = length_sigma(cmm, frame.length)
-    if gauge.sigma_um is not None:
-        sigma = np.full(len(sigma), gauge.sigma_um * MICROMETRE)
-    draws = [
-        stream(seed, *key, "cmm", frame.names[a], frame.names[b]).standard_normal()
-        for a, b in zip(frame.first, frame.second, strict=True)
-    ]
-    return frame.length + cmm.noise_factor * sigma * np.array(draws), sigma
 
 
 def nominal_points(points: Floats, names: tuple[str, ...], cmm: Cmm, seed: int, *key: str | int) -> Floats:

@@ -12,7 +12,7 @@ from ltsim.errors import SetupError, as_setup_error
 from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import checked, read_toml, to_toml
-from ltsim.recording.setup import Section, Vector
+from ltsim.recording.setup import Material, Section, Vector
 from ltsim.simulate.builtin import builtin_names, builtin_path
 from ltsim.simulate.sections import (
     PRESETS,
@@ -20,6 +20,7 @@ from ltsim.simulate.sections import (
     EffectEntry,
     Gauge,
     Instrument,
+    Length,
     Placing,
     Smr,
     Station,
@@ -30,6 +31,8 @@ from ltsim.simulate.sections import (
 from ltsim.simulate.subset import in_use
 
 FORMAT = "ltsim-scenario/1"
+AIR = "air_temperature_c"
+"""The one column of temperatures that a simulated recording has."""
 NONE = "none"
 """As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
@@ -57,6 +60,10 @@ class Scenario(Section, Shown):
     """Order and clock of the measurements."""
     gauge: Gauge | None = None
     """A frame of known lengths."""
+    materials: dict[str, Material] = Field(default_factory=dict)
+    """Materials of known lengths, tables `[materials.NAME]`; the true coefficient is drawn."""
+    lengths: tuple[Length, ...] = ()
+    """Known lengths between reflectors of the mesh, tables `[[lengths]]`."""
     stations: dict[str, Station]
     """Set-ups, tables `[stations.NAME]`, in the order of the work."""
     targets: dict[str, Target] = Field(default_factory=dict)
@@ -194,6 +201,7 @@ def _check(scenario: Scenario, file: Path) -> None:
     _check_names(scenario, file, refuse)
     _check_instruments(scenario, refuse)
     _check_places(scenario, refuse)
+    _check_lengths(scenario, refuse)
     for i, entry in enumerate(scenario.effects):
         for kind, wanted, known in (
             ("stations", entry.stations, tuple(scenario.stations)),
@@ -239,6 +247,25 @@ def _check_instruments(scenario: Scenario, refuse: Refuse) -> None:
             refuse("instruments", f"hold different constructions ({found}); one recording has one, with one order")
 
 
+def _check_lengths(scenario: Scenario, refuse: Refuse) -> None:
+    """Lengths between two reflectors, of stated materials, as warm as a number or the air."""
+    for i, length in enumerate(scenario.lengths):
+        for key, name in (("from", length.from_), ("to", length.to)):
+            if name not in scenario.targets:
+                refuse(
+                    f"lengths.{i + 1}.{key}", f"names '{shown(name)}', which is not one of {_listed(scenario.targets)}"
+                )
+        if length.from_ == length.to:
+            refuse(f"lengths.{i + 1}", f"goes from '{shown(length.to)}' to itself, expected two different targets")
+        if length.material is not None and length.material not in scenario.materials:
+            known = _listed(scenario.materials) or "none, and a table [materials.NAME] states one"
+            refuse(f"lengths.{i + 1}.material", f"names '{shown(length.material)}', which is not one of {known}")
+        if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
+            refuse(
+                f"lengths.{i + 1}.measured_at_c", f"is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
+            )
+
+
 def table_name(name: str) -> str:
     """The table of a scenario that holds the tracker of this name; '' for the one without."""
     return f"instruments.{name}" if name else "instrument"
@@ -277,9 +304,10 @@ def scenario_to_toml(scenario: Scenario) -> str:
         table["instruments"] = {name: i.model_dump(by_alias=True, exclude_none=True) for name, i in named}
     if scenario.gauge is not None:
         table["gauge"] = scenario.gauge.model_dump(by_alias=True, exclude_none=True)
-    for kind in ("stations", "targets"):
+    for kind in ("materials", "stations", "targets"):
         entries: dict[str, Section] = getattr(scenario, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
-    if scenario.effects:
-        table["effects"] = [e.model_dump(by_alias=True, exclude_defaults=True) for e in scenario.effects]
+    for kind in ("lengths", "effects"):
+        if listed := getattr(scenario, kind):
+            table[kind] = [e.model_dump(by_alias=True, exclude_defaults=True) for e in listed]
     return to_toml(table)

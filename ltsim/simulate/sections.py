@@ -11,6 +11,7 @@ from ltsim.effects.resolution import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.recording.setup import (
     Finite,
+    LengthUse,
     Limits as ElevationLimits,
     Noise,
     NonNegative,
@@ -280,9 +281,24 @@ class Gauge(Section):
     measured_at_c: Celsius | None = None
     """Temperature that the recording states; the air's where it is not given."""
     expansion_per_k: Finite = 23.2e-6
-    """Coefficient of thermal expansion."""
+    """Coefficient of thermal expansion that the recording states."""
+    sigma_expansion_per_k: NonNegative | None = None
+    """Standard deviation of the coefficient: the true one is drawn."""
+    sigma_temperature_k: NonNegative | None = None
+    """Standard deviation of the stated temperature: the true one is drawn."""
     sigma_um: Positive | None = None
     """Standard deviation of each length; by the measuring machine's where it is not given."""
+
+
+class Length(LengthUse):
+    """A known length between two reflectors of the mesh: a scale bar, or one that an interferometer measured."""
+
+    from_: str = Field(alias="from")
+    """Reflector at one end."""
+    to: str
+    """Reflector at the other end."""
+    sigma_um: Positive
+    """Standard deviation of the stated length."""
 
 
 class Station(Section):

@@ -16,15 +16,16 @@ from ltsim.effects.resolution import quantised
 from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.randomness import stream
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Limits, Setup, Station, Target
+from ltsim.recording.setup import Instrument, Limits, Setup, Station, Target
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
-from ltsim.simulate.gauge import calibrated, frame_of, nominal_points
+from ltsim.simulate.gauge import nominal_points
+from ltsim.simulate.lengths import with_lengths, with_stated
 from ltsim.simulate.physics import effect_values, instrument_values, resolution_of, stated_noise
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.sections import Instrument as Tracker
 from ltsim.simulate.truth import AppliedEffect, TrackerTruth, Truth
-from ltsim.units import MILLIMETRE
 
 
 def simulate(scenario: Scenario, seed: int) -> tuple[Recording, Truth]:
@@ -121,9 +122,14 @@ def drawn_noise(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: st
 
 
 def _recording(work: Fieldwork, readings: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Recording:
+    found = with_lengths(_without_lengths(work, readings), work, values, seed, *key)
+    return found.replace(notes=(*work.notes, *idle_effects(work)))
+
+
+def _without_lengths(work: Fieldwork, readings: Floats) -> Recording:
     s = work.sightings
     return Recording(
-        setup=_setup(work, values, seed, *key),
+        setup=_setup(work),
         stations=s.station_names,
         targets=s.target_names,
         station=s.station,
@@ -133,24 +139,24 @@ def _recording(work: Fieldwork, readings: Floats, values: tuple[Floats, ...], se
         time=s.time,
         readings=readings,
         covariates=s.covariates,
-        notes=(*work.notes, *idle_effects(work)),
     )
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
     """A note on every effect that finds nothing to act on: a column, a time, a nest that is not there."""
-    frame = frame_of(work.scenario.gauge) if work.scenario.gauge is not None else None
-    for effect in work.effects:
-        if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
-            continue
-        if frame is not None and np.any(effect.gauge_design(frame.first, frame.second, frame.points)):
+    still = [e for e in work.effects if not isinstance(e, NoiseEffect) and not np.any(e.design(work.sightings))]
+    if not still:
+        return
+    known = KnownLengths.of(with_stated(_without_lengths(work, work.sightings.raw), work.scenario))
+    for effect in still:
+        if np.any(effect.gauge_design(known.first, known.second, work.sightings.points)):
             continue
         left = np.any(effect.shift(work.sightings, np.zeros(len(effect.parameters))))
         yield f"{effect.name} {'adds one constant to every range' if left else 'changes nothing'} here"
 
 
-def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Setup:
-    """What a person knows: the floor plan, the nests, the gauge's certificate, the maker's figures."""
+def _setup(work: Fieldwork) -> Setup:
+    """What a person knows: the floor plan, the nests, the maker's figures."""
     scenario, step = work.scenario, work.scenario.placing
     stations = {
         name: Station(
@@ -166,7 +172,6 @@ def _setup(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | i
         title=scenario.title,
         instrument=_data_sheet(scenario.instrument) if "" in scenario.trackers else Instrument(),
         instruments={name: _data_sheet(tracker) for name, tracker in scenario.instruments.items()},
-        gauge=_certificate(work, values, seed, *key),
         stations=stations,
         targets=_targets(work),
     )
@@ -202,37 +207,6 @@ def _targets(work: Fieldwork) -> dict[str, Target]:
             reflector=own or scenario.smr.reflector,
         )
     return known
-
-
-def _certificate(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Gauge | None:
-    """The gauge as the measuring machine calibrated it: lengths of pairs that were both seen."""
-    gauge, cmm = work.scenario.gauge, work.scenario.cmm
-    if gauge is None:
-        return None
-    frame = frame_of(gauge)
-    length, sigma = calibrated(gauge, frame, cmm, seed, *key)
-    for effect, amount in zip(work.effects, values, strict=True):
-        length = length + effect.gauge_design(frame.first, frame.second, frame.points) @ amount
-    seen = set(work.sightings.target_names)
-    lines = [
-        GaugeDistance.model_validate(
-            {
-                "from": frame.names[a],
-                "to": frame.names[b],
-                "length_mm": round(float(x) / MILLIMETRE, 4),
-                "sigma_mm": max(round(float(e) / MILLIMETRE, 6), 1e-6),
-            }
-        )
-        for a, b, x, e in zip(frame.first, frame.second, length, sigma, strict=True)
-        if {frame.names[a], frame.names[b]} <= seen
-    ]
-    measured = work.scenario.workshop.temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
-    return Gauge(
-        calibrated_at_c=gauge.calibrated_at_c,
-        measured_at_c=measured,
-        expansion_per_k=gauge.expansion_per_k,
-        distance=tuple(lines),
-    )
 
 
 def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Truth:

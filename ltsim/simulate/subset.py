@@ -52,6 +52,7 @@ def in_use(scenario: Scenario, file: Path) -> Scenario:
             "stations": stations,
             "targets": targets,
             "instruments": {name: i for name, i in scenario.instruments.items() if name in used},
+            "lengths": tuple(bar for bar in scenario.lengths if {bar.from_, bar.to} <= {*targets}),
             "effects": tuple(_effects(scenario.effects, {*stations}, {*targets, *gauge})),
         }
     )

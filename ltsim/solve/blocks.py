@@ -133,4 +133,3 @@ class Factor:
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
         return self._local[1]
-

@@ -28,7 +28,9 @@ from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.notebook import Columns, Shown
-from ltsim.uncertainty.inputs import CONTROL, LENGTHS, PRIORS, observed_rows, reach_of
+from ltsim.recording.lengths import COEFFICIENT
+from ltsim.recording.setup import Gauge
+from ltsim.uncertainty.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
 from ltsim.units import MICROMETRE
 
 AXES = tuple(enumerate("xyz"))
@@ -205,9 +207,9 @@ class _Epoch:
     @classmethod
     def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> _Epoch:
         reach = reach_of(adjustment, at)
-        groups = dict(observed_rows(adjustment))
-        rows = np.concatenate([np.zeros(0, dtype=np.int64), *(groups[name] for name in common if name in groups)])
-        return cls(adjustment.state.points[at], reach.T @ reach, reach[rows].T, adjustment.problem.free)
+        groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
+        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
+        return cls(adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
 
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
@@ -218,14 +220,22 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
         if first.problem.prior_sigma.shape != second.problem.prior_sigma.shape:
             raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
         common.append(PRIORS)
-    if one.gauge is not None and other.gauge is not None and one.gauge.distance == other.gauge.distance:
-        common.append(LENGTHS)
+    if one.gauge is not None and other.gauge is not None and _certificate(one.gauge) == _certificate(other.gauge):
+        shared = [a.problem.gauge.shared for a in (first, second)]
+        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(COEFFICIENT))]
     known = [
         {name: t.known_mm for name, t in setup.targets.items() if t.known_mm is not None} for setup in (one, other)
     ]
     if known[0] and known[0] == known[1]:
         common.append(CONTROL)
     return common
+
+
+def _certificate(gauge: Gauge) -> Gauge:
+    """What was known of the lengths before they were used: not how warm they were then."""
+    plain = {"measured_at_c": None, "sigma_temperature_k": None}
+    lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
+    return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
 def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools) -> _Gap:

@@ -15,7 +15,7 @@ from ltsim.uncertainty.inputs import Inputs
 from ltsim.uncertainty.linearity import CURVED, curvature
 from ltsim.uncertainty.measurands import Measurand, Output
 from ltsim.uncertainty.montecarlo import Drawn, draw
-from ltsim.uncertainty.propagation import Propagated, Stretch, propagate
+from ltsim.uncertainty.propagation import Propagated, expansion_of, propagate
 from ltsim.uncertainty.spec import Task, Tasks
 from ltsim.uncertainty.verdict import Conformity, conformity
 
@@ -124,7 +124,7 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     """
     inputs = Inputs.of(recording, tasks)
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
-    stretch = Stretch.of(tasks.growth)
+    stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)
     drawn = draw(inputs, measurands, stretch, tasks.monte_carlo)
     gap = curvature(inputs, measurands, tasks.monte_carlo.seed)

@@ -7,7 +7,7 @@ the covariance of the points falls apart into the shares of its sources, which a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -83,7 +83,7 @@ class Inputs:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         at = np.array([recording.targets.index(name) for name in names])
         reach = reach_of(found, at)
-        observed = [Source(name, "A", _compact(reach[rows].T)) for name, rows in observed_rows(found)]
+        observed = [replace(s, response=_compact(s.response)) for s in observed_sources(found, reach)]
         further = [_type_b(found, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
         return cls(found, names, found.state.points[at], reach, (*observed, *further))
 
@@ -105,23 +105,31 @@ def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
     return np.asarray(system.design @ spread)
 
 
-def observed_rows(adjustment: Adjustment) -> list[tuple[str, Ints]]:
-    """Names of the groups of observations and the rows (r,) of each; rows that only define the frame are in none."""
+def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+    """The groups of observations; a standard deviation of each row is a variate. What only defines the frame is none.
+
+    Errors that known lengths share, of a coefficient of expansion or a thermometer, are sources of their own.
+    """
     problem = adjustment.problem
     observable = np.nonzero(problem.use)[1]
     groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
-    at = len(observable)
-    held = problem.structure.held
+    gauge, at = problem.gauge, len(observable)
+    by_length = reach[at : at + len(gauge)].T
+    at += len(gauge)
     for name, count in (
-        (LENGTHS, len(problem.gauge)),
         (CONTROL, problem.control.count + problem.known_marks.count),
         ("levels", 2 * len(problem.levels)),
-        ("", held),
+        ("", problem.structure.held),
         (PRIORS, int(np.isfinite(problem.prior_sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
-    return [(name, rows) for name, rows in groups if name and len(rows)]
+    found = [Source(name, "A", reach[rows].T) for name, rows in groups if name and len(rows)]
+    if len(gauge):
+        own = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
+        found.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), own)
+    shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
+    return [*found, *(Source(name, "B", response[:, None]) for name, response in shared)]
 
 
 def _compact(response: Floats) -> Floats:
@@ -149,7 +157,7 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
     if np.any(lengths):
         if entry.shared != "all":
             raise SetupError(f'type_b.{number}.shared: {entry.effect} acts on known lengths, expected shared = "all"')
-        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ (lengths / gauge.sigma[:, None])
+        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.whitened(lengths)
     if not np.any(response):
         raise SetupError(f"type_b.{number}: {entry.effect} acts on no reading that the tasks depend on")
     place = ", ".join(entry.stations + entry.targets)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
+from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
 from ltsim.uncertainty.inputs import Inputs
 from ltsim.uncertainty.measurands import Measurand
-from ltsim.uncertainty.propagation import Propagated, Stretch
+from ltsim.uncertainty.propagation import Propagated, parts_of
 from ltsim.uncertainty.spec import MonteCarlo
 
 BATCH = 10_000
@@ -52,7 +53,7 @@ class Drawn:
         return np.all(np.abs(ends - self.symmetric) <= self.tolerance[:, None], axis=1)
 
 
-def draw(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, settings: MonteCarlo) -> Drawn:
+def draw(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo) -> Drawn:
     """Trials until every figure is stable, or the most that the settings allow."""
     batches: list[Floats] = []
     while True:
@@ -72,7 +73,7 @@ def draw(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, sett
     return Drawn(values, values.mean(axis=0), sigma, *intervals(values, settings.coverage), stable, tolerance)
 
 
-def _batch(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, seed: int, number: int) -> Floats:
+def _batch(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, seed: int, number: int) -> Floats:
     """Results (BATCH, k) of one batch."""
     shift = np.zeros((BATCH, inputs.points.size))
     for i, source in enumerate(inputs.sources):
@@ -80,7 +81,7 @@ def _batch(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch, se
         rng = stream(seed, "uncertainty", source.name, i, number)
         shift += variates(rng, source.distribution, shape) @ source.response.T
     factor = np.full(BATCH, stretch.factor)
-    for name, sigma in stretch.parts:
+    for name, sigma in parts_of(stretch):
         factor += sigma * stream(seed, "uncertainty", name, number).standard_normal(BATCH)
     points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
     pieces = [slice(at, at + PIECE) for at in range(0, BATCH, PIECE)]

@@ -9,38 +9,24 @@ import numpy as np
 from scipy import special
 
 from ltsim.arrays import Floats
+from ltsim.geometry.expansion import Expansion
 from ltsim.uncertainty.inputs import Inputs
 from ltsim.uncertainty.measurands import Measurand
 from ltsim.uncertainty.spec import Growth
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """The part's expansion as an input: the factor by which it was too large when measured, and its uncertainties."""
+def expansion_of(growth: Growth | None) -> Expansion:
+    """The part's expansion as an input: it was too long by that factor when it was measured."""
+    if growth is None:
+        return Expansion()
+    kelvin = growth.measured_c - growth.reference_c
+    return Expansion.of(growth.expansion_per_k, kelvin, growth.sigma_expansion_per_k, growth.sigma_temperature_k)
 
-    factor: float = 1.0
-    """1 + expansion (measured - reference)."""
-    by_expansion: float = 0.0
-    by_temperature: float = 0.0
-    """Standard deviation of the factor from each."""
 
-    @classmethod
-    def of(cls, growth: Growth | None) -> Stretch:
-        """From the file's table."""
-        if growth is None:
-            return cls()
-        kelvin = growth.measured_c - growth.reference_c
-        return cls(
-            1.0 + growth.expansion_per_k * kelvin,
-            abs(kelvin) * growth.sigma_expansion_per_k,
-            abs(growth.expansion_per_k) * growth.sigma_temperature_k,
-        )
-
-    @property
-    def parts(self) -> list[tuple[str, float]]:
-        """Name and standard deviation of each input that has one."""
-        named = [("expansion of the part", self.by_expansion), ("temperature of the part", self.by_temperature)]
-        return [(name, sigma) for name, sigma in named if sigma > 0]
+def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
+    """Name and size of each error of the part's expansion."""
+    named = [("expansion of the part", stretch.by_coefficient), ("temperature of the part", stretch.by_temperature)]
+    return [(name, change) for name, change in named if change]
 
 
 @dataclass(frozen=True)
@@ -73,7 +59,7 @@ class Propagated:
         return correlation
 
 
-def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch) -> Propagated:
+def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> Propagated:
     """First-order propagation of every source through adjustment and tasks."""
     points = inputs.points
     values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
@@ -87,7 +73,7 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Stretch)
         covariance += reached @ reached.T
         shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
         kinds[source.name] = source.kind
-    for name, sigma in stretch.parts:
+    for name, sigma in parts_of(stretch):
         reached = by_stretch * sigma
         covariance += np.outer(reached, reached)
         shares[name] = reached**2

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pickle
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ltsim import effects
 from ltsim.effects import CATALOGUE, NoiseEffect, card_of, find_effect
-from ltsim.effects.effect import Effect, Mistake, SlotEffect
+from ltsim.effects.effect import Effect, Mistake, SlotEffect, Stage
 from ltsim.errors import ModelError
 from ltsim.model.construction import misalignment
 from ltsim.recording.recording import OBSERVABLES
@@ -79,6 +80,18 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
         small = np.abs(effect.shift(SCENE, 0.1 * values) - 0.1 * linear).max(axis=0)
         assert (large <= 0.05 * size + 1e-12).all(), effect
         assert (small <= 0.02 * large + 0.1 * own * size + 1e-13).all(), effect
+
+
+@pytest.mark.parametrize("kind", [k for k in CATALOGUE if k.stage <= Stage.STATION], ids=lambda kind: kind.name)
+def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
+    """Two metres above its mark it sees another turn of the station than the mark would, exactly and in first order."""
+    lifted = replace(SCENE, lift=np.tile([0.0, 0.0, 2.0], (len(SCENE), 1)))
+    for effect in samples(kind, lifted):
+        values = 0.1 * prior(effect)
+        np.testing.assert_allclose(effect.shift(lifted, 0.0 * values), 0.0, atol=1e-13)
+        linear = effect.design(lifted) @ values
+        size = np.abs(linear).max(axis=0)
+        assert (np.abs(effect.shift(lifted, values) - linear).max(axis=0) <= 5e-3 * size + 1e-12).all(), effect
 
 
 @EVERY

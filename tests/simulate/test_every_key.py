@@ -42,6 +42,8 @@ OTHER: dict[str, Any] = {
     "gauge.nest_normal": [1, 1, 1],
     "gauge.sigma_um": 3.0,
     "gauge.measured_at_c": 22.0,
+    "gauge.sigma_expansion_per_k": 1e-6,
+    "gauge.sigma_temperature_k": 0.5,
     "stations.S2.yaw_deg": 80.0,
     "work.stations": 4,
     "work.targets": 12,

@@ -21,7 +21,7 @@ from ltsim.uncertainty.files import UncertaintyFile, compared, told
 from ltsim.uncertainty.inputs import Inputs, Source
 from ltsim.uncertainty.measurands import Measurand
 from ltsim.uncertainty.montecarlo import draw, intervals
-from ltsim.uncertainty.propagation import Stretch, propagate
+from ltsim.uncertainty.propagation import expansion_of, propagate
 from ltsim.uncertainty.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
 from ltsim.uncertainty.verdict import conformity, normalised_error
 from tests.networks import drawn, network
@@ -93,7 +93,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     with_weather = tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1])
     inputs = Inputs.of(recording, with_weather)
     measurand = Measurand.of(with_weather.task[0], inputs.targets, inputs.points)
-    predicted = propagate(inputs, [measurand], Stretch())
+    predicted = propagate(inputs, [measurand], expansion_of(None))
     noise = sum(share[0] for name, share in predicted.shares.items() if name.endswith("readings"))
     expected = {False: np.sqrt(noise), True: np.sqrt(noise + predicted.shares["station-weather"][0])}
     lengths = {True: [], False: []}  # type: dict[bool, list[float]]
@@ -134,10 +134,10 @@ def test_published_distributions() -> None:
         response[0] = sizes
         source = Source("inputs", "B", response, "rectangular")
         inputs = Inputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
-        found = draw(inputs, [measurand], Stretch(), MonteCarlo(most_trials=100_000))
+        found = draw(inputs, [measurand], expansion_of(None), MonteCarlo(most_trials=100_000))
         assert found.sigma[0] == pytest.approx(sigma, rel=0.01)
         assert found.symmetric[0] == pytest.approx([-half, half], abs=0.25)
-        linear = propagate(inputs, [measurand], Stretch())
+        linear = propagate(inputs, [measurand], expansion_of(None))
         expanded = {2.00: 3.92, 10.15: 19.9}[sigma]
         assert linear.expanded(0.95)[0] == pytest.approx(expanded, abs=0.05)
     assert not found.agrees(linear, 0.95)[0]

@@ -12,6 +12,7 @@ from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.recording.files import write_text
 from ltsim.recording.formats.gama import CC, FIXED_MM
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Target, Vector, symmetric
 from ltsim.units import GON, MILLIMETRE
@@ -153,10 +154,9 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 def _length_lines(recording: Recording) -> Iterator[str]:
     """Lengths of the gauge at the temperature of the measurement."""
-    gauge = recording.gauge
-    grown = 1 + gauge.expansion_per_k * (gauge.measured_at_c - gauge.calibrated_at_c)
-    for line in gauge.distance:
-        value = line.length_mm * MILLIMETRE * grown
-        yield f"<obs from={quoteattr(line.from_)}>"
-        yield f'<s-distance to={quoteattr(line.to)} val="{value!r}" stdev="{line.sigma_mm!r}" />'
+    known = KnownLengths.of(recording)
+    ends = [[quoteattr(recording.targets[i]) for i in end] for end in (known.first, known.second)]
+    for first, second, length, sigma in zip(*ends, known.length.tolist(), known.sigma.tolist(), strict=True):
+        yield f"<obs from={first}>"
+        yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
         yield "</obs>"

@@ -1,0 +1,119 @@
+"""Known lengths of a recording at the temperature of their use, and what is not known of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import RecordError
+from ltsim.geometry.expansion import Expansion
+from ltsim.recording.files import shown
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import GaugeDistance
+from ltsim.units import MILLIMETRE
+
+COEFFICIENT = "expansion of "
+"""Begins the name of an error that lengths of one material share."""
+
+
+@dataclass(frozen=True)
+class KnownLengths:
+    """The g lengths between targets of a recording: independent certificates, and errors that several share."""
+
+    first: Ints
+    second: Ints
+    """(g,): index of the target at either end."""
+    factor: Floats
+    """(g,): growth between the calibration and the use."""
+    length: Floats
+    """(g,) [m]: at the use."""
+    certificate: Floats
+    """(g,) [m]: standard deviation of what each length has alone."""
+    shared: dict[str, Floats]
+    """(g,) [m]: what one standard deviation of each coefficient and each thermometer changes the lengths by."""
+
+    @classmethod
+    def of(cls, recording: Recording, file: object = "setup.toml") -> KnownLengths:
+        """The lengths whose targets the recording holds; `file` is named in errors.
+
+        Raises
+        ------
+        RecordError
+            When a material is not stated, or a column has no temperature of a length.
+        """
+        index = {name: i for i, name in enumerate(recording.targets)}
+        rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
+        grown = [_Grown.of(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
+        certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
+        factor = np.array([g.expansion.factor for g in grown])
+        changes = [g.changes for g in grown]
+        shared = {
+            name: certified * np.array([change.get(name, 0.0) for change in changes])
+            for name in dict.fromkeys(name for change in changes for name in change)
+        }
+        return cls(
+            np.array([index[d.from_] for _, d in rows], dtype=np.int64),
+            np.array([index[d.to] for _, d in rows], dtype=np.int64),
+            factor,
+            certified * factor,
+            np.array([d.sigma_mm * MILLIMETRE for _, d in rows]),
+            shared,
+        )
+
+    @property
+    def sigma(self) -> Floats:
+        """(g,) [m]: standard deviation of each length by itself."""
+        return np.sqrt(self.certificate**2 + sum(change**2 for change in self.shared.values()))
+
+
+@dataclass(frozen=True)
+class _Grown:
+    """One length: its growth, and whose coefficient and thermometer it takes."""
+
+    expansion: Expansion
+    material: str
+    thermometer: str
+
+    @classmethod
+    def of(cls, recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> _Grown:
+        if line.measured_in_place:
+            return cls(Expansion(), "", "")
+        gauge = recording.gauge
+        materials = gauge.materials or {}
+        if line.material is not None and line.material not in materials:
+            known = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
+            raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {known}", **where)
+        stated = gauge if line.material is None else materials[line.material]
+        given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
+        measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
+        sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
+        kelvin = measured - gauge.calibrated_at_c
+        own = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
+        return cls(
+            Expansion.of(stated.expansion_per_k, kelvin, stated.sigma_expansion_per_k, sigma),
+            f"{COEFFICIENT}{line.material or 'the gauge'}",
+            f"temperature of {given if isinstance(given, str) else own or 'the gauge'}",
+        )
+
+    @property
+    def changes(self) -> dict[str, float]:
+        """Change of the factor by one standard deviation of each error that is stated."""
+        both = {self.material: self.expansion.by_coefficient, self.thermometer: self.expansion.by_temperature}
+        return {name: change for name, change in both.items() if change}
+
+
+def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
+    """Mean of a column over the pointings at both ends of a length."""
+    if name not in recording.covariates:
+        known = ", ".join(recording.covariates) or "none"
+        message = f"measured_at_c names '{shown(name)}', which is no column of numbers; there are {known}"
+        raise RecordError(message, **where)
+    ends = [recording.targets.index(target) for target in (line.from_, line.to)]
+    values = recording.covariates[name][np.isin(recording.target, ends)]
+    if not np.isfinite(values).any():
+        message = f"the column {name} is empty where {line.from_} and {line.to} were measured, expected temperatures"
+        raise RecordError(message, **where)
+    return float(np.nanmean(values))
