@@ -14,6 +14,7 @@ from sphinx.util.docutils import SphinxDirective
 from from_code import catalogue, command_line, gallery, keys, mathml, python_names, results
 from from_code.pictures import Pictures
 from ltsim.recording import FORMATS
+from ltsim.recording.specification import figures, sheet_names
 
 
 def formats() -> str:
@@ -23,12 +24,30 @@ def formats() -> str:
     return "\n".join(lines)
 
 
+def data_sheets() -> str:
+    """Markdown: the built-in data sheets, what they leave open as a question mark."""
+    lines = ["| name | across the beam | along it | zero of the ranges | source |", "|---|---|---|---|---|"]
+    for name in sheet_names():
+        stated = figures(name)
+        across, along = (
+            " + ".join(
+                f"{stated[key]:g} {unit}" if key in stated else "?"
+                for key, unit in ((f"{part}_um", "µm"), (f"{part}_um_per_m", "µm/m"))
+            )
+            for part in ("transverse", "range")
+        )
+        zero = f"{stated['range_offset_um']:g} µm" if "range_offset_um" in stated else ""
+        lines.append(f"| `{name}`<br>{stated['name']} | {across} | {along} | {zero} | {stated['source']} |")
+    return "\n".join(lines)
+
+
 Maker = Callable[..., str]
 MAKERS: dict[str, Maker] = {
     "keys": keys.tables,
     "dotted-keys": keys.dotted,
     "results": results.files,
     "formats": formats,
+    "data-sheets": data_sheets,
     "command-line": command_line.verbs,
     "python-names": python_names.names,
 }

@@ -10,32 +10,33 @@ from matplotlib.figure import Figure
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from ltsim.acceptance.prediction import Plan, harm_of
-from ltsim.acceptance.specification import SHEETS
-from ltsim.acceptance.tests import STANDARDS, builtin, envelope
+from ltsim.acceptance.tests import Standard, builtin, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
+from ltsim.recording.specification import sheet
 from ltsim.report.style import CYCLE, INK, new_figure, styled
 
 SHEET = "leica-at500"
 TRIALS, SEED, BLOCK = 40_000, 25, 1000
 SPREAD = 0.5, 8.0
 """Constants of an instrument over what its maker's limits imply: drawn evenly in the logarithm between these."""
+STANDARDS: tuple[Standard, ...] = ("asme-b89.4.19-2006", "iso-10360-10-two-face")
 EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, np.inf)
 """Of the largest point error over its limit."""
 
 
 def drawn(plans: dict[str, Plan], trials: int) -> tuple[Floats, dict[str, Bools]]:
     """Largest point error over its limit (trials,), and whether each instrument passes each plan (trials,)."""
-    sheet = SHEETS[SHEET]
-    stated = sheet.instrument()
+    limits = sheet(SHEET)
+    stated = limits.instrument()
     built = next(iter(plans.values())).construction
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
     points = envelope()
     harm = harm_of(built, points, prior)
     range_ = to_polar(points)[:, 0]
-    limit = np.hypot(np.sqrt(2) * sheet.across(range_), sheet.along(range_))
+    limit = np.hypot(np.sqrt(2) * limits.across(range_), limits.along(range_))
     shares, passed = [], {name: [] for name in plans}  # type: ignore[var-annotated]
     for start in range(0, trials, BLOCK):
         rng = stream(SEED, "population", start)
@@ -69,9 +70,10 @@ def pass_curves(rows: list[dict[str, Any]], names: list[str]) -> Figure:
 
 def run(options: Options) -> Made:
     """The table is population.csv, the picture population.svg."""
-    noise = SHEETS[SHEET].instrument().noise
+    limits = sheet(SHEET)
+    noise = limits.instrument().noise
     plans = {
-        name: Plan(tuple(builtin(name, 1.5, (2.0, 6.0, 12.0, 18.0, 24.0, 30.0))), misalignment(), SHEETS[SHEET], noise)
+        name: Plan(tuple(builtin(name, 1.5, (2.0, 6.0, 12.0, 18.0, 24.0, 30.0))), misalignment(), limits, noise)
         for name in STANDARDS
     }
     trials = options.trials or TRIALS

@@ -10,11 +10,11 @@ import numpy as np
 
 from ltsim.acceptance.judged import Found
 from ltsim.acceptance.prediction import Plan, Prediction, Worst
-from ltsim.acceptance.specification import Specification
 from ltsim.arrays import Floats
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, write_result
 from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.recording.specification import Specification
 from ltsim.units import MICROMETRE
 
 TESTS = ResultTable(

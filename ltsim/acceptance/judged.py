@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.acceptance.specification import Specification
 from ltsim.acceptance.tests import Test, number_of, rows_of
 from ltsim.adjust import adjust
 from ltsim.arrays import Floats
@@ -18,6 +17,7 @@ from ltsim.geometry.polar import across_beam, from_polar
 from ltsim.model.construction import stated_construction
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
+from ltsim.recording.specification import Specification
 from ltsim.units import MICROMETRE
 
 RATIO = 4.0

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.acceptance.specification import Specification
 from ltsim.acceptance.tests import Test
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
@@ -15,6 +14,7 @@ from ltsim.geometry.rigid import less_rigid
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.recording.setup import Noise
+from ltsim.recording.specification import Specification
 from ltsim.units import ARCSECOND, MILLIMETRE, PPM
 
 UNSEEN = 1e-6

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.acceptance.specification import SHEETS, Specification
-from ltsim.acceptance.tests import STANDARDS, Test, builtin, read_tests
-from ltsim.errors import SetupError, as_setup_error, unknown_name
-from ltsim.recording.settings import checked, load_settings
+from ltsim.acceptance.tests import LENGTHS_OPEN, Standard, Test, builtin, read_tests
+from ltsim.errors import ModelError, SetupError, as_setup_error
+from ltsim.recording.settings import checked, read_toml
 from ltsim.recording.setup import Positive, Section
+from ltsim.recording.specification import Specification, completed, sheet
 
 MOST = 10_000_000
 
@@ -29,14 +29,16 @@ class Acceptance(Section):
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
-    standard: Literal["asme-b89.4.19-2006", "iso-10360-10-two-face"] | None = None
+    standard: Standard | None = None
     """A built-in plan of tests."""
+    lengths: str | None = None
+    """Tests beside the built-in ones: a CSV with a row a test; `iso-10360-10` needs its lengths there."""
     tests: str | None = None
-    """A plan of one's own in place of it: a CSV with a row a test."""
+    """A plan of one's own in place of a built-in one: a CSV with a row a test."""
     instrument: str | None = None
     """A built-in data sheet."""
     specification: Specification | None = None
-    """The maker's limits in place of it."""
+    """The maker's limits in place of it; with an `instrument`, what the sheet leaves open or states otherwise."""
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Where the beam comes from."""
     height_mm: Positive = 1500.0
@@ -58,37 +60,50 @@ class Acceptance(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> Acceptance:
-        if (self.instrument is None) == (self.specification is None):
-            raise ValueError("it should give either instrument or the table [specification]")
+        if self.instrument is None and self.specification is None:
+            raise ValueError("it should give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests is None):
             raise ValueError("it should give either standard or tests")
+        if self.standard == LENGTHS_OPEN and self.lengths is None:
+            raise ValueError("it should give lengths = FILE: no open text says where those of iso-10360-10 stand")
+        if self.lengths is not None and self.standard is None:
+            raise ValueError("it should give lengths beside a standard only; tests holds a whole plan")
         if self.recording is not None and self.measured is not None:
             raise ValueError("it should give recording or measured, not both")
         return self
 
     @property
     def limits(self) -> Specification:
-        """The maker's limits; raises SetupError when no built-in data sheet has the name."""
+        """The maker's limits; raises SetupError when no built-in data sheet has the name, or it leaves one open."""
         if self.specification is not None:
             return self.specification
-        name = self.instrument or ""
-        if name not in SHEETS:
-            raise SetupError(str(unknown_name("data sheet", name, SHEETS)))
-        return SHEETS[name]
+        try:
+            return sheet(self.instrument or "")
+        except ModelError as problem:
+            raise SetupError(str(problem)) from None
 
     def plan_of(self, folder: Path) -> tuple[Test, ...]:
-        """The tests, by a file that lies in (or is named from) `folder`, or by the standard; raises SetupError."""
-        if self.tests is not None:
-            return tuple(read_tests(folder / self.tests))
-        return tuple(builtin(self.standard or STANDARDS[0], self.height_mm / 1000, self.ranges_m))
+        """The tests, by files that lie in (or are named from) `folder`, or by the standard; raises SetupError."""
+        if self.standard is None:
+            return tuple(read_tests(folder / (self.tests or "")))
+        further = [] if self.lengths is None else read_tests(folder / self.lengths)
+        return (*builtin(self.standard, self.height_mm / 1000, self.ranges_m), *further)
 
 
 def load_acceptance(path: Path) -> Acceptance:
     """The contents of an acceptance file; raises SetupError."""
-    return load_settings(path, Acceptance, "acceptance file")
+    with as_setup_error():
+        data = read_toml(path, "acceptance file")
+    return acceptance_from(data, path)
 
 
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
+    name, stated = data.get("instrument"), data.get("specification", {})
+    if isinstance(name, str) and isinstance(stated, Mapping):
+        try:
+            data = {**data, "specification": completed(name, stated)}
+        except ModelError as problem:
+            raise SetupError(f"{file}: {problem}") from None
     with as_setup_error():
         return checked(data, Acceptance, "acceptance file", file)

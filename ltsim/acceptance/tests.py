@@ -20,7 +20,9 @@ LENGTH = 2.3
 """[m] Shortest reference length of ASME B89.4.19-2006."""
 NEAREST = 1.2
 """[m] From the instrument to the reference length where it stands as close as can be."""
-STANDARDS = ("asme-b89.4.19-2006", "iso-10360-10-two-face")
+Standard = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
+LENGTHS_OPEN: Standard = "iso-10360-10"
+"""The standard whose two-face tests alone are known from open texts; its lengths are read from a table."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +104,9 @@ def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
     )
 
 
-def builtin(standard: str, height: float, ranges: Sequence[float]) -> list[Test]:
-    """The tests of one of `STANDARDS`."""
-    return asme(height, ranges) if standard == STANDARDS[0] else iso_two_face(height)
+def builtin(standard: Standard, height: float, ranges: Sequence[float]) -> list[Test]:
+    """The tests of a standard, as far as open texts say where they stand."""
+    return asme(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face(height)
 
 
 def read_tests(file: Path) -> list[Test]:

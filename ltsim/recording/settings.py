@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ltsim.errors import RecordError, as_setup_error
+from ltsim.errors import ModelError, RecordError, as_setup_error
 from ltsim.recording.files import check_name, read_text, shown
 from ltsim.recording.setup import Instrument, Setup
 
@@ -43,9 +43,41 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
     """Check a table of settings; `file` is named in the error."""
-    setup = checked(data, Setup, "set-up", file)
+    setup = checked(_with_sheets(data, file), Setup, "set-up", file)
     _check_names(setup, file)
     return setup
+
+
+def _with_sheets(data: Mapping[str, Any], file: object) -> dict[str, Any]:
+    """The tables with the data sheet of each instrument filled in below what the file says."""
+    filled = dict(data)
+    named = data.get("instruments")
+    if isinstance(named, dict):
+        filled["instruments"] = {n: _with_sheet(table, f"instruments.{n}", file) for n, table in named.items()}
+    if "instrument" in data:
+        filled["instrument"] = _with_sheet(data["instrument"], "instrument", file)
+    return filled
+
+
+def _with_sheet(table: Any, place: str, file: object) -> Any:
+    if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
+        return table
+    from ltsim.recording.specification import figures, stated_by  # most files name no sheet and need not wait
+
+    try:
+        below = stated_by(table["sheet"], table)
+    except ModelError as problem:
+        raise RecordError(str(problem), file=file, column=f"{place}.sheet") from None
+    return above({"model": figures(table["sheet"])["name"], **table}, below)
+
+
+def above(table: Mapping[str, Any], below: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """A table whose inner tables stand above those of `below`: what both state is the table's."""
+    filled = dict(table)
+    for section, values in below.items():
+        given = table.get(section, {})
+        filled[section] = {**values, **given} if isinstance(given, dict) else given
+    return filled
 
 
 def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
@@ -117,7 +149,8 @@ def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     if error["type"] == "missing":
         return f"the key {shown(key, 100)} is missing"
     wanted = error["msg"][0].lower() + error["msg"][1:]
-    return f"{shown(key, 100)} is {found}, but {shown(_expected(wanted), 120)}"
+    said = shown(_expected(wanted), 120)
+    return f"{shown(key, 100)} is {found}, but {said}" if key else said
 
 
 _COUNT = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")

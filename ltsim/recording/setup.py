@@ -138,6 +138,8 @@ class Instrument(Section):
     """Maker and model, such as "Leica AT960", for the head of a report."""
     serial: Line | None = None
     """Serial number, for the head of a report."""
+    sheet: Line | None = None
+    """A built-in data sheet: noise and prior below what the file states of them, and the model."""
     corrected: bool = False
     """The maker's or a former calibration's corrections are already in the readings."""
     noise: Noise = Noise()

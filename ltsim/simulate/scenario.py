@@ -8,11 +8,12 @@ from typing import Any, Literal, NoReturn
 
 from pydantic import Field
 
-from ltsim.errors import SetupError, as_setup_error
+from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
-from ltsim.recording.settings import checked, read_toml, to_toml
+from ltsim.recording.settings import above, checked, read_toml, to_toml
 from ltsim.recording.setup import Material, Section, Vector
+from ltsim.recording.specification import sheet_names, stated_by
 from ltsim.simulate.builtin import builtin_names, builtin_path
 from ltsim.simulate.sections import (
     PRESETS,
@@ -110,7 +111,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
     with as_setup_error():
-        scenario = checked(_with_presets(data), Scenario, "scenario", file)
+        scenario = checked(_with_presets(data, file), Scenario, "scenario", file)
     _check(scenario, file)
     return _with_files_beside(in_use(scenario, file), file)
 
@@ -153,24 +154,25 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         inner[last] = value
 
 
-def _with_presets(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def _with_presets(data: Mapping[str, Any], file: Path) -> Mapping[str, Any]:
     """The tables with the preset of each instrument filled in below what the file says."""
-    filled = {**data, "instrument": _with_preset(data.get("instrument", {}))}
+    filled = {**data, "instrument": _with_preset(data.get("instrument", {}), file)}
     named = data.get("instruments")
     if isinstance(named, dict):
-        filled["instruments"] = {name: _with_preset(table) for name, table in named.items()}
+        filled["instruments"] = {name: _with_preset(table, file) for name, table in named.items()}
     return filled
 
 
-def _with_preset(instrument: Any) -> Any:
-    preset = PRESETS.get(str(instrument.get("preset", ""))) if isinstance(instrument, dict) else None
-    if not preset:
+def _with_preset(instrument: Any, file: Path) -> Any:
+    if not isinstance(instrument, dict):
         return instrument
-    filled = dict(instrument)
-    for section, values in preset.items():
-        given = instrument.get(section, {})
-        filled[section] = {**values, **given} if isinstance(given, dict) else given
-    return filled
+    name = instrument.get("preset")
+    if name not in sheet_names():
+        return above(instrument, PRESETS.get(str(name), {}))
+    try:
+        return above(instrument, stated_by(name, instrument))
+    except ModelError as problem:
+        raise SetupError(f"{file}: instrument.preset: {problem}") from None
 
 
 def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from ltsim.effects.resolution import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
@@ -20,6 +20,7 @@ from ltsim.recording.setup import (
     Section,
     Vector,
 )
+from ltsim.recording.specification import sheet_names
 from ltsim.units import MICROMETRE
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
@@ -48,6 +49,12 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
 2.1.1; `modern`: a current tracker, half of its maker's limits; `after-transport`: the paper's instrument with the
 misalignments that a knock leaves.
 """
+
+
+def _known_preset(name: str) -> str:
+    if name not in PRESETS and name not in sheet_names():
+        raise ValueError(f"it should be {', '.join(PRESETS)}, or a data sheet such as {sheet_names()[0]}")
+    return name
 
 
 class Obstacle(Section):
@@ -141,8 +148,8 @@ class Limits(ElevationLimits):
 class Instrument(Section):
     """The tracker: construction, what its maker states, and the errors it truly has."""
 
-    preset: Literal["paper", "modern", "after-transport"] = "paper"
-    """Where all that is not given comes from."""
+    preset: Annotated[str, AfterValidator(_known_preset)] = "paper"
+    """Where all that is not given comes from: `paper`, `modern`, `after-transport`, or a built-in data sheet."""
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
     """Which chain makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2

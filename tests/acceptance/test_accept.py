@@ -114,6 +114,15 @@ def test_wrong_input_is_one_sentence(
     assert error.count("\n") == 1
 
 
+def test_lengths_of_a_standard_that_no_open_text_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = 'standard = "iso-10360-10"\ninstrument = "leica-at500"'
+    assert run(["accept", str(write(tmp_path, text))]) == 2
+    said = capsys.readouterr().err
+    assert said.endswith("it should give lengths = FILE: no open text says where those of iso-10360-10 stand\n")
+    assert run(["accept", str(write(tmp_path, f'{text}\nlengths = "plan.csv"', plan=PLAN))]) == 0
+    assert "passes all 20 tests" in capsys.readouterr().out
+
+
 def test_network_method(tmp_path: Path) -> None:
     """A good instrument keeps its maker's limits on its own network; one with a tilted beam does not."""
     sheet = {"specification": {"transverse_um": 15, "transverse_um_per_m": 6, "range_um": 20, "range_um_per_m": 1}}

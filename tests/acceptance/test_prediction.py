@@ -7,12 +7,12 @@ import pytest
 
 import ltsim as lt
 from ltsim.acceptance.prediction import Plan
-from ltsim.acceptance.specification import SHEETS, Specification
 from ltsim.acceptance.tests import asme, envelope, iso_two_face
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment, steering_mirror
+from ltsim.recording.specification import sheet
 
-SHEET = SHEETS["leica-at500"]
+SHEET = sheet("leica-at500")
 URAD = MICROMETRE = 1e-6
 
 
@@ -77,17 +77,6 @@ def test_limits(plan: Plan) -> None:
     assert limits["two-face 6 m level 0 deg"] == pytest.approx(2 * (15 + 6 * 6))
     # the zero of the ranges cancels along one line of sight
     assert limits["line of sight 2 to 6 m"] == pytest.approx(np.hypot(10 + 0.3 * 2, 10 + 0.3 * 6))
-
-
-def test_data_sheet_as_two_sigma() -> None:
-    """Errors drawn from the noise and the priors of a sheet fill half of its limit in the root mean square."""
-    sheet = Specification(transverse_um=0, transverse_um_per_m=6, range_um=10, range_um_per_m=0)
-    stated = sheet.instrument()
-    across = np.hypot(stated.noise.azimuth_arcsec, np.sqrt(2) * stated.prior.angle_arcsec) * np.pi / 648000
-    along = np.hypot(stated.noise.distance_mm, stated.prior.range_offset_mm)
-    assert across == pytest.approx(3e-6)
-    assert along == pytest.approx(0.005)
-    assert "2 standard deviations" in sheet.assumption
 
 
 def test_chance_to_pass_is_that_of_simulated_instruments(plan: Plan) -> None:

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.acceptance.specification import SHEETS
 from ltsim.calibrate.schema import ChiSquareEntry, CourseEntry
 from ltsim.check.check import check as check_of
 from ltsim.plan.schema import ChangeEntry
 from ltsim.randomness import stream
+from ltsim.recording.specification import sheet
 from ltsim.report import figures, style
 from ltsim.report.figures.acceptance import shares_of_limits
 from ltsim.report.figures.history import history_figure, told_apart
@@ -98,7 +98,7 @@ def acceptance() -> Figure:
         {
             "kind": "measured",
             "plan": "mine",
-            "specification": SHEETS["leica-at500"],
+            "specification": sheet("leica-at500"),
             "passes": 0,
             "sentence": "",
             "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
-from typing import Annotated
+import csv
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from ltsim.arrays import Floats
+from ltsim.errors import ModelError, unknown_name
 from ltsim.geometry.polar import to_polar
 from ltsim.recording.setup import Instrument, Noise, NonNegative, Prior, Section
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
@@ -17,6 +21,10 @@ COVERAGE = 2.0
 """Standard deviations in a maximum permissible error: makers state typical errors as half of it."""
 TWO_FACES = 2.0
 """Limit of a two-face difference over that of a point across the beam (ISO 10360-10:2021, 6.3 and annex D)."""
+LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
+"""Keys of a specification without which no test has a limit."""
+RANGES = ("distance_", "range_")
+"""How keys of noise and prior begin that the limit of a range decides."""
 
 
 class Specification(Section):
@@ -109,17 +117,75 @@ def _least(sigma: float) -> float:
     return max(float(sigma), 1e-6)
 
 
-SHEETS: MappingProxyType[str, Specification] = MappingProxyType(
-    {
-        "leica-at500": Specification(
-            name="Leica Absolute Tracker AT500",
-            source="Leica AT500 user manual, sections 2.8.1 to 2.8.3 (MPE by ISO 10360-10:2021, annex D)",
-            transverse_um=15.0,
-            transverse_um_per_m=6.0,
-            range_um=10.0,
-            range_um_per_m=0.3,
-            range_offset_um=5.0,
-        ),
-    }
-)
-"""Data sheets that were read, by name; any other is a table `[specification]` of the file."""
+def sheet_names() -> tuple[str, ...]:
+    """Of the built-in data sheets."""
+    return tuple(_sheets())
+
+
+def figures(name: str) -> dict[str, Any]:
+    """What a built-in data sheet states, as keys of a `Specification`; those that its text leaves open are missing.
+
+    Raises
+    ------
+    ModelError
+        When there is no such sheet.
+    """
+    if name not in _sheets():
+        raise unknown_name("data sheet", name, _sheets())
+    return dict(_sheets()[name])
+
+
+def completed(name: str, stated: Mapping[str, Any]) -> dict[str, Any]:
+    """A specification as keys: a built-in data sheet with what a person states of the instrument above it.
+
+    Raises
+    ------
+    ModelError
+        When there is no such sheet, or both leave a limit open.
+    """
+    known = figures(name)
+    left = [key for key in LIMITS if key not in known and key not in stated]
+    if left:
+        raise ModelError(
+            f"the data sheet {name} leaves {' and '.join(left)} open; state it in the table [specification]"
+        )
+    if stated:
+        known["source"] += f"; not from there: {', '.join(stated)}"
+    return {**known, **stated}
+
+
+def sheet(name: str) -> Specification:
+    """The limits of a built-in data sheet that leaves none open; raises ModelError."""
+    return Specification.model_validate(completed(name, {}))
+
+
+def stated_by(name: str, given: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Tables ``noise`` and ``prior`` that a built-in data sheet makes of an instrument whose tables are `given`.
+
+    Raises
+    ------
+    ModelError
+        When there is no such sheet, or it leaves the ranges open and `given` does not state all that concerns them.
+    """
+    stated = figures(name)
+    whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **stated}).instrument()
+    exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
+    tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
+    if any(key not in stated for key in LIMITS):
+        own = {f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]}
+        ranges = [f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGES)]
+        left = [key for key in ranges if key not in own]
+        if left:
+            raise ModelError(f"the data sheet {name} leaves the ranges open; state {', '.join(left)}")
+    return tables
+
+
+@functools.cache
+def _sheets() -> dict[str, dict[str, Any]]:
+    text = Path(__file__).with_name("sheets.csv").read_text(encoding="utf-8")
+    return {row["name"]: _figures_of(row) for row in csv.DictReader(text.splitlines())}
+
+
+def _figures_of(row: dict[str, str]) -> dict[str, Any]:
+    numbers = {key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")}
+    return {"name": row["instrument"], "source": row["source"], **numbers}
