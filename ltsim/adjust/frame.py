@@ -118,6 +118,20 @@ class Frame:
             misses.append(np.linalg.norm((here * factors) @ rotation.T + shift - there))
         return both[int(np.argmin(misses))], True
 
+    def placed(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
+        """Targets (t, 3) of a network of ranges, in the hand and in the places that are stated roughly.
+
+        And whether they are in these places: three off one line say so.
+        """
+        factors, _ = self.hand(stations, position, targets, points)
+        here = np.concatenate([position, points]) * factors
+        there = np.concatenate([self.plan[stations], self.near[targets]])
+        stated = np.isfinite(there).all(axis=1)
+        if stated.sum() < 3 or _on_a_line(there[stated]):
+            return points * factors, False
+        rotation, shift = align(here[stated], there[stated])
+        return (points * factors) @ rotation.T + shift, True
+
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
         """Whether a network stands on the floor plan already, as well as the plan knows places."""
         motion = self.plan_motion(position, rotation)

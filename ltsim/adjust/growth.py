@@ -16,7 +16,7 @@ from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rigid import holds_pose
-from ltsim.geometry.rotations import smallest_turn
+from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.model.measurement import lift_of
 from ltsim.recording.recording import Recording
 
@@ -52,7 +52,7 @@ class Growth:
         self._placed = np.full((len(pairs), 3), np.nan)
         self._covered = np.zeros(targets, dtype=bool)
         self._located = np.full((targets, 3), np.nan)
-        self._upright = self._anchored = self._unscaled = False
+        self._upright = self._anchored = self._unscaled = self._planned = False
         self._tried: dict[int, int] = {}
 
     def _by_pair(self, lift: Floats) -> Floats:
@@ -238,6 +238,7 @@ class Growth:
     def _settle(self) -> None:
         """Scale and frame of the finished network."""
         self._rescale()
+        self._erect()
         if self._anchored or not self._joined.any() or self._anchor():
             return
         first = int(np.argmax(self._joined))
@@ -275,6 +276,22 @@ class Growth:
         for station in np.flatnonzero(self._joined):
             self._place(int(station), self._position[station], self._rotation[station])
         return True
+
+    def _erect(self) -> None:
+        """Stations that read no angle stand upright: along the others' axes, or on the floor plan."""
+        told = np.bincount(self._recording.station, np.isfinite(self._read[:, 1:]).any(axis=1), len(self._joined)) > 0
+        if told.any():
+            up = self._rotation[told & self._joined, :, 2].sum(axis=0)
+        elif self._planned and not self._anchored:
+            up = VERTICAL
+        else:
+            return
+        if np.linalg.norm(up) > 0.0:
+            yaw = np.nan_to_num(self._frame.yaw)
+            for station in np.flatnonzero(~told & self._joined):
+                self._rotation[station] = smallest_turn(VERTICAL, up / np.linalg.norm(up)) @ about_z(
+                    float(yaw[station])
+                )
 
     # --- beginnings ------------------------------------------------------------------------------------------------
 
@@ -326,7 +343,7 @@ class Growth:
         targets = np.flatnonzero(np.isfinite(ranges[stations]).all(axis=0))
         found = multilaterate(ranges[np.ix_(stations, targets)])
         if found is not None:
-            self._located[targets] = found[1] * self._frame.hand(stations, found[0], targets, found[1])[0]
+            self._located[targets], self._planned = self._frame.placed(stations, found[0], targets, found[1])
 
     # --- the end ---------------------------------------------------------------------------------------------------
 

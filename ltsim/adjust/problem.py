@@ -71,9 +71,9 @@ class NetworkProblem:
         """
         recording = model.recording
         marks = Marks.of(recording)
-        gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording)
-        known_marks = ControlRows.of_stations(recording, marks)
         used = recording.measured if use is None else recording.measured & use
+        gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
+        known_marks = ControlRows.of_stations(recording, marks)
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,

@@ -162,10 +162,11 @@ class LevelRows:
     across: Floats
 
     @classmethod
-    def of(cls, recording: Recording) -> LevelRows:
-        """The levelled stations of a recording."""
+    def of(cls, recording: Recording, used: Bools) -> LevelRows:
+        """The levelled stations of a recording that use angles (n, 3); ranges tie no axis to the network."""
+        angles = np.bincount(recording.station, used[:, 1:].any(axis=1), len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
-        rows = [(i, s) for i, s in setups if s.levelled]
+        rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
         station = np.array([i for i, _ in rows], dtype=np.int64)
         vertical = verticals(recording)[station]
         first = np.array([1.0, 0.0, 0.0]) - vertical[:, :1] * vertical

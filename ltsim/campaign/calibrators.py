@@ -12,6 +12,7 @@ from ltsim.campaign.engine import Calibrated, Engine
 from ltsim.campaign.single import Single
 from ltsim.campaign.spec import Method
 from ltsim.campaign.truth import Block, Truth
+from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
 
 
@@ -54,6 +55,8 @@ class Batch:
 
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
     """The calibrator that a campaign file asks for."""
+    if method.method != "network" and not truth.recorded.all():
+        raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
     construction, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
         return Single(truth, construction, effects, method.method)

@@ -45,8 +45,9 @@ def truth_of(
     SetupError
         When the scenario asks for something impossible.
     """
-    if any(tracker.observables != OBSERVABLES for tracker in scenario.trackers.values()):
-        raise SetupError("instrument.observables leaves readings out; trials compare points that a station sees whole")
+    read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
+    if len(read) > 1:
+        raise SetupError("instruments: observables differ between the trackers; trials want the same of all")
     work = fieldwork(scenario, seed, *key, plan=plan)
     if like is not None and _same_names(work, like):
         state, noise = _start_frame(work, like.mean), stated_noise(scenario, work.sightings)
@@ -63,6 +64,7 @@ def truth_of(
         sigma=sigma,
         noise=stated_noise(scenario, work.sightings),
         gauge_sigma=scenario.cmm.noise_factor * known.factor * known.certificate,
+        recorded=np.isin(OBSERVABLES, [*next(iter(read))]),
         gauge_shared=np.array([*known.shared.values()]).T,
         effects=effects,
         step=resolution_of(scenario),

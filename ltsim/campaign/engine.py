@@ -57,10 +57,17 @@ def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
     return certified_by(recording, (known.length + block.gauge_error[:, trial]) / known.factor)
 
 
-def determined_points(adjustment: Adjustment) -> Floats:
-    """Adjusted targets (T, 3) [m]; NaN for those that the readings do not determine."""
+def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
+    """Adjusted targets (T, 3) [m] moved rigidly onto others; NaN for those that the readings do not determine.
+
+    Ranges have no hand: of two mirror images the one that fits better counts.
+    """
     lost = np.isin(adjustment.recording.targets, adjustment.lost_targets)
-    return np.where(lost[:, None], np.nan, adjustment.state.points)
+    points = np.where(lost[:, None], np.nan, adjustment.state.points)
+    if adjustment.recording.measured[:, 1:].any():
+        return on_points(points, goal)
+    hands = [on_points(points * hand, goal) for hand in (1.0, [1.0, 1.0, -1.0])]
+    return min(hands, key=lambda moved: float(np.nansum((moved - goal) ** 2)))
 
 
 def suspects(deviation: Floats, local: Floats) -> Bools:
@@ -92,7 +99,8 @@ class Engine:
         """The factorised network."""
         truth = self.truth
         program = truth.program_of(self.construction)
-        return BatchNetwork(truth.recording, truth.state, self.construction, program, self.effects)
+        built, recorded = self.construction, truth.recorded
+        return BatchNetwork(truth.recording, truth.state, built, program, self.effects, recorded=recorded)
 
     def suspect(self, deviation: Floats) -> Bools:
         """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
@@ -117,7 +125,7 @@ class Engine:
         found.status[trial] = STATUSES.index(FULL)
         found.values[:, :, trial] = adjustment.state.instrument
         truth = self.truth.state.points
-        found.points[:, :, trial] = on_points(determined_points(adjustment), truth) - truth
+        found.points[:, :, trial] = placed_on(adjustment, truth) - truth
         found.chi2[trial] = adjustment.chi2
 
     def full(self, block: Block, trial: int) -> Adjustment | None:
@@ -137,7 +145,7 @@ class Engine:
             return float("nan")
         values = np.abs(adjustment.state.instrument - found.values[:, :, trial]) / found.sigma
         batch = self.truth.state.points + found.points[:, :, trial]
-        gap = np.abs(on_points(determined_points(adjustment), batch) - batch) / self.sigma_targets
+        gap = np.abs(placed_on(adjustment, batch) - batch) / self.sigma_targets
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property
@@ -161,7 +169,8 @@ class Bench:
     @cached_property
     def judge(self) -> Judge:
         """The judge of this truth's network."""
-        return Judge(self.truth.recording, self.truth.state, self.truth.program_of)
+        truth = self.truth
+        return Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
 
     def before(self, block: Block) -> Columns:
         """Columns that all methods share: criteria and error before, error with the true parameters."""

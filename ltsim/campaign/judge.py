@@ -6,7 +6,7 @@ The same quantities as in `ltsim.evaluate`, which judges one recording at a time
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -55,12 +55,14 @@ class Judge:
     """
     program_of: Callable[[Construction], ChainProgram]
     """Gives the chain of a construction around the nominal readings."""
+    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    """(3,): which of range, azimuth and elevation are recorded."""
 
     @cached_property
     def seen(self) -> Bools:
         """(S, T) which station measured which target whole."""
         seen = np.zeros((len(self.state.position), len(self.state.points)), dtype=np.bool_)
-        whole = self.recording.measured.all(axis=1)
+        whole = self._whole
         seen[self.recording.station[whole], self.recording.target[whole]] = True
         return seen
 
@@ -82,10 +84,15 @@ class Judge:
         spread = np.linalg.eigvalsh(np.swapaxes(arms, 1, 2) @ arms)
         return np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
 
+    @property
+    def _whole(self) -> Bools:
+        """(n,) pointings with all three readings."""
+        return np.asarray(self.recording.measured.all(axis=1) & self.recorded.all())
+
     @cached_property
     def _share(self) -> Floats:
         """One over the number of pointings that a pointing's mean is taken over; 0 for one not whole."""
-        whole = self.recording.measured.all(axis=1)
+        whole = self._whole
         key = self.recording.station * len(self.state.points) + self.recording.target
         count = np.bincount(key[whole], minlength=self.seen.size)[key]
         return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)

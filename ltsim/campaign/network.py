@@ -11,7 +11,7 @@ the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -89,13 +89,15 @@ class BatchNetwork:
     """Further effects that are estimated."""
     known: Known | None = None
     """Without it everything is found out; not for networks with further effects."""
+    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    """(3,): which of range, azimuth and elevation are adjusted."""
 
     @cached_property
     def problem(self) -> NetworkProblem:
         """The problem at the nominal state; the same rows that a single adjustment has."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.known is None:
-            return NetworkProblem.of(model)
+            return NetworkProblem.of(model, use=np.tile(self.recorded, (len(self.recording), 1)))
         return self.known.network.problem.elsewhere(model)
 
     @cached_property

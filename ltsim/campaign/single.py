@@ -9,11 +9,10 @@ import numpy as np
 from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.calibrate import calibrate_distance
-from ltsim.campaign.engine import CONVERGED, FAILED, STATUSES, Calibrated, determined_points, recording_of
+from ltsim.campaign.engine import CONVERGED, FAILED, STATUSES, Calibrated, placed_on, recording_of
 from ltsim.campaign.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
-from ltsim.evaluate.clouds import on_points
 from ltsim.model.construction import Construction
 
 
@@ -58,7 +57,8 @@ class Single:
         if adjustment is None or not np.all(np.isfinite(values)):
             return
         found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
-        found.points[:, :, trial] = on_true_points(determined_points(adjustment), self.truth)
+        truth = self.truth.state.points
+        found.points[:, :, trial] = placed_on(adjustment, truth) - truth
         found.chi2[trial] = adjustment.chi2
         found.status[trial] = STATUSES.index(CONVERGED)
 
@@ -72,8 +72,3 @@ def network_sigma(adjustment: Adjustment) -> Floats:
     at = adjustment.problem.unknowns.instrument
     variance = np.diag(adjustment.kept_covariance)[at]
     return np.sqrt(variance)
-
-
-def on_true_points(points: Floats, truth: Truth) -> Floats:
-    """Adjusted targets (T, 3) [m] less true ones, after a rigid fit."""
-    return on_points(points, truth.state.points) - truth.state.points

@@ -115,7 +115,7 @@ def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
     """Stacks of trials that see the same and can be judged in the same way, with the numbers of their trials."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
-        judge = Judge(truth.recording, truth.state, truth.program_of)
+        judge = Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.measured.all(axis=0).all()
         pattern = np.sort(_keys(truth)).tobytes() if whole else number
@@ -179,7 +179,7 @@ class StackCalibrator:
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal[:, :, k])
             known = Known(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
-            parts.append(BatchNetwork(recording, truth.state, built, program, known=known))
+            parts.append(BatchNetwork(recording, truth.state, built, program, known=known, recorded=truth.recorded))
         network = Stacked(stack.recording, stack.state, built, program, parts=tuple(parts))
         try:
             fit = network.fit(block.deviation, block.gauge_error)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.campaign.kernels import readings_of
 from ltsim.campaign.program import ChainProgram
 from ltsim.effects.effect import Effect, NoiseEffect
@@ -83,6 +83,8 @@ class Truth:
     effects: tuple[TrueEffect, ...] = ()
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
+    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    """(3,): which of range, azimuth and elevation are recorded; the others do not deviate."""
     gauge_shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """(g, k) [m]: change of the stated lengths by one standard deviation of what several share; empty for none."""
 
@@ -172,7 +174,9 @@ class Truth:
             if len(entry.by_length):
                 gauge_error += entry.by_length @ amounts[-1]
         deviation += self._noise(amounts) * normal("noise", *self.noise.shape)
-        return Block(number, values, tuple(amounts), self._quantised(deviation), gauge_error)
+        deviation = self._quantised(deviation)
+        deviation[:, ~self.recorded] = 0.0
+        return Block(number, values, tuple(amounts), deviation, gauge_error)
 
     def _noise(self, amounts: list[Floats]) -> Floats:
         """Standard deviation (n, 3, 1) or, where effects on the noise are drawn, (n, 3, B) of the readings."""
@@ -226,4 +230,5 @@ class Truth:
         """Readings (n, 3) of one trial of a block as an instrument gives them, azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.deviation[:, :, trial]
         readings[:, 1] = wrap(readings[:, 1])
+        readings[:, ~self.recorded] = np.nan
         return readings

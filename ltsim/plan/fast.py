@@ -26,7 +26,7 @@ from ltsim.model.construction import Construction, misalignment
 from ltsim.plan.survey import Survey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import as_dense
-from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
+from ltsim.solve.rank import POINT, cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
 """[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
@@ -102,7 +102,8 @@ class Reducer:
         rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
         other = as_dense(rows[: rows.shape[0] - self._rank_free])
         self._other_blocks(other, problem.unknowns.target, problem.unknowns.pose, problem.unknowns.instrument[0])
-        self._weight = survey.weight
+        self._weight, self._use = survey.weight, survey.used
+        self._anchors_turn = problem.structure.anchors_turn
         self._motion = rigid_motion(survey.points) @ self._free
 
     def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, instrument: Ints) -> None:
@@ -178,7 +179,7 @@ class Reducer:
         designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
         noise = [self.survey.setup.instrument.noise]
         sigma = white_noise_sigma(sightings, noise)
-        white = 1.0 / sigma[:, :, None]
+        white = (self._use / sigma)[:, :, None]
         return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
 
     def blocks(
@@ -219,7 +220,7 @@ class Reducer:
         """
         schur, length, inverse, weights = self.eliminated(blocks, chosen)
         information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
-        held = blocks.held[chosen].all(axis=1)
+        held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
         information[held] = self.marginal(schur[held], length[held])
         if targets:
             known = np.isfinite(information).all(axis=(1, 2))
@@ -247,9 +248,15 @@ class Reducer:
     def eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
         """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
 
-        That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest.
+        That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest. The
+        complement of a layout that leaves a target open is NaN.
         """
         kept, tt, tk = self._normal(blocks, chosen)
+        if not self._use.all():  # a whole sight places its target
+            spread = np.linalg.eigvalsh(tt)
+            open_ = spread[..., 0] <= POINT * spread[..., 2]
+            tt = tt + open_[..., None, None] * np.eye(3)
+            kept[open_.any(axis=1)] = np.nan
         inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
         weights = inverse @ tk
         size = kept.shape[1]
@@ -283,18 +290,24 @@ class Reducer:
             kept[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
             kept[:, at, at] += tt[:, t]
         if self._rank_free:
-            datum = self._datum(blocks.position[chosen[:, 0]])
-            kept[:, :6, :6] += np.swapaxes(datum, 1, 2) @ datum
+            datum = self._datum(blocks.position[chosen])
+            own = slice(0, datum.shape[2])
+            kept[:, own, own] += np.swapaxes(datum, 1, 2) @ datum
         mesh = tt[:, self.mesh] + self._other_tt
         unseen = np.einsum("beii->be", mesh) == 0.0
         return kept, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
 
-    def _datum(self, first: Floats) -> Floats:
-        """Rows (B, f, 6) that hold the first station against the free rigid motions."""
+    def _datum(self, position: Floats) -> Floats:
+        """Rows (B, f, 6 a) that hold stations at `position` (B, S, 3) against the free rigid motions.
+
+        The first of them whole; the places of all where ranges alone leave their turns out.
+        """
         motion = self._free / np.linalg.norm(self._free, axis=0)
-        rows = np.broadcast_to(motion.T, (len(first), *motion.T.shape)).copy()
-        rows[:, :, :3] += np.cross(rows[:, :, 3:], first[:, None, :])
-        return rows / DATUM_SIGMA[: rows.shape[1], None] * POSE_SCALE
+        anchors = position[:, :1] if self._anchors_turn else position
+        rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
+        rows[..., :3] += np.cross(rows[..., 3:], anchors[:, None])
+        rows[..., 3:] *= self._anchors_turn
+        return (rows / DATUM_SIGMA * POSE_SCALE).reshape(len(rows), motion.shape[1], -1)
 
     def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Point error (B,) [m], root mean square, weighted as the survey says; parameters as of `target_variance`."""

@@ -41,7 +41,10 @@ class LayoutInformation:
         unseen = np.flatnonzero(~survey.seen.any(axis=0))
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")
-        return cls(survey, Adjustment.planned(survey.recording(built), survey.state(built), built))
+        adjustment = Adjustment.planned(survey.recording(built), survey.state(built), built)
+        if adjustment.lost_targets:
+            raise NetworkError(f"the ranges from its stations do not place target {adjustment.lost_targets[0]}")
+        return cls(survey, adjustment)
 
     @property
     def construction(self) -> Construction:

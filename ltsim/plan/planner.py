@@ -65,7 +65,7 @@ class Evaluated:
     information: LayoutInformation
     table: Visibility
     expected: Expected | None
-    """The paper's criteria; None where some target is not seen from everywhere."""
+    """The paper's criteria; None where some target is not seen whole from everywhere."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -326,7 +326,8 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
     allowed = bool(site.allowed(survey.position).all())
     allowed &= bool(site.joined(survey.position[None], survey.seen[None])[0])
     value, qualities = measure(survey, objective, built)
-    expected = Predictor.of(information).expected() if survey.seen.all() and len(survey.position) > 1 else None
+    compared = survey.is_whole and survey.seen.all() and len(survey.position) > 1
+    expected = Predictor.of(information).expected() if compared else None
     return Evaluated(survey, value if allowed else np.inf, qualities, information, table, expected)
 
 

@@ -208,12 +208,13 @@ def fewest(plan: Plan) -> Option | None:
 
 def _curve(plan: Plan) -> list[str]:
     sentences = []
-    few = fewest(plan)
+    few, goal = fewest(plan), " ".join(plan.chosen.qualities)
     reference = plan.reference
     if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
         sentences.append(
             f"{len(few.survey.position)} stations are enough to match the {len(reference.survey.position)} of the "
-            f"scenario's own layout ({few.value:.3f} against {_own_value(plan):.3f}) in {few.hours:.1f} h."
+            f"scenario's own layout ({_shown(goal, few.value)} against {_shown(goal, _own_value(plan))}) in "
+            f"{few.hours:.1f} h."
         )
     now = next((o for o in plan.options if o.survey is plan.chosen.survey or _is_chosen(plan, o)), None)
     dearer = [o for o in plan.options if o.efficient and now is not None and o.value < 0.95 * now.value]

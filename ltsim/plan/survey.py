@@ -13,7 +13,7 @@ from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.setup import Setup
 
 
@@ -44,6 +44,8 @@ class Survey:
     """(S, T): place of each target in each station's visit; default as listed."""
     face_by_face: bool = True
     """All targets on one face, then on the other; else both faces of each target at once."""
+    observables: tuple[str, ...] = OBSERVABLES
+    """What is recorded of each pointing: everything, or the distance alone."""
     importance: Mapping[str, float] = field(default_factory=dict)
     """Weight of targets by name in the root mean square of point errors; one where not named."""
 
@@ -78,6 +80,16 @@ class Survey:
         )
 
     @property
+    def used(self) -> Bools:
+        """(3,): which of range, azimuth and elevation are recorded."""
+        return np.array([name in self.observables for name in OBSERVABLES])
+
+    @property
+    def is_whole(self) -> bool:
+        """Ranges with both angles, not ranges alone."""
+        return bool(self.used.all())
+
+    @property
     def weight(self) -> Floats:
         """(T,): how much the squared error of each target counts, one on average."""
         weight = np.array([self.importance.get(name, 1.0) for name in self.target_names], dtype=np.float64)
@@ -100,6 +112,7 @@ class Survey:
         """
         empty = self._empty()
         readings = MeasurementModel(empty, construction).predict(self.state(construction))
+        readings[:, ~self.used] = np.nan
         return empty.with_readings(readings)
 
     def turn(self, station: Ints, target: Ints, face: Ints) -> Ints:

@@ -63,7 +63,7 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
     sightings = sightings_of(recording, survey.state(built))
-    sigma = white_noise_sigma(sightings, [survey.setup.instrument.noise])
+    sigma = white_noise_sigma(sightings, [survey.setup.instrument.noise]) * survey.used
     flat = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
     names, marks = _marks(plan)

@@ -37,13 +37,14 @@ def survey_of(scenario: Scenario) -> Survey:
     Raises
     ------
     SetupError
-        When a station leans (a plan knows upright ones only), or there is more than one tracker that reads everything.
+        When a station leans (a plan knows upright ones only), there is more than one tracker, or its ranges are not
+        recorded.
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
         raise SetupError(f"the scenario names its trackers ({named}); a plan is for one, stated as [instrument]")
-    if scenario.instrument.observables != OBSERVABLES:
-        raise SetupError("instrument.observables leaves readings out; a plan is for ranges with both angles")
+    if scenario.instrument.observables not in (OBSERVABLES, RANGES):
+        raise SetupError("instrument.observables: a plan is for ranges with both angles, or for ranges alone")
     layout, work = planned(scenario), scenario.work
     lean = 1.0 - layout.rotation[:, 2, 2]
     if lean.max() > LEANING:
@@ -63,9 +64,13 @@ def survey_of(scenario: Scenario) -> Survey:
         seconds_per_move=60.0 * work.minutes_per_move,
         rank=None if work.order == "as-listed" else _rank(recording, layout),
         face_by_face=work.face_order == "per-station",
+        observables=scenario.instrument.observables,
     )
 
 
+RANGES = ("distance",)
+SIGHTS = 3
+"""Stations whose ranges place a reflector."""
 _EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 
 
@@ -92,6 +97,11 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
     areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
     places, names = candidate_places(plan, scenario)
     wanted = plan.stations.seen_from
+    least = stations if wanted == "all" else min(wanted, stations)
+    if not survey.is_whole and least < SIGHTS:
+        if stations < SIGHTS or "seen_from" in plan.stations.model_fields_set:
+            raise SetupError(f"ranges alone place a reflector from {SIGHTS} stations, not from {least}; ask for more")
+        least = SIGHTS
     return Site(
         survey=with_stations(survey, stations).replace(
             faces=tuple(range(1, faces + 1)),
@@ -109,7 +119,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         aimed=~layout.reaimed,
         obstacles=obstacles_of(scenario),
         spacing=plan.stations.spacing_mm * mm,
-        least=stations if wanted == "all" else min(wanted, stations),
+        least=least,
         fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
         places=places,
         place_names=names,

@@ -76,7 +76,7 @@ class Network:
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
     ) -> Network:
-        """Further pointings at `target` (k,), all later than the rest.
+        """Further pointings at `target` (k,), all later than the rest; an instrument reads what it has read so far.
 
         Parameters
         ----------
@@ -102,6 +102,10 @@ class Network:
             labels={key: (*column, *([""] * count)) for key, column in recording.labels.items()},
         )
         predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
+        reads = np.array(
+            [recording.measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
+        )
+        predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
         return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
 
     def with_station(self, name: str, like: int, position: Floats, rotation: Floats) -> Network:

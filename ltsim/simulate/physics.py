@@ -10,12 +10,12 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects import find_effect
+from ltsim.effects import BASELINE, find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
-from ltsim.model.construction import Construction, construction, dh
+from ltsim.model.construction import Construction, construction, dh, misalignment
 from ltsim.randomness import stream
 from ltsim.scene.sightings import Sightings
 from ltsim.simulate.scenario import Scenario, table_name
@@ -38,10 +38,14 @@ def construction_of(scenario: Scenario) -> Construction:
 def planned_construction(scenario: Scenario) -> Construction:
     """The construction whose parameters a plan for the scenario's tracker is to determine.
 
-    Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all.
+    Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all. Ranges
+    alone tell of those that act on ranges.
     """
     built = construction_of(scenario)
-    return construction("misalignment") if built.name == "dh" else built
+    if built.name == "steering-mirror":
+        return built
+    read = {name for tracker in scenario.trackers.values() for name in tracker.observables}
+    return misalignment(effect for effect in BASELINE if read & {*effect.observables})
 
 
 def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from ltsim.plan.planner import Plan, make_plan
 from ltsim.plan.reasons import fewest
 from ltsim.plan.spec import PlanFile, Search, load_plan, plan_names, plan_text
 from ltsim.plan.workshop import survey_of
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulate.scenario import changed, load_scenario, scenario_to_toml
 from ltsim.simulate.workshop import visibility_of
 
 HEAD = 'format = "ltsim-plan/1"\n'
@@ -62,6 +62,25 @@ def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: Plan) -
     assert any(f"{factor:.2f} times better for instrument" in sentence for sentence in content.reasons)
     assert len(content.stations) == 4
     assert content.quality["instrument"] == pytest.approx(plan.chosen.value)
+
+
+def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
+    """Stations are searched for the points that ranges place; no angle is asked for, compared or advised."""
+    (tmp_path / "ranges.toml").write_text(scenario_to_toml(load_scenario("paper-workshop-re-aimed")), encoding="utf-8")
+    scenario = 'scenario = "ranges.toml"\n'
+    goal = (
+        "[goal]\ninstrument = 0\ntargets = 1\n[budget]\nfaces = [1]\nrepeats = [1]\n[stations]\ncount = 4\ntries = []\n"
+    )
+    file, whole = load_plan(small(scenario + goal, tmp_path))
+    ranges = changed(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
+    made = make_plan(file, ranges)
+    assert made.reference is not None
+    assert made.chosen.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
+    assert made.chosen.expected is None
+    content = plan_file(made)
+    assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
+    with pytest.raises(SetupError, match="from 3 stations, not from 2"):
+        make_plan(file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": 2})}), ranges)
 
 
 def test_the_curve_knows_cost_and_quality(plan: Plan) -> None:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjust import adjust
 from ltsim.campaign.cell import truth_of
 from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
 from ltsim.plan.workshop import survey_of
 from ltsim.recording.setup import Target
 from ltsim.simulate.truth import Truth
@@ -51,9 +53,19 @@ def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
     assert known["beam-tilt"] == pytest.approx(1.0)
 
 
-def test_what_needs_whole_pointings_says_so() -> None:
-    scenario = lt.scenario("paper-workshop", RANGES)
-    with pytest.raises(SetupError, match="observables leaves readings out; trials"):
-        truth_of(scenario, 1)
-    with pytest.raises(SetupError, match="observables leaves readings out; a plan"):
-        survey_of(scenario)
+def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
+    assert not survey_of(lt.scenario("paper-workshop", RANGES)).is_whole
+    assert truth_of(lt.scenario("paper-workshop", RANGES), 1).recorded.tolist() == [True, False, False]
+    angles = lt.scenario("paper-workshop", {"instrument.observables": ["azimuth", "elevation"]})
+    with pytest.raises(SetupError, match="or for ranges alone"):
+        survey_of(angles)
+
+
+def test_a_level_tells_nothing_of_ranges() -> None:
+    """Levels tie an axis that no range sees: the network keeps its six free motions, instruments stand upright."""
+    levels = {f"stations.S{i}.levelled": True for i in range(1, 6)}
+    recording, _ = lt.simulate(lt.scenario("paper-workshop", {**RANGES, **levels}), seed=3)
+    found = adjust(recording, misalignment())
+    assert found.problem.free.shape[1] == 6
+    assert not len(found.problem.levels)
+    np.testing.assert_allclose(found.state.rotation[:, 2, 2], 1.0, atol=1e-9)
