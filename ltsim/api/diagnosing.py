@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from ltsim.calibrate import Calibration
+from ltsim.calibrate.history import History
+from ltsim.calibrate.known import Known
 from ltsim.diagnose import Diagnosis, diagnose as diagnosis_of
 from ltsim.recording.exchange import RecordingSource, recording_of
 
 
-def diagnose(recording: RecordingSource, *, level: float = 0.05, seed: int = 0) -> Diagnosis:
+def diagnose(
+    recording: RecordingSource,
+    *,
+    level: float = 0.05,
+    seed: int = 0,
+    history: Calibration | History | str | Path | None = None,
+) -> Diagnosis:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
 
     Parameters
@@ -16,9 +27,14 @@ def diagnose(recording: RecordingSource, *, level: float = 0.05, seed: int = 0) 
         False-alarm rate of the whole search on a clean recording.
     seed : int
         Of the draws that price the search.
+    history : Calibration, History, str or Path, optional
+        An earlier calibration of the instruments, or the history of one, or the file of either. A constant that
+        differs from it by more than its usual spread and both uncertainties is a finding.
 
     Raises
     ------
+    RecordError
+        When the history cannot be read, or is of other instruments.
     NetworkError
         When the network cannot be solved.
 
@@ -30,4 +46,5 @@ def diagnose(recording: RecordingSource, *, level: float = 0.05, seed: int = 0) 
     >>> found.verdict, len(found.findings)
     ('consistent', 0)
     """
-    return diagnosis_of(recording_of(recording), level=level, seed=seed)
+    known = None if history is None else Known.of(history)
+    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=known)

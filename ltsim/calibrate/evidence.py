@@ -8,7 +8,6 @@ import numpy as np
 from scipy import linalg
 
 from ltsim.arrays import Floats
-from ltsim.calibrate.calibration import Calibration
 from ltsim.remedies.undetermined import SILENT
 
 
@@ -24,14 +23,14 @@ class Evidence:
     """(p,): `information` times the estimate that the readings alone would give."""
 
 
-def evidence(calibration: Calibration, unit: Floats) -> Evidence:
-    """The evidence of a calibration of one instrument whose priors are centred at 0; `unit` (p,) [SI]."""
-    prior = calibration.prior_sigma[0] / unit
-    remaining = calibration.covariance / np.outer(unit, unit)
-    values, vectors = linalg.eigh(remaining / np.outer(prior, prior))
-    heard = 1.0 - values > SILENT
-    inverse = np.where(heard, 1.0 / np.where(heard, values, 1.0), 0.0)
+def evidence(values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats) -> Evidence:
+    """The evidence of estimates (p,) with covariance (p, p) under priors (p,) centred at 0, in units (p,), all [SI]."""
+    prior = prior_sigma / unit
+    remaining = covariance / np.outer(unit, unit)
+    shares, vectors = linalg.eigh(remaining / np.outer(prior, prior))
+    heard = 1.0 - shares > SILENT
+    inverse = np.where(heard, 1.0 / np.where(heard, shares, 1.0), 0.0)
     basis = vectors / prior[:, None]
     information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
-    told = (basis * inverse) @ basis.T @ (calibration.values[0] / unit)
+    told = (basis * inverse) @ basis.T @ (values / unit)
     return Evidence(0.5 * (remaining + remaining.T), information, told)

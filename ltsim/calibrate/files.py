@@ -306,6 +306,7 @@ def _construction(content: CalibrationFile, file: Path) -> Construction:
 
 def history_file(history: History) -> HistoryFile:
     """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
+    factors = np.array([p.factor for p in history.construction.parameters])
     return HistoryFile(
         construction=history.construction.name,
         calibrations=tuple(
@@ -313,6 +314,7 @@ def history_file(history: History) -> HistoryFile:
             for label, c in zip(history.labels, history.calibrations, strict=True)
         ),
         parameters=tuple(_course(history, k) for k in range(history.construction.size)),
+        mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
         constant=ChiSquareEntry(**history.constancy().entry),
         changes=tuple(_change(history, change) for change in history.changes()),
         events=tuple(_event(history, event) for event in events(history)),

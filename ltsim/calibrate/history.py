@@ -27,8 +27,6 @@ from ltsim.remedies.undetermined import SILENT
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
-UNTOLD = 1e-6
-"""Information on a mean that nothing tells, in prior variances: it stays near 0."""
 ROUNDS, SETTLED = 2000, 1e-4
 LEVEL = 0.01
 """Chance that an unchanged instrument shows any changed parameter between two calibrations (Holm over them)."""
@@ -89,6 +87,8 @@ class Population:
 
     mean: Floats
     """(p,) [SI]."""
+    covariance: Floats
+    """(p, p) [SI], of the mean."""
     spread: Floats
     """(p,) [SI]: standard deviation of the parameters themselves between calibrations, without that of their estimates.
     """
@@ -168,7 +168,7 @@ class History(Shown):
 
     @cached_property
     def _evidence(self) -> list[Evidence]:
-        return [evidence(c, self.prior_sigma) for c in self.calibrations]
+        return [evidence(c.values[0], c.covariance, c.prior_sigma[0], self.prior_sigma) for c in self.calibrations]
 
     @cached_property
     def _told(self) -> Floats:
@@ -245,17 +245,18 @@ class History(Shown):
         """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
 
         By expectation-maximisation with the mean as an unknown of its own (Patterson and Thompson, Biometrika 58
-        (1971) 545): a mean found from the same few calibrations does not make them look alike. Where no calibration
-        tells anything both stay those of the prior: 0 and the prior sigma.
+        (1971) 545): a mean found from the same few calibrations does not make them look alike. The mean keeps the
+        prior, which alone speaks of combinations that no calibration tells: they are as little known of many
+        calibrations as of one. Where no calibration tells anything of a parameter, its spread is the prior sigma.
         """
         information = np.array([e.information for e in self._evidence])
         told = np.array([e.told for e in self._evidence])
         one, variance = np.eye(self.construction.size), np.ones(self.construction.size)
-        mean = np.zeros(self.construction.size)
+        mean, of_mean = np.zeros(self.construction.size), one
         for _ in range(ROUNDS):
             # With N and V: what an estimate keeps of the mean, and the covariance of the estimate and of the mean.
             keeps = np.linalg.inv(one + variance[:, None] * information)
-            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + UNTOLD * one)
+            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + one)
             mean = of_mean @ np.einsum("kba,kb->a", keeps, told)
             single = np.einsum("kab,kb->ka", keeps, variance * told + mean)
             apart = keeps - one
@@ -268,7 +269,8 @@ class History(Shown):
                 break
         silent = self._gain < SILENT
         mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
-        return Population(mean * self.prior_sigma, np.sqrt(variance) * self.prior_sigma)
+        unit = self.prior_sigma
+        return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
 
     def informed(self, calibration: Calibration) -> Calibration:
         """A calibration with the history's population as its prior instead of the maker's.
@@ -279,7 +281,7 @@ class History(Shown):
         known, unit = self.population, self.prior_sigma
         own = one_instrument(calibration, None, "the calibration")
         spread = known.spread / unit
-        said = evidence(own, unit)
+        said = evidence(own.values[0], own.covariance, own.prior_sigma[0], unit)
         covariance = np.linalg.inv(said.information + np.diag(spread**-2))
         values = covariance @ (said.told + known.mean / unit * spread**-2)
         return replace(

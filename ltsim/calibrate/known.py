@@ -13,7 +13,7 @@ from ltsim.adjust.prior import ParameterPrior
 from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.files import read_calibration
-from ltsim.calibrate.history import History
+from ltsim.calibrate.history import History, Population
 from ltsim.calibrate.schema import CalibrationFile, CourseEntry, HistoryFile
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
@@ -33,6 +33,10 @@ class Known:
     """(I, p) [SI]."""
     covariance: Floats
     """(I, p, p) [SI]."""
+    spread: Floats
+    """(p,) [SI]: of the parameters from one calibration to the next; 0 where one alone says nothing of it."""
+    count: int = 1
+    """Calibrations behind it."""
 
     @classmethod
     def of(cls, source: Calibration | History | Known | str | Path) -> Known:
@@ -53,14 +57,17 @@ class Known:
         blocks = found.covariance.reshape(count, size, count, size)
         own = np.stack([blocks[i, :, i][np.ix_(free, free)] for i in range(count)])
         names = tuple(found.construction.names[k] for k in free)
-        return cls(found.construction.name, names, found.instruments, found.values[:, free], own)
+        return cls(found.construction.name, names, found.instruments, found.values[:, free], own, np.zeros(len(free)))
 
     @classmethod
     def _of_history(cls, history: History) -> Known:
-        variance = _between(history.population.spread, history.sigma)
-        names = history.construction.names
-        mean = history.population.mean[None]
-        return cls(history.construction.name, names, ("",), mean, np.diag(variance)[None])
+        known, names = history.population, history.construction.names
+        return cls._of_population(history.construction.name, names, known, len(history))
+
+    @classmethod
+    def _of_population(cls, construction: str, names: tuple[str, ...], known: Population, count: int) -> Known:
+        covariance = np.diag(known.spread**2) + known.covariance
+        return cls(construction, names, ("",), known.mean[None], covariance[None], known.spread, count)
 
     @classmethod
     def _read(cls, path: Path) -> Known:
@@ -73,11 +80,14 @@ class Known:
         content = read_result(file, HistoryFile)
         courses = content.parameters
         factor = np.array([_factor(course, file) for course in courses])
-        sigma = np.array([course.sigmas for course in courses]).T
-        variance = _between(np.array([course.spread or 0.0 for course in courses]), sigma) * factor**2
-        mean = np.array([course.mean for course in courses]) * factor
-        names = tuple(course.name for course in courses)
-        return cls(content.construction, names, ("",), mean[None], np.diag(variance)[None])
+        names, size = tuple(course.name for course in courses), len(courses)
+        if np.shape(content.mean_covariance) != (size, size):
+            raise RecordError("found no covariance of the means; make it again by `ltsim history`", file=file)
+        mean, spread = (np.array([getattr(course, what) for course in courses]) * factor for what in ("mean", "spread"))
+        covariance = np.array(content.mean_covariance) * np.outer(factor, factor)
+        return cls._of_population(
+            content.construction, names, Population(mean, covariance, spread), len(content.calibrations)
+        )
 
     def over(self, stated: ParameterPrior, construction: Construction, instruments: tuple[str, ...]) -> ParameterPrior:
         """The `stated` prior of a recording's instruments with what is known in the place of it.
@@ -90,7 +100,7 @@ class Known:
         common = [name for name in construction.names if name in self.parameters]
         if not common:
             raise RecordError(
-                f"the prior holds no parameter of construction {construction.name}; it is of {self.construction}"
+                f"earlier calibrations are of construction {self.construction}, no parameter of {construction.name}"
             )
         here = [construction.names.index(name) for name in common]
         there = [self.parameters.index(name) for name in common]
@@ -103,13 +113,8 @@ class Known:
 
     def _instrument(self, name: str) -> int:
         if name not in self.instruments:
-            raise RecordError(f"the prior knows the instruments {', '.join(self.instruments)}, not '{name}'")
+            raise RecordError(f"earlier calibrations know the instruments {', '.join(self.instruments)}, not '{name}'")
         return self.instruments.index(name)
-
-
-def _between(spread: Floats, sigma: Floats) -> Floats:
-    """Variance (p,) of the next value: spread (p,) between calibrations, and that of their mean by sigmas (K, p)."""
-    return spread**2 + 1.0 / np.sum(1.0 / (spread**2 + sigma**2), axis=0)
 
 
 def _is_history(file: Path) -> bool:

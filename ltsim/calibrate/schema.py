@@ -384,6 +384,8 @@ class HistoryFile(ResultFile):
     """In the order of time."""
     parameters: tuple[CourseEntry, ...] = ()
     """Each over the calibrations."""
+    mean_covariance: tuple[tuple[Finite, ...], ...] = ()
+    """Of the means, in the parameters' units; combinations that no calibration tells stay as the prior has them."""
     constant: ChiSquareEntry | None = None
     """Test that nothing changed."""
     changes: tuple[ChangeEntry, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -20,12 +21,21 @@ FailOnMismatch = Annotated[
 Level = Annotated[
     float, typer.Option(min=1e-6, max=0.5, help="False-alarm rate of the whole search on a clean recording.")
 ]
+HistoryOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--history",
+        metavar="FILE",
+        help="An earlier calibration, or a history of them: what the instrument's constants are compared with.",
+    ),
+]
 
 
 def diagnose(
     source: Source,
     out: Out = None,
     level: Level = 0.05,
+    history: HistoryOption = None,
     fail_on_mismatch: FailOnMismatch = False,
     seed: Seed = 0,
     *,
@@ -45,7 +55,7 @@ def diagnose(
     claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = reading.open(source, terminal)
     with terminal.busy("diagnosing"):
-        found = lt.diagnose(recording, seed=seed, level=level)
+        found = lt.diagnose(recording, seed=seed, level=level, history=history)
     content = found.file(recording) if out is None else write_diagnosis(found, out, recording)
     terminal.answer(content.content())
     show(terminal, found)

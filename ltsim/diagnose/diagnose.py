@@ -12,12 +12,14 @@ from ltsim.adjust.gross import GrossFinding, explain_gross
 from ltsim.adjust.mixed_up import mend_faces, mend_stations
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
+from ltsim.calibrate.known import Known
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
 from ltsim.diagnose.findings import equivalents, gross_finding, instrument_finding, mean_finding, noise_finding
 from ltsim.diagnose.held_out import held_out_rms, pair_folds
+from ltsim.diagnose.history import History
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnose.refit import Refit, refit
@@ -81,7 +83,7 @@ class _Case:
 
 
 @in_one_thread
-def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Diagnosis:
+def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, history: Known | None = None) -> Diagnosis:
     """Diagnose a recording.
 
     Parameters
@@ -91,13 +93,21 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
         Root seed of the simulated null distribution.
     level : float
         False-alarm rate of the whole search.
+    history : Known, optional
+        Earlier calibrations that each constant of the instruments is compared with.
 
     Returns
     -------
     Diagnosis
         Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
+
+    Raises
+    ------
+    RecordError
+        When the history is of other instruments or another construction.
     """
     construction = stated_construction(recording)
+    earlier = None if history is None else History.of(history, recording, construction)
     converted, wrong = mend_stations(recording)
     faced, confused = mend_faces(converted)
     first = adjust(faced, construction)
@@ -111,7 +121,7 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05) -> Dia
     sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     found = _explain(case, detection) if mismatch else case.searcher.empty
-    return _Report(case, baseline, sight, detection, found, tuple(gross), mismatch).diagnosis()
+    return _Report(case, baseline, sight, detection, found, tuple(gross), mismatch, earlier).diagnosis()
 
 
 def _explain(case: _Case, detection: Detection) -> Found:
@@ -191,6 +201,7 @@ class _Report:
     found: Found
     gross: tuple[GrossFinding, ...]
     mismatch: bool
+    history: History | None
 
     def diagnosis(self) -> Diagnosis:
         """Refit with what was found and put the verdict together."""
@@ -201,7 +212,8 @@ class _Report:
         findings += [self._finding(i, ranking, fitted) for i, ranking in enumerate(rankings)]
         findings += [noise_finding(h, self.detection) for h in self.case.noise]
         settled = fitted.adjustment if fitted.adjustment.solution.converged else self.baseline
-        odd = contradictions(settled, LEAST_GAIN)
+        told = self.history.contradictions if self.history else contradictions
+        odd = told(settled, LEAST_GAIN)
         findings += [instrument_finding(c) for c in odd]
         findings.sort(key=lambda f: -f.evidence.chi2_drop)
         before = _fit(self.baseline, self.baseline.dof)

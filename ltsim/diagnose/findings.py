@@ -169,8 +169,8 @@ def instrument_finding(found: Contradiction) -> Finding:
     probability = 1.0 / (1.0 + float(np.exp(-found.evidence)))
     instrument = found.instrument or "the instrument"
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {instrument} differs by {number(estimate.value, estimate.sigma)} {p.unit} "
-        f"from {found.against} (probability {percent(probability)})."
+        f"The {p.name.replace('-', ' ')} of {instrument} differs by ({number(estimate.value, estimate.sigma)}) "
+        f"{p.unit} from {found.against}, probability {percent(probability)}."
     )
     return Finding(
         effect=name,

@@ -68,7 +68,7 @@ class Contradiction:
     instrument : str
     parameter : Parameter
     difference, sigma : float
-        [SI], from the others' mean, or from zero for an instrument that is said to be corrected.
+        [SI], from the others' median, from zero for an instrument that is said to be corrected, or from its history.
     evidence : float
         Log marginal likelihood ratio, prior odds included.
     against : str

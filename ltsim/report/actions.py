@@ -67,10 +67,12 @@ def _diagnosis(folder: Path) -> list[str]:
     content = read_result(folder, DiagnosisFile)
     said = [_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     for finding in content.findings:
-        place = listing([*finding.where.stations, *finding.where.targets]) or "the whole recording"
-        said.append(
-            f"Look for the cause of {finding.effect} ({place}); targets.csv holds coordinates that allow for it."
-        )
+        where = finding.where
+        place = listing([*where.instruments, *where.stations, *where.targets]) or "the whole recording"
+        follows = f" with {listing(where.covariates)}" if where.covariates else ""
+        unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
+        cause = f"the cause of {finding.effect}" if finding.known else unnamed
+        said.append(f"Look for {cause} ({place}); targets.csv holds coordinates that allow for it.")
     return said
 
 

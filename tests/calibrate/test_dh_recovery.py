@@ -26,7 +26,7 @@ SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
 def wide() -> Choice:
     """Priors so wide that they say next to nothing."""
     covariance = np.diag((WIDER * SIGMA) ** 2)[None]
-    return Choice(prior=Known("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance))
+    return Choice(prior=Known("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance, np.zeros(BUILT.size)))
 
 
 @pytest.fixture(scope="module")
