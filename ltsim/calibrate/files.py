@@ -17,23 +17,25 @@ from ltsim.calibrate.beside import FittedEffect, FittedParameter
 from ltsim.calibrate.calibration import Calibration, Combination, Correction, Fit, StationPose
 from ltsim.calibrate.events import Event, events
 from ltsim.calibrate.history import Change, History
+from ltsim.calibrate.history_schema import (
+    CalibrationOf,
+    ChangeEntry,
+    ChiSquareEntry,
+    CourseEntry,
+    DifferenceEntry,
+    EventEntry,
+    HistoryFile,
+)
 from ltsim.calibrate.result import SHOWN_UNITS, named
 from ltsim.calibrate.schema import (
     RESIDUALS,
     TARGETS,
     CalibrationFile,
-    CalibrationOf,
-    ChangeEntry,
-    ChiSquareEntry,
     CombinationEntry,
     CorrectionEntry,
-    CourseEntry,
-    DifferenceEntry,
-    EventEntry,
     FitEntry,
     FittedEffectEntry,
     HarmonicEntry,
-    HistoryFile,
     NoiseEntry,
     OutlierEntry,
     ParameterEntry,

@@ -14,7 +14,8 @@ from ltsim.arrays import Floats
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.files import read_calibration
 from ltsim.calibrate.history import History, Population
-from ltsim.calibrate.schema import CalibrationFile, CourseEntry, HistoryFile
+from ltsim.calibrate.history_schema import CourseEntry, HistoryFile
+from ltsim.calibrate.schema import CalibrationFile
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.recording.result_file import read_result

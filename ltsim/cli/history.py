@@ -75,7 +75,7 @@ def history(
     """
     from ltsim.calibrate.files import history_file
     from ltsim.calibrate.history import History
-    from ltsim.calibrate.schema import HistoryFile
+    from ltsim.calibrate.history_schema import HistoryFile
 
     claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []

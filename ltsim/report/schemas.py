@@ -14,7 +14,8 @@ from pydantic import BaseModel
 
 from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
-from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile, HistoryFile
+from ltsim.calibrate.history_schema import HistoryFile
+from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.campaign.schema import ManifestFile, RecoveryFile, summary_table, trials_table
 from ltsim.campaign.spec import Campaign
 from ltsim.check import files as checks

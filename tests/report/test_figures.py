@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.calibrate.schema import ChiSquareEntry, CourseEntry
+from ltsim.calibrate.history_schema import ChiSquareEntry, CourseEntry
 from ltsim.check.check import check as check_of
 from ltsim.plan.schema import ChangeEntry
 from ltsim.randomness import stream

@@ -8,7 +8,7 @@ from itertools import takewhile
 import numpy as np
 from matplotlib.figure import Figure
 
-from ltsim.calibrate.schema import CourseEntry
+from ltsim.calibrate.history_schema import CourseEntry
 from ltsim.report.style import AFTER, GREY, PALE, new_figure, quiet_axis, shorten, styled, unit_text
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltsim.calibrate.events import ENOUGH_STEPS
-from ltsim.calibrate.schema import ChangeEntry, CourseEntry, HistoryFile
+from ltsim.calibrate.history_schema import ChangeEntry, CourseEntry, HistoryFile
 from ltsim.chances import p_is, p_text
 from ltsim.recording.result_file import read_result
 from ltsim.report import style
