@@ -6,11 +6,12 @@ The score of carrier c with driver d at a place is the sum over its pointings of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.cluster.hierarchy import linkage
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
@@ -40,8 +41,8 @@ MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""
 ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
-NEIGHBOURS = (3, 6, 9)
-"""Targets that stand together: one with so many around it."""
+LEAST_GROUP = 3
+"""Targets of a group, and targets beside it, at least."""
 
 
 Form = tuple[Floats, tuple[Floats, Floats], Singles]
@@ -185,6 +186,12 @@ SHARES = {
 """How the prior of laws without a card is shared."""
 KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.1, "reflector": 0.04, "air": 0.04}
 """Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone."""
+AT_SET_UPS = {"reading": 0.4, "instrument": 0.1, "stand": 0.46, "air": 0.04}
+"""The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
+AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.3, "stand": 0.15, "air": 0.05}
+"""The same for what happens to one of several instruments."""
+AT_TARGETS = {"reading": 0.1, "target": 0.45, "reflector": 0.45}
+"""The same for what happens at some targets: an instrument does not know where it looks."""
 
 
 def panels(space: ResidualSpace, mass: float) -> list[Panel]:
@@ -209,18 +216,18 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     plain += [simple(n, "power") for n in further(s)]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
     bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
-    here, moved = ("reading", "instrument", "stand", "air"), ("reading", "target")
+    shaped = [*plain, *clock, *across_the_room([*plain, *clock], 1)]
     requests = [
-        ("anywhere", general, everywhere, tuple(KINDS)),
-        ("station", there, stations, here),
-        ("instrument", general, instruments, here),
-        ("product", list(products(s)), everywhere, ("reading",)),
-        ("wave", list(waves(s)), everywhere, ("reading", "vertical index")),
-        ("sway", swings, everywhere, ("stand", "target", "air")),
-        ("structure", bent, everywhere, ("target",)),
-        ("edge", list(edges(s)), everywhere, ("reading",)),
-        ("target", [*plain, *clock], targets, moved),
-        ("group", [*plain, *clock], groups, moved),
+        ("anywhere", general, everywhere, KINDS),
+        ("station", there, stations, AT_SET_UPS),
+        ("instrument", general, instruments, AT_INSTRUMENTS),
+        ("product", list(products(s)), everywhere, {"reading": 1.0}),
+        ("wave", list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),
+        ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
+        ("structure", bent, everywhere, {"target": 1.0}),
+        ("edge", list(edges(s)), everywhere, {"reading": 1.0}),
+        ("target", [*plain, *clock], targets, AT_TARGETS),
+        ("group", shaped, groups, AT_TARGETS),
     ]
     asked = [r for r in requests if r[1] and r[2]]
     whole = sum(SHARES[name] for name, *_ in asked)
@@ -238,15 +245,16 @@ class _Maker:
             self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
     def panels(
-        self, drivers: Sequence[Driver], places: tuple[Place, ...], kinds: tuple[str, ...], mass: float
+        self, drivers: Sequence[Driver], places: tuple[Place, ...], kinds: Mapping[str, float], mass: float
     ) -> Iterator[Panel]:
         """Panels of carriers of a kind and drivers that move it, alike in columns and scales."""
         asked = []
         for (kind, _), known in self._known.items():
             some = [(c, w) for c, w in known if kind in kinds or c.name in kinds]
             asked += [(kind, some)] if some else []
-        moved = {kind: [d for d in drivers if moves(kind, d, self._s)] for kind, _ in asked}
-        whole = sum(KINDS[kind] for kind in moved if moved[kind])
+        share = {kind: kinds.get(kind) or max(kinds.get(c.name, 0.0) for c, _ in some) for kind, some in asked}
+        moved = {kind: [d for d in drivers if moves(kind, d, self._s)] for kind in share}
+        whole = sum(share[kind] for kind in moved if moved[kind])
         for kind, known in asked:
             alike: dict[tuple[int, int], list[Driver]] = {}
             for driver in moved[kind]:
@@ -256,7 +264,7 @@ class _Maker:
             weights = np.stack([w for _, w in known], axis=2).astype(np.float32)
             for same in alike.values():
                 columns = np.hstack([d.columns(self._s) for d in same]).astype(np.float32)
-                log_prior = float(np.log(mass * KINDS[kind] / whole / count))
+                log_prior = float(np.log(mass * share[kind] / whole / count))
                 yield Panel(tuple(c for c, _ in known), tuple(same), places, weights, columns, log_prior)
 
 
@@ -278,12 +286,22 @@ def _stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
 
 
 def _groups(s: Sightings) -> Iterator[Place]:
-    """Targets that stand together, and what lies beyond the middle of the room along each axis."""
+    """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
+
+    These are the branches of three trees (average linkage); a surface is known by where its nests look.
+    """
+    look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
     found = set()
-    for point in s.points:
-        near = np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable")
-        found |= {tuple(sorted(near[: k + 1].tolist())) for k in NEIGHBOURS if 2 * k < len(near)}
+    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * LEVEL, look])):
+        branches = [[t] for t in range(len(features))]
+        for one, other in linkage(features, "average")[:, :2].astype(int):
+            branches.append(sorted(branches[one] + branches[other]))
+        found |= {tuple(b) for b in branches if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
     for members in sorted(found):
         rows = np.flatnonzero(np.isin(s.target, members))
         if len(rows):
             yield Place((), tuple(s.target_names[t] for t in members), rows)
+
+
+LEVEL = 5.0
+"""Weight of heights in the tree of levels."""
