@@ -67,7 +67,7 @@ _READINGS = tuple(
     for name in OBSERVABLES
 )
 _SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
-_LEAN = Carrier("lean of the stand", "urad", ANGLE, ("azimuth", "elevation"), "stand", ("about x", "about y"))
+_LEAN = Carrier("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
 _STAND = Carrier("place of the stand", "um", LENGTH, (), "stand", ("along x", "along y", "along z"))
 _TARGETS = Carrier("place of targets", "um", LENGTH, (), "target", ("along x", "along y", "along z"))
 _NORMAL = Carrier("height of targets in their nests", "um", LENGTH, (), "reflector")

@@ -134,11 +134,12 @@ def _explain(case: _Case, detection: Detection) -> Found:
         kept += [searcher.empty] if len(members) > 1 else []
         spaces = [_beside(searcher.space, one.members) for one in kept]
         ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
-        rest = [min(searcher.rank(found).total, threshold), *(searcher.rank(one).total for one in kept[1:])]
+        least = threshold + found.misfit
+        rest = [min(searcher.rank(found).total, least), *(searcher.rank(one).total for one in kept[1:])]
         lost = [0.0, *rest[1 : len(members) + 1], *(found.score - one.score for one in kept[len(members) + 1 :])]
         gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
-        if gains[most] < (threshold if not most and (case.noise or members) else 0.0):
+        if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
         likeliest = _with_probability(ranked[most], rest[most])
         case.noise = _joined(case.noise, most_likely(spaces[most], searcher.space.sigma, likeliest))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
-from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
+from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, pieces, simple, smooth, waves_of
 from ltsim.diagnose.schema import Curve, Estimate
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
@@ -86,7 +86,7 @@ class Law(Tunable):
     def finer(self, sightings: Sightings) -> list[Law]:
         """Rates between those tried for a wave, gaps around a step."""
         driver = self.driver
-        if driver.kind == "wave":
+        if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
@@ -115,11 +115,31 @@ class Law(Tunable):
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             found["fine"] = [replace(self, driver=finer)]
+        if driver.kind == "wave" and driver.covariates[0] in ("time", "station-time"):
+            found["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
         return {
             kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
             for kind, laws in found.items()
             if laws
         }
+
+    def atoms(self, sightings: Sightings) -> list[Driver]:
+        """Steps and ramps of which a smooth driver may be made instead."""
+        curved = [f for f in (self.driver, *self.driver.factors) if f.kind == "smooth"]
+        if len(curved) != 1:
+            return []
+        name = curved[0].covariates[0]
+        x = np.unique(sightings.quantities[name][self.mask(sightings) > 0])
+        x = x[np.unique(np.linspace(0, len(x) - 1, ATOMS).round().astype(int))]
+        edges = 0.5 * (x[1:] + x[:-1])
+        return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
+
+    def in_pieces(self, steps: Sequence[Driver]) -> Law:
+        """The law with steps and ramps in the place of its smooth driver."""
+        made, driver = pieces(steps), self.driver
+        if driver.kind == "product":
+            made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
+        return replace(self, driver=made, scale=0)
 
     def at_each(self, sightings: Sightings) -> Law | None:
         """The law with coefficients of its own for each set-up, where that can be."""
@@ -147,6 +167,8 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
+ATOMS = 41
+"""Values of a covariate between which steps and ramps are tried."""
 OF_A_SET_UP = ("reading", "instrument", "stand")
 """Kinds of carriers that may do the same at every set-up, each in its own way."""
 MOST_SET_UPS = 12
@@ -168,13 +190,14 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Dr
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     if not few:
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        tried += [("decay", shares)] if name in ("station-time", "time", "lapse") else []
+        tried += [("decay", shares), ("relaxing", shares)] if name in ("station-time", "time", "lapse") else []
         tried += [("abs", (1.0,)), ("saturated", shares)] if name.startswith("move-") else []
     for function, constants in tried:
         for constant in constants:
             yield simple(name, function, float(constant))
 
 
+ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
     ("distance", "horizontal", "height", "move-distance", "last-distance", "x", "y", "z"), "m"
 )
@@ -182,7 +205,7 @@ UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
     """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
-    if name.endswith(("azimuth", "bearing", "elevation", "incidence", "nest-direction")):
+    if name.endswith((*ANGLES, "incidence")):
         return f"{np.degrees(value):.3g} deg"
     if UNITS.get(name) == "s" and not clock:
         return f"{value:.3g} rows"
@@ -195,7 +218,7 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
 
 def _wave_words(driver: Driver, clock: bool) -> str:
     name, rate = driver.covariates[0], driver.constant
-    if name.endswith(("azimuth", "bearing", "elevation", "nest-direction")):
+    if name.endswith(ANGLES):
         return f"a wave in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
     return f"a wave in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
 
@@ -213,6 +236,12 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
             return "the place in the room"
         case "wave":
             return _wave_words(driver, clock)
+        case "cycle":
+            return _wave_words(driver, clock).replace("wave", "cycle", 1)
+        case "visits":
+            return "the station, another at each"
+        case "pieces":
+            return ", ".join(describe(f, clock=clock) for f in driver.factors)
         case "product":
             return " times ".join(describe(f, clock=clock) for f in driver.factors)
     match driver.function:
@@ -222,6 +251,10 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
             return f"|{name}|"
         case "decay":
             return f"exp(-{name} / {value_of(name, k, clock=clock)})"
+        case "relaxing":
+            return f"1 / (1 + {name} / {value_of(name, k, clock=clock)})"
+        case "ramp":
+            return f"ramp({name} from {value_of(name, k, clock=clock)})"
         case "saturated":
             return f"saturation({name}, half at {value_of(name, k, clock=clock)})"
         case "step":
@@ -308,10 +341,10 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     law, way, means, spread = law.along(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
-    if driver.kind == "wave":
+    if driver.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
-        columns = np.sqrt(2.0) * np.stack([np.cos(driver.constant * at), np.sin(driver.constant * at)], axis=1)
+        columns = waves_of(driver.constant * at, driver.size // 2)
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
