@@ -214,7 +214,7 @@ class _Report:
         findings += [noise_finding(h, self.detection) for h in self.case.noise]
         settled = fitted.adjustment if fitted.adjustment.solution.converged else self.baseline
         told = self.history.contradictions if self.history else contradictions
-        odd = told(settled, LEAST_GAIN)
+        odd = told(settled, LEAST_GAIN + found.misfit)
         findings += [instrument_finding(c) for c in odd]
         findings.sort(key=lambda f: -f.evidence.chi2_drop)
         before = _fit(self.baseline, self.baseline.dof)

@@ -9,7 +9,7 @@ waves. Several length scales share the columns and differ in the variances; so d
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations, combinations_with_replacement
 
@@ -79,6 +79,8 @@ class Driver:
         Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field.
     factors : tuple of Driver
         Of a product; the pieces.
+    around : tuple of str
+        Targets about whose middle a field grows; empty for all.
     """
 
     kind: str
@@ -86,6 +88,7 @@ class Driver:
     function: str = ""
     constant: float = 0.0
     factors: tuple[Driver, ...] = ()
+    around: tuple[str, ...] = ()
 
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
         """Columns (n, k), each of rms about one over the pointings.
@@ -111,8 +114,9 @@ class Driver:
                 return waves_of(self.constant * sightings.quantities[self.covariates[0]], self.size // 2)
             case "field":
                 place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
-                place = place - place.mean(axis=0)
-                place = place / max(float(place.std()), 1e-300)
+                near = np.isin(sightings.target, [sightings.target_names.index(t) for t in self.around or sightings.target_names])
+                place = place - place[near].mean(axis=0)
+                place = place / max(float(place[near].std()), 1e-300)
                 bent = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]
                 return np.hstack([np.ones((len(place), 1)), place, *(bent if self.constant > 1 else [])])
             case "simple":
@@ -153,6 +157,11 @@ class Driver:
             part = np.append(1.0, part) if factor.kind == "smooth" else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
+
+    def about(self, targets: tuple[str, ...]) -> Driver:
+        """The driver with the field of some targets in the place of that of the room."""
+        factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
+        return replace(self, factors=factors)
 
     @property
     def size(self) -> int:

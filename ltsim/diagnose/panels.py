@@ -184,13 +184,13 @@ SHARES = {
     "group": 0.03,  # targets that stand together
 }
 """How the prior of laws without a card is shared."""
-KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.1, "reflector": 0.04, "air": 0.04}
+KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.12, "reflector": 0.02, "air": 0.04}
 """Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone."""
 AT_SET_UPS = {"reading": 0.4, "instrument": 0.1, "stand": 0.46, "air": 0.04}
 """The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
 AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.3, "stand": 0.15, "air": 0.05}
 """The same for what happens to one of several instruments."""
-AT_TARGETS = {"reading": 0.1, "target": 0.45, "reflector": 0.45}
+AT_TARGETS = {"reading": 0.1, "target": 0.8, "reflector": 0.1}
 """The same for what happens at some targets: an instrument does not know where it looks."""
 
 

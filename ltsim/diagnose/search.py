@@ -204,7 +204,9 @@ class Searcher:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
         found, seen = [], set[tuple[object, ...]]()
         for hit in sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]:
-            law = Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, hit.place.instruments)
+            law = Law(
+                hit.place.stations, hit.place.targets, hit.carrier, hit.driver.about(hit.place.targets), hit.place.instruments
+            )
             key = (hit.carrier.name, hit.driver.kind, hit.driver.told, hit.place.stations, hit.place.targets)
             if len(seen) < self._most and key not in seen:
                 seen.add(key)
