@@ -99,8 +99,8 @@ class Driver:
         found = self._columns(sightings, moving)
         if not moving or self.kind in ("constant", "field", "product"):
             return found
-        x = np.abs(sightings.covariates.get("".join(self.covariates), np.ones(len(sightings))))
-        resting = x == x.min() if x.min() < RESTING * x.max() else np.ones(len(x), dtype=bool)
+        x = sightings.covariates.get("".join(self.covariates), np.ones(len(sightings)))
+        resting = np.abs(x) == np.abs(x).min() if _has_zero(x) else np.ones(len(x), dtype=bool)
         found = found - found[resting].mean(axis=0)
         return _sized(found) if self.kind == "simple" else found
 
@@ -114,14 +114,18 @@ class Driver:
                 return waves_of(self.constant * sightings.quantities[self.covariates[0]], self.size // 2)
             case "field":
                 place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
-                near = np.isin(sightings.target, [sightings.target_names.index(t) for t in self.around or sightings.target_names])
+                names = self.around or sightings.target_names
+                near = np.isin(sightings.target, [sightings.target_names.index(name) for name in names])
                 place = place - place[near].mean(axis=0)
                 place = place / max(float(place[near].std()), 1e-300)
                 bent = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]
                 return np.hstack([np.ones((len(place), 1)), place, *(bent if self.constant > 1 else [])])
             case "simple":
+                x = sightings.quantities[self.covariates[0]]
+                if self.function == "power" and self.covariates[0] in sightings.covariates and not _has_zero(x):
+                    x = x - x.mean()
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                    values = SIMPLE[self.function](sightings.quantities[self.covariates[0]], self.constant)
+                    values = SIMPLE[self.function](x, self.constant)
                 return _sized(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
             case "visits":
                 return (sightings.station[:, None] == np.unique(sightings.station)).astype(np.float64)
@@ -179,6 +183,11 @@ class Driver:
 
 RESTING = 0.02
 """Share of its largest value up to which a column counts as zero."""
+
+
+def _has_zero(x: Floats) -> bool:
+    """Whether a column comes to zero; one that does not is told from its mean (a load, but no temperature, rests)."""
+    return bool(np.abs(x).min() < RESTING * np.abs(x).max())
 
 
 def _sized(column: Floats) -> Floats:

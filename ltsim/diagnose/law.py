@@ -14,7 +14,19 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
-from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, pieces, simple, smooth, waves_of
+from ltsim.diagnose.drivers import (
+    CIRCULAR,
+    CONSTANT,
+    FINE,
+    LOW,
+    MODES,
+    WAVE_STEP,
+    Driver,
+    pieces,
+    simple,
+    smooth,
+    waves_of,
+)
 from ltsim.diagnose.schema import Curve, Estimate
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
@@ -84,7 +96,7 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried for a wave, gaps around a step."""
+        """Rates between those tried for a wave, gaps around a step, constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
@@ -95,6 +107,8 @@ class Law(Tunable):
             middles = 0.5 * (values[1:] + values[:-1])
             near = middles[np.argsort(np.abs(middles - driver.constant))[:12]]
             return [replace(self, driver=replace(driver, constant=float(edge))) for edge in near]
+        if driver.function in SCALED:
+            return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
 
     def formulas(self, sightings: Sightings) -> list[Law]:
@@ -174,6 +188,8 @@ OF_A_SET_UP = ("reading", "instrument", "stand")
 MOST_SET_UPS = 12
 """Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+SCALED = ("decay", "relaxing", "saturated")
+"""Functions with a constant in the unit of their covariate."""
 SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
 
@@ -219,14 +235,13 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
 def _wave_words(driver: Driver, clock: bool) -> str:
     name, rate = driver.covariates[0], driver.constant
     if name.endswith(ANGLES):
-        return f"a wave in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
-    return f"a wave in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
+        return f"a {driver.kind} in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
+    return f"a {driver.kind} in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
 
 
 def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words: ``tan(elevation)``, ``a smooth function of time``."""
     name = driver.covariates[0] if driver.covariates else ""
-    k = driver.constant
     match driver.kind:
         case "constant":
             return "constant"
@@ -234,32 +249,31 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
             return f"a smooth function of {name}"
         case "field":
             return "the place in the room"
-        case "wave":
-            return _wave_words(driver, clock)
-        case "cycle":
-            return _wave_words(driver, clock).replace("wave", "cycle", 1)
         case "visits":
             return "the station, another at each"
-        case "pieces":
-            return ", ".join(describe(f, clock=clock) for f in driver.factors)
-        case "product":
-            return " times ".join(describe(f, clock=clock) for f in driver.factors)
-    match driver.function:
+        case "wave" | "cycle":
+            return _wave_words(driver, clock)
+        case "product" | "pieces":
+            between = " times " if driver.kind == "product" else ", "
+            return between.join(describe(f, clock=clock) for f in driver.factors)
+    return _simple_words(name, driver.function, driver.constant, clock=clock)
+
+
+def _simple_words(name: str, function: str, k: float, *, clock: bool) -> str:
+    value = value_of(name, k, clock=clock)
+    match function:
         case "power":
             return {1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
-        case "abs":
-            return f"|{name}|"
-        case "decay":
-            return f"exp(-{name} / {value_of(name, k, clock=clock)})"
-        case "relaxing":
-            return f"1 / (1 + {name} / {value_of(name, k, clock=clock)})"
-        case "ramp":
-            return f"ramp({name} from {value_of(name, k, clock=clock)})"
-        case "saturated":
-            return f"saturation({name}, half at {value_of(name, k, clock=clock)})"
-        case "step":
-            return f"step({name} above {value_of(name, k, clock=clock)})"
-    return f"{driver.function}({'' if k == 1 else f'{k:.4g} '}{name})"
+        case "sin" | "cos" | "tan":
+            return f"{function}({'' if k == 1 else f'{k:.4g} '}{name})"
+    return {
+        "abs": f"|{name}|",
+        "decay": f"exp(-{name} / {value})",
+        "relaxing": f"1 / (1 + {name} / {value})",
+        "saturated": f"saturation({name}, half at {value})",
+        "step": f"step({name} above {value})",
+        "ramp": f"ramp({name} from {value})",
+    }[function]
 
 
 _CLOCK = ("time", "station-time")

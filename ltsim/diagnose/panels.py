@@ -263,7 +263,7 @@ class _Maker:
             count = carriers * len(places) * sum(len(d.spreads) for d in moved[kind])
             weights = np.stack([w for _, w in known], axis=2).astype(np.float32)
             for same in alike.values():
-                columns = np.hstack([d.columns(self._s) for d in same]).astype(np.float32)
+                columns = np.hstack([d.columns(self._s, moving=kind == "target") for d in same]).astype(np.float32)
                 log_prior = float(np.log(mass * share[kind] / whole / count))
                 yield Panel(tuple(c for c, _ in known), tuple(same), places, weights, columns, log_prior)
 

@@ -204,10 +204,9 @@ class Searcher:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
         found, seen = [], set[tuple[object, ...]]()
         for hit in sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]:
-            law = Law(
-                hit.place.stations, hit.place.targets, hit.carrier, hit.driver.about(hit.place.targets), hit.place.instruments
-            )
-            key = (hit.carrier.name, hit.driver.kind, hit.driver.told, hit.place.stations, hit.place.targets)
+            place, driver = hit.place, hit.driver.about(hit.place.targets)
+            law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
+            key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
             if len(seen) < self._most and key not in seen:
                 seen.add(key)
                 found.append(self._law(law, hit, base))
@@ -331,7 +330,7 @@ class Searcher:
                 break
             grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
             grown = grown if self._large else self.reexamined(grown)
-            if depth and grown.score < best.score + least:
+            if depth and grown.score < best.score + threshold:
                 break
             best = grown
         return self.reexamined(best) if self._large else best

@@ -92,11 +92,12 @@ class Found:
 
     @cached_property
     def score(self) -> float:
-        """Log evidence of the set with each member's size at its best, priors and the room of sizes counted."""
+        """Log evidence of the set with each member's size at its best, priors, sizes and misfit counted."""
         if not self.members:
             return 0.0
         likeness = sum(alike(h, self.members[:i]) for i, h in enumerate(self.members))
-        return _at_best_sizes(self) + sum(h.log_prior for h in self.members) + likeness
+        doubt = self.misfit * (len(self.members) - 1)
+        return _at_best_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
 
 
 MISFIT = 0.05
