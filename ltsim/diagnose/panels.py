@@ -41,6 +41,8 @@ MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""
 ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
+NEIGHBOURS = (3, 6)
+"""Targets around one that may move with it."""
 LEAST_GROUP = 3
 """Targets of a group, and targets beside it, at least."""
 
@@ -175,13 +177,14 @@ SHARES = {
     "anywhere": 0.34,  # any carrier, any driver, the whole recording
     "station": 0.15,  # the same at one set-up
     "instrument": 0.10,  # the same at all set-ups of one instrument
-    "product": 0.16,  # a reading that follows two drivers
+    "product": 0.14,  # a reading that follows two drivers
     "wave": 0.08,  # a reading that swings
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
     "edge": 0.04,  # a reading that jumps
     "target": 0.04,  # one target
-    "group": 0.03,  # targets that stand together
+    "group": 0.03,  # targets that stand together, alike or more the farther across the group
+    "corner": 0.02,  # a target and those around it
 }
 """How the prior of laws without a card is shared."""
 KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.12, "reflector": 0.02, "air": 0.04}
@@ -207,7 +210,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         targets = tuple(Place((), (name,), rows) for name, rows in _each(s.target_names, s.target))
     trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
     instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
-    groups = tuple(_groups(s)) if 12 <= len(s.target_names) <= 100 else ()
+    some = 12 <= len(s.target_names) <= 100
+    groups, corners = (tuple(_together(s, sets)) if some else () for sets in (_branches(s), _corners(s)))
     general = general_drivers(s)
     visits = float(np.median([len(place.rows) for place in stations] or [0]))
     there = general if visits > ROOM * MODES else general_drivers(s, LOW)
@@ -228,6 +232,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         ("edge", list(edges(s)), everywhere, {"reading": 1.0}),
         ("target", [*plain, *clock], targets, AT_TARGETS),
         ("group", shaped, groups, AT_TARGETS),
+        ("corner", [*plain, *clock], corners, AT_TARGETS),
     ]
     asked = [r for r in requests if r[1] and r[2]]
     whole = sum(SHARES[name] for name, *_ in asked)
@@ -285,7 +290,7 @@ def _stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
     return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
 
 
-def _groups(s: Sightings) -> Iterator[Place]:
+def _branches(s: Sightings) -> set[tuple[int, ...]]:
     """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
 
     These are the branches of three trees (average linkage); a surface is known by where its nests look.
@@ -297,7 +302,18 @@ def _groups(s: Sightings) -> Iterator[Place]:
         for one, other in linkage(features, "average")[:, :2].astype(int):
             branches.append(sorted(branches[one] + branches[other]))
         found |= {tuple(b) for b in branches if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
-    for members in sorted(found):
+    return found
+
+
+def _corners(s: Sightings) -> set[tuple[int, ...]]:
+    """Targets with a few around them."""
+    near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
+
+
+def _together(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
+    """Places of some targets, with pointings to them."""
+    for members in sorted(sets):
         rows = np.flatnonzero(np.isin(s.target, members))
         if len(rows):
             yield Place((), tuple(s.target_names[t] for t in members), rows)
