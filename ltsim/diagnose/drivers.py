@@ -347,15 +347,3 @@ def waves(sightings: Sightings) -> Iterator[Driver]:
     for name in ("time", "distance", "azimuth", "elevation", "x", "y", "z", "station-time"):
         for rate in rates(sightings, name, most):
             yield Driver("wave", (name,), constant=float(rate))
-
-
-EDGES = 20
-"""Values of a covariate at which a step is tried."""
-
-
-def edges(sightings: Sightings) -> Iterator[Driver]:
-    """Steps where a covariate passes a value."""
-    for name in (*covariates_of(sightings),):
-        values = np.unique(np.quantile(sightings.quantities[name], np.linspace(0.0, 1.0, EDGES + 2)[1:-1]))
-        for edge in values:
-            yield simple(name, "step", float(edge))

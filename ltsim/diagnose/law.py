@@ -96,17 +96,12 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried for a wave, gaps around a step, constants around one."""
+        """Rates between those tried for a wave, constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if driver.function == "step":
-            values = np.unique(sightings.quantities[driver.covariates[0]])
-            middles = 0.5 * (values[1:] + values[:-1])
-            near = middles[np.argsort(np.abs(middles - driver.constant))[:12]]
-            return [replace(self, driver=replace(driver, constant=float(edge))) for edge in near]
         if driver.function in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
@@ -159,7 +154,7 @@ class Law(Tunable):
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.driver.kind == "product" or self.driver.function == "step" or self.carrier.kind not in OF_A_SET_UP
+        once = self.driver.kind in ("product", "visits") or self.carrier.kind not in OF_A_SET_UP
         if confined or once or len(stations) < 2:
             return None
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None

@@ -22,7 +22,6 @@ from ltsim.diagnose.drivers import (
     MODES,
     Driver,
     across_the_room,
-    edges,
     further,
     general_drivers,
     moves,
@@ -174,14 +173,13 @@ MOST_HITS = 6
 """Hypotheses a place that are looked at again."""
 
 SHARES = {
-    "anywhere": 0.34,  # any carrier, any driver, the whole recording
+    "anywhere": 0.38,  # any carrier, any driver, the whole recording
     "station": 0.15,  # the same at one set-up
     "instrument": 0.10,  # the same at all set-ups of one instrument
     "product": 0.14,  # a reading that follows two drivers
     "wave": 0.08,  # a reading that swings
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
-    "edge": 0.04,  # a reading that jumps
     "target": 0.04,  # one target
     "group": 0.03,  # targets that stand together, alike or more the farther across the group
     "corner": 0.02,  # a target and those around it
@@ -220,7 +218,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     plain += [simple(n, "power") for n in further(s)]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
     bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
-    shaped = [*plain, *clock, *across_the_room([*plain, *clock], 1)]
+    shaped = [*plain, *clock, *across_the_room([*plain[1:], *clock], 1)]
     requests = [
         ("anywhere", general, everywhere, KINDS),
         ("station", there, stations, AT_SET_UPS),
@@ -229,7 +227,6 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         ("wave", list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),
         ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
         ("structure", bent, everywhere, {"target": 1.0}),
-        ("edge", list(edges(s)), everywhere, {"reading": 1.0}),
         ("target", [*plain, *clock], targets, AT_TARGETS),
         ("group", shaped, groups, AT_TARGETS),
         ("corner", [*plain, *clock], corners, AT_TARGETS),

@@ -80,9 +80,8 @@ class Searcher:
             families = self.cards.family_evidence(values) + prior
             statistic = float(log_average(families))
             order = np.argsort(-families)
-            entries += [
-                self._card(int(f), values, float(families[f]), base, refine=i < self._most) for i, f in enumerate(order)
-            ]
+            near = order[: self._most][families[order[: self._most]] > _promising(families.max())]
+            entries += [self._card(int(f), values, float(families[f]), base, refine=f in near) for f in order]
         hits: list[Hit] = []
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
@@ -203,11 +202,12 @@ class Searcher:
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
         found, seen = [], set[tuple[object, ...]]()
-        for hit in sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]:
+        hits = sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]
+        for hit in hits:
             place, driver = hit.place, hit.driver.about(hit.place.targets)
             law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
             key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
-            if len(seen) < self._most and key not in seen:
+            if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
                 found.append(self._law(law, hit, base))
             else:
@@ -362,6 +362,11 @@ class Searcher:
             if found.score <= before + 1e-6:
                 break
         return found
+
+
+def _promising(best: float) -> float:
+    """Log evidence from which something is computed exactly beside the best: shapes and forms can double it."""
+    return 0.5 * best - 5.0
 
 
 def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
