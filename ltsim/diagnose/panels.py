@@ -176,12 +176,13 @@ SHARES = {
     "anywhere": 0.38,  # any carrier, any driver, the whole recording
     "station": 0.15,  # the same at one set-up
     "instrument": 0.10,  # the same at all set-ups of one instrument
-    "product": 0.14,  # a reading that follows two drivers
+    "product": 0.12,  # a reading that follows two drivers
     "wave": 0.08,  # a reading that swings
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
     "target": 0.04,  # one target
-    "group": 0.03,  # targets that stand together, alike or more the farther across the group
+    "group": 0.02,  # targets that belong together
+    "tilt": 0.04,  # the same, more the farther across the group
     "corner": 0.02,  # a target and those around it
 }
 """How the prior of laws without a card is shared."""
@@ -191,7 +192,7 @@ AT_SET_UPS = {"reading": 0.4, "instrument": 0.1, "stand": 0.46, "air": 0.04}
 """The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
 AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.3, "stand": 0.15, "air": 0.05}
 """The same for what happens to one of several instruments."""
-AT_TARGETS = {"reading": 0.1, "target": 0.8, "reflector": 0.1}
+AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
 
 
@@ -218,7 +219,6 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     plain += [simple(n, "power") for n in further(s)]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
     bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
-    shaped = [*plain, *clock, *across_the_room([*plain[1:], *clock], 1)]
     requests = [
         ("anywhere", general, everywhere, KINDS),
         ("station", there, stations, AT_SET_UPS),
@@ -228,7 +228,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
         ("structure", bent, everywhere, {"target": 1.0}),
         ("target", [*plain, *clock], targets, AT_TARGETS),
-        ("group", shaped, groups, AT_TARGETS),
+        ("group", [*plain, *clock], groups, AT_TARGETS),
+        ("tilt", across_the_room([*plain[1:], *clock], 1), groups, {"target": 1.0}),
         ("corner", [*plain, *clock], corners, AT_TARGETS),
     ]
     asked = [r for r in requests if r[1] and r[2]]
