@@ -15,7 +15,7 @@ from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
 CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
@@ -93,16 +93,23 @@ class Driver:
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
         """Columns (n, k), each of rms about one over the pointings.
 
-        Coordinates are those of some moment: what is `moving` is where it says while a column of the recording is at
-        its zero, where it has one, and else in the mean of the work, as in an adjustment without it.
+        Coordinates are those of some moment: what is `moving` is where it says at the start of the work, or while a
+        column of the recording is at its zero, and where there is no such moment in the mean of the work.
         """
         found = self._columns(sightings, moving)
         if not moving or self.kind in ("constant", "field", "product"):
             return found
-        x = sightings.covariates.get("".join(self.covariates), np.ones(len(sightings)))
-        resting = np.abs(x) == np.abs(x).min() if _has_zero(x) else np.ones(len(x), dtype=bool)
-        found = found - found[resting].mean(axis=0)
+        found = found - found[self._resting(sightings)].mean(axis=0)
         return _sized(found) if self.kind == "simple" else found
+
+    def _resting(self, sightings: Sightings) -> Bools:
+        """The pointings (n,) at which what moves is where its coordinates say."""
+        every = np.ones(len(sightings), dtype=bool)
+        name = "".join(self.covariates)
+        if name == "time" and self.kind in ("simple", "pieces"):
+            return np.asarray(sightings.time == sightings.time.min())
+        x = np.abs(sightings.covariates.get(name, every))
+        return x == x.min() if _has_zero(x) else every
 
     def _columns(self, sightings: Sightings, moving: bool) -> Floats:
         match self.kind:
