@@ -210,7 +210,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
     instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
     some = 12 <= len(s.target_names) <= 100
-    groups, corners = (tuple(_together(s, sets)) if some else () for sets in (_branches(s), _corners(s)))
+    groups, corners = (tuple(_together(s, sets(s))) if some else () for sets in (_branches, _corners))
     general = general_drivers(s)
     visits = float(np.median([len(place.rows) for place in stations] or [0]))
     there = general if visits > ROOM * MODES else general_drivers(s, LOW)
