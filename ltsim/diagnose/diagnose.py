@@ -39,6 +39,8 @@ MOST_ROUNDS = 3
 REWEIGHTINGS = 2
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
+ABSORBED = 10.0
+"""How much less than in the readings it is known what an unknown law does to the constants, which absorb most of it."""
 LEAST_GAIN = 2.0
 """Log evidence of a further finding: odds of 7 to 1 that there is one."""
 
@@ -214,7 +216,7 @@ class _Report:
         findings += [noise_finding(h, self.detection) for h in self.case.noise]
         settled = fitted.adjustment if fitted.adjustment.solution.converged else self.baseline
         told = self.history.contradictions if self.history else contradictions
-        odd = told(settled, LEAST_GAIN + found.misfit)
+        odd = told(settled, LEAST_GAIN + ABSORBED * found.misfit)
         findings += [instrument_finding(c) for c in odd]
         findings.sort(key=lambda f: -f.evidence.chi2_drop)
         before = _fit(self.baseline, self.baseline.dof)

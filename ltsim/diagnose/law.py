@@ -110,6 +110,8 @@ class Law(Tunable):
         """Short laws that a smooth one may turn out to be."""
         if self.driver.kind == "smooth":
             return [replace(self, driver=d, scale=0) for d in _short(sightings, self.driver.covariates[0])]
+        if self.driver.function == "decay":
+            return [replace(self, driver=replace(self.driver, function="relaxing"))]
         if self.driver.kind != "product":
             return []
         options = [

@@ -18,6 +18,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.drivers import further
 from ltsim.diagnose.evidence import PRIOR, log_means
+from ltsim.diagnose.places import branches
 from ltsim.diagnose.schema import Equivalent
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
@@ -28,7 +29,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class NoisePattern(NoiseSignature):
-    """Noise of one observable that grows with a covariate, or is larger at one target: not in the catalogue.
+    """Noise of one observable that grows with a covariate, or is larger at some targets: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network.
     """
@@ -105,10 +106,12 @@ def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
             )
             yield NoiseHypothesis("unknown:noise:scatter", NoisePattern((), (), observable), (size,), False)
     if len(sightings.target_names) <= 60:
-        for target in sightings.target_names:
+        groups = [[name] for name in sightings.target_names]
+        groups += [[sightings.target_names[t] for t in group] for group in sorted(branches(sightings))]
+        for targets in groups:
             for observable in (*OBSERVABLES, ""):
                 for size in (3.0, 15.0):
-                    effect = NoisePattern((), (target,), observable)
+                    effect = NoisePattern((), tuple(targets), observable)
                     yield NoiseHypothesis("unknown:noise:target", effect, (size,), False)
 
 
