@@ -1,4 +1,4 @@
-"""A law in all its forms: the curve itself, short formulas, steps and ramps, alike everywhere or at each set-up its own.
+"""A law in all its forms: the curve, short formulas, steps and ramps, everywhere alike or another at each set-up.
 
 What is scored at once is a rough sight of a law; here the few that stand out are computed exactly.
 """
