@@ -49,6 +49,12 @@ def log_average(values: Floats, axis: int = 0) -> Floats:
     return total
 
 
+def shares(logs: Floats) -> Floats:
+    """Probabilities (k,) of what has such logarithms."""
+    found: Floats = np.exp(logs - log_average(logs))
+    return found
+
+
 def forms_of(strength: Floats) -> tuple[Floats, Floats]:
     """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
     scale = 1.0 + SIZES**2 * np.asarray(strength)[..., None]

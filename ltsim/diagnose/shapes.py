@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.diagnose.evidence import wide_posterior
+from ltsim.diagnose.evidence import shares, wide_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.units import FACTOR
 
@@ -75,14 +75,6 @@ def all_shapes(
     return found
 
 
-def weights_of(shapes: Sequence[Shaped]) -> Floats:
-    """Probabilities (k,)."""
-    logs = np.array([one.log_weight for one in shapes])
-    weight = np.exp(logs - logs.max())
-    found: Floats = weight / weight.sum()
-    return found
-
-
 def shape_posterior(
     searcher: Searcher, effect: Tunable, base: Found, spread: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
@@ -96,7 +88,7 @@ def shape_posterior(
     shapes = all_shapes(searcher, effect, base, {name: sigma * units.get(name, 1.0) for name, sigma in spread.items()})
     if not shapes:
         return {}
-    weight = weights_of(shapes)
+    weight = shares(np.array([one.log_weight for one in shapes]))
     values = np.array([[*one.mean, *one.constants.values()] for one in shapes])
     within = np.array([[*one.variance, *(0.0 for _ in one.constants)] for one in shapes])
     mean = weight @ values

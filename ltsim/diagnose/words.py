@@ -72,27 +72,10 @@ def percent(probability: float) -> str:
     return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
-def finding_sentence(
-    effect: str,
-    where: Where,
-    parameters: Sequence[Estimate],
-    probability: float,
-    formula: str,
-    *,
-    implausible: bool = False,
+def card_sentence(
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, implausible: bool = False
 ) -> str:
-    """One finding in one sentence; two where its size is `implausible` for its cause."""
-    if effect == "unknown":
-        if (
-            formula
-            and (where.covariates or where.instruments)
-            and not formula.startswith(("noise", "larger", "amounts"))
-        ):
-            return _law_sentence(where, parameters, probability, formula)
-        on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
-        law = f"; what fits: {formula}" if formula else ""
-        at = f" {place(where)}" if where.stations or where.targets or where.observables else ""
-        return f"Physics outside the catalogue{at}{on}{law}."
+    """An effect of the catalogue in one sentence; two where its size is `implausible` for its cause."""
     card = card_of(find_effect(effect))
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
     told = "; ".join(part for part in (card.cause, estimates(parameters)) if part)
@@ -101,13 +84,26 @@ def finding_sentence(
     return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
 
 
-def _law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
+def law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
     """A law that no card names, in one sentence: what varies with what, where, how much."""
-    kept = where.model_copy(update={"observables": ()})
-    at = f" {place(kept)}" if kept.stations or kept.targets or kept.instruments else ""
+    if not (where.covariates or where.instruments):
+        return outside_sentence(where, law)
     told = estimates(parameters)
     size = f" ({told})" if told else ""
+    at = _at(where.model_copy(update={"observables": ()}))
     return f"The {law}{at}{size}: physics outside the catalogue (probability {percent(probability)})."
+
+
+def outside_sentence(where: Where, law: str) -> str:
+    """What no card names, in one sentence: where, what it depends on, the law that fits."""
+    on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
+    return f"Physics outside the catalogue{_at(where)}{on}; what fits: {law}."
+
+
+def _at(where: Where) -> str:
+    """The place after a blank; empty for the whole recording."""
+    confined = where.stations or where.targets or where.observables or where.instruments
+    return f" {place(where)}" if confined else ""
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
