@@ -30,15 +30,14 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class NoisePattern(NoiseSignature):
-    """Noise of one observable that grows with a covariate, or is larger at one target: not in the catalogue.
+    """Noise of some observables that grows with a covariate, or is larger at one target: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network.
     """
 
-    stations: tuple[str, ...] = ()
+    observables: tuple[str, ...] = OBSERVABLES
+    covariates: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
-    observable: str = "distance"
-    covariate_name: str = ""
     falling: bool = False
     repeating: bool = False
 
@@ -46,29 +45,19 @@ class NoisePattern(NoiseSignature):
     parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
 
     @property
-    def observables(self) -> tuple[str, ...]:
-        """What scatters."""
-        return (self.observable,) if self.observable else OBSERVABLES
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        """What the scatter depends on."""
-        return (self.covariate_name,) if self.covariate_name else ()
-
-    @property
     def law(self) -> str:
         """What the noise does, in words."""
         if self.repeating:
             return "amounts without a visible law that repeat when a target is measured again"
-        if not self.covariate_name:
+        if not self.covariates:
             return "larger noise"
-        return f"noise that {'falls' if self.falling else 'grows'} with {self.covariate_name}"
+        return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3)."""
         pattern = self.mask(sightings)
-        if self.covariate_name:
-            x = sightings.quantities[self.covariate_name]
+        for name in self.covariates:
+            x = sightings.quantities[name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         acts = [float(o in self.observables) for o in OBSERVABLES]
@@ -97,15 +86,15 @@ class NoiseHypothesis:
 def _patterns(sightings: Sightings) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
     names = ["elevation", "time", *(["incidence"] if np.isfinite(sightings.incidence).any() else [])]
-    for observable, name in product(OBSERVABLES, [*names, *further(sightings)]):
-        for falling in (False, True):
-            yield observable, NoisePattern((), (), observable, name, falling), (2.0, 6.0, 20.0)
+    single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
+    for acts, name, falling in product(single, [*names, *further(sightings)], (False, True)):
+        yield acts[0], NoisePattern(acts, (name,), falling=falling), (2.0, 6.0, 20.0)
     targets = sightings.target_names if len(sightings.target_names) <= MOST_TARGETS else ()
-    for observable in (*OBSERVABLES, ""):
-        yield "repeating", NoisePattern((), (), observable, repeating=True), (0.25, 0.6, 1.5, 4.0, 12.0)
-        yield "scatter", NoisePattern((), (), observable), (0.25, 0.6, 1.5, 4.0, 12.0)
+    for acts in (*single, OBSERVABLES):
+        yield "repeating", NoisePattern(acts, repeating=True), (0.25, 0.6, 1.5, 4.0, 12.0)
+        yield "scatter", NoisePattern(acts), (0.25, 0.6, 1.5, 4.0, 12.0)
         for target in targets:
-            yield "target", NoisePattern((), (target,), observable), (3.0, 15.0)
+            yield "target", NoisePattern(acts, targets=(target,)), (3.0, 15.0)
 
 
 MOST_TARGETS = 60

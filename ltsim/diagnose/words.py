@@ -49,13 +49,8 @@ def _estimate(parameter: Estimate) -> str:
 
 def place(where: Where) -> str:
     """Where, in a phrase."""
-    parts = []
-    if where.stations:
-        parts.append(f"at {'station' if len(where.stations) == 1 else 'stations'} {_list(where.stations)}")
-    if where.instruments:
-        parts.append(f"of {'instrument' if len(where.instruments) == 1 else 'instruments'} {_list(where.instruments)}")
-    if where.targets:
-        parts.append(f"at {'target' if len(where.targets) == 1 else 'targets'} {_list(where.targets)}")
+    kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
+    parts = [f"{kind}{'s' if len(names) > 1 else ''} {_list(names)}" for kind, names in kinds if names]
     if where.observables:
         parts.append(f"in {_list(where.observables)}")
     return " ".join(parts) or "in the whole recording"
@@ -140,12 +135,13 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
-    gain = ""
-    if after is not before and before.held_out_rms is not None and after.held_out_rms is not None:
-        was, now = f"{before.held_out_rms:.2f}", f"{after.held_out_rms:.2f}"
-        course = (
-            f"falls from {was} to {now}" if after.held_out_rms < before.held_out_rms else f"rises from {was} to {now}"
-        )
-        course = f"stays at {now}" if was == now else course
-        gain = f" With it in the model the error on readings not used for the fit {course} times the stated noise."
-    return first.sentence + open_ + more + gain
+    return first.sentence + open_ + more + ("" if after is before else _course(before.held_out_rms, after.held_out_rms))
+
+
+def _course(before: float | None, after: float | None) -> str:
+    """What became of the error on readings not used for the fit."""
+    if before is None or after is None:
+        return ""
+    was, now = f"{before:.2f}", f"{after:.2f}"
+    course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    return f" With it in the model the error on readings not used for the fit {course} times the stated noise."
