@@ -247,14 +247,11 @@ class Searcher:
         effect = hypothesis.effect
         if isinstance(effect, Law):
             return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
-        found = shape_posterior(self, effect, others, {e.name: e.sigma for e in told})
-        wider = any(found[e.name][1] > WIDER * e.sigma for e in told if e.name in found)
-        rows = list(told)
-        for i, e in enumerate(told):
-            if wider and e.name in found:
-                rows[i] = e.model_copy(update=dict(zip(("value", "sigma"), found[e.name], strict=True)))
+        found = shape_posterior(self, effect, others, told)
+        wider = any(found[e.name].sigma > WIDER * e.sigma for e in told if e.name in found)
+        rows = [found.get(e.name, e) if wider else e for e in told]
         if "time" in found and all(e.name != "time" for e in rows):
-            rows.append(Estimate(name="time", value=found["time"][0], sigma=found["time"][1], unit="s"))
+            rows.append(found["time"])
         return tuple(rows)
 
     def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:
@@ -344,7 +341,7 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     spread = np.array([p.prior_sigma for p in effect.parameters])
     if not any(p.positive for p in effect.parameters):
         return evidence_with(gram, score, spread)
-    mean, covariance, total, _ = posterior(gram, score, spread)
+    mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
     return total
