@@ -216,6 +216,7 @@ class Searcher:
     def _law(self, law: Law, hit: Hit, base: Found) -> Hypothesis:
         """A law computed exactly, in all its forms, and the likeliest of them."""
         sightings = self.space.sightings
+        law = law.as_constant(sightings)
         whole = hit.log_prior + float(np.log(len(law.driver.spreads)))
         each = law.at_each(sightings)
         tried = [self._form(law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]
