@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 import time
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -292,6 +293,28 @@ def scanner_truth(out: Path) -> None:
             })  # fmt: skip
     show_table(out / "scanner.csv", rows)
     show_table(out / "scanner_choice.csv", [row for known in (True, False) for row in choice_of_parameters(known)])
+    show_table(out / "scanner_fours.csv", [row for known in (True, False) for row in every_four(known)])
+
+
+def every_four(known: bool) -> Rows:
+    """How many times better each parameter is known alone than among sixteen, and in the four that gain most.
+
+    Poses and points are eliminated, so that every choice is a part of one information matrix, in prior sigmas.
+    """
+    recording = scanner(known) if known else without_points(scanner(True))
+    found = calibrate_network(recording, advise=False, weigh=False)
+    covariance = found.covariance / np.outer(found.prior_sigma, found.prior_sigma)
+    whole, sigma = np.linalg.inv(covariance), np.sqrt(np.diag(covariance))
+
+    def ratios(chosen: tuple[int, ...]) -> np.ndarray:
+        return sigma[list(chosen)] / np.sqrt(np.diag(np.linalg.inv(whole[np.ix_(chosen, chosen)])))
+
+    best = max(combinations(range(len(sigma)), 4), key=lambda four: float(ratios(four).min()))
+    among = dict(zip(best, ratios(best), strict=True))
+    points = "known" if known else "unknown"
+    return [{"points": points, "parameter": name, "ratio_alone": f"{ratios((k,))[0]:.1f}",
+             "ratio_in_the_four_whose_smallest_is_largest": f"{among[k]:.1f}" if k in among else ""}
+            for k, name in enumerate(found.names)]  # fmt: skip
 
 
 def choice_of_parameters(known: bool) -> Rows:

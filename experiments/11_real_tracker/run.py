@@ -1,6 +1,6 @@
 """A real tracker: calibrated from one set-up, checked on the other, followed over nine epochs.
 
-    python -m experiments 11 [noise] [first] [course] [transfer] [lines] [index] [checks] [diagnoses]
+    python -m experiments 11 [noise] [first] [course] [transfer] [held-out] [lines] [index] [checks] [diagnoses]
 
 Reads ../shared/recordings beside the checkout; writes figures found.
 """
@@ -43,8 +43,8 @@ from .desy import (
     snooped,
     variance_factors,
 )
+from .held_out import FLIPPING, measures, simulated
 
-FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"
 SIX = misalignment([effect for effect in BASELINE if effect.name in FLIPPING])
 LONG = 1.0
@@ -178,6 +178,11 @@ def transfer(out: Path) -> None:
     show_table(out / "transfer.csv", every)
     show_table(out / "transfer_summary.csv", [*total, ceiling(raw, good)])
     show_table(out / "transfer_limit.csv", limits(found))
+
+
+def held_out(out: Path) -> None:
+    show_table(out / "transfer_measures.csv", measures())
+    show_table(out / "held_out_simulated.csv", simulated())
 
 
 def pooled(compared: list[TwoFaceComparison]) -> TwoFaceComparison:
@@ -358,8 +363,8 @@ def in_words(finding: dict) -> str:
     return f"{finding['effect']} {place} ({sizes}; {chance}{'; or ' + others if others else ''})".replace("  ", " ")
 
 
-STEPS = {"noise": noise, "first": first, "course": course, "transfer": transfer, "lines": lines, "index": index,
-         "checks": checks, "diagnoses": diagnoses}  # fmt: skip
+STEPS = {"noise": noise, "first": first, "course": course, "transfer": transfer, "held-out": held_out, "lines": lines,
+         "index": index, "checks": checks, "diagnoses": diagnoses}  # fmt: skip
 
 
 def run(given: Options) -> Made:

@@ -7,8 +7,7 @@ touched.
 
 from __future__ import annotations
 
-import csv
-import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -20,13 +19,13 @@ from ltsim.adjust.start import reached_network
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.alignment import align, robust_align
-from ltsim.recording.files import number, read_lines, shown
+from ltsim.recording.files import comma_number, read_lines, shown, table_rows
 from ltsim.recording.formats.point_list import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Axes, Target
 from ltsim.units import MILLIMETRE
 
-COLUMNS = ("x_mm", "y_mm", "z_mm")
+NAMES, COLUMNS = ("target", "name"), ("x_mm", "y_mm", "z_mm")
 GROSS_MM = 2.0
 CLEARLY = 10.0
 SHAPE = 0.05
@@ -62,7 +61,7 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     kept = [name for name, miss in zip(common, misses, strict=True) if miss <= limit]
     off = [f"{name} ({miss / MILLIMETRE:.3g} mm)" for name, miss in zip(common, misses, strict=True) if miss > limit]
     within = misses[misses <= limit].max() / MILLIMETRE
-    said = f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.2g} mm"
+    said = f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm"
     if off:
         more = f" and {len(off) - MOST_NAMED} more" if len(off) > MOST_NAMED else ""
         said += f"; left out of the datum: {', '.join(off[:MOST_NAMED])}{more}"
@@ -98,25 +97,27 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
 
 
 def read_axes(path: Path) -> dict[str, Floats]:
-    """Coordinates [m] by target: a `targets.csv` (columns target, x_mm, y_mm, z_mm) or a list of points.
+    """Coordinates [m] by target: a table with the columns target (or name), x_mm, y_mm, z_mm, or a list of points.
+
+    The table's cells are separated by commas, or by semicolons or tabs with a decimal point or comma.
 
     Raises
     ------
     RecordError
         For a malformed file.
     """
-    lines = read_lines(path)
-    header = [name.strip() for name in lines[0].split(",")]
-    if not {"target", *COLUMNS} <= set(header):
+    if not any(set(COLUMNS) <= {cell.strip() for cell in re.split("[,;\t]", line)} for line in read_lines(path)):
         found = read_points(path, strict=False)
         return dict(zip(found.names, found.points, strict=True))
-    points = {}
-    for i, row in enumerate(csv.DictReader(io.StringIO("\n".join(lines)), skipinitialspace=True)):
-        cells = [(row[name] or "").strip() for name in COLUMNS]
-        if all(cells):
-            values = [number(cell, file=path, row=i + 1, column=c) for cell, c in zip(cells, COLUMNS, strict=True)]
-            points[(row["target"] or "").strip()] = np.array(values) * MILLIMETRE
-    return points
+    header, rows = table_rows(path)
+    name = next((column for column in NAMES if column in header), None)
+    if name is None:
+        raise RecordError(f"has no column {' or '.join(NAMES)}; expected {NAMES[0]}, {', '.join(COLUMNS)}", file=path)
+    return {
+        cells[name]: MILLIMETRE * np.array([comma_number(cells[c], file=path, row=line, column=c) for c in COLUMNS])
+        for line, cells in rows
+        if all(cells[c] for c in COLUMNS)
+    }
 
 
 def _misses(here: Floats, there: Floats) -> Floats:

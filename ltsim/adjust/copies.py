@@ -17,7 +17,8 @@ def copied_rows(recording: Recording) -> Bools:
     Where the recording has no clock, two pointings may read the same by chance: then rows are copies only if every
     repeated pointing repeats to the last digit.
     """
-    if len(np.unique(recording.readings, axis=None)) == recording.readings.size:
+    values = np.sort(recording.readings, axis=None)
+    if not np.any(values[1:] == values[:-1]):
         return np.zeros(len(recording), dtype=bool)
     place = np.stack([recording.station, recording.target, recording.face], axis=1)
     clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))

@@ -6,6 +6,7 @@ is estimated. Tests of a diagnosis and the detectability of a plan live there, i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -95,6 +96,17 @@ class ResidualSpace:
         visible = orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
         residual = self.residual - visible @ (visible.T @ self.residual)
         return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
+
+    def beside(self, laws: Sequence[Signature]) -> ResidualSpace:
+        """The residual space when some laws are estimated too."""
+        return self.extended(np.hstack([self.signature(law) for law in laws])) if laws else self
+
+    def moved_targets(self, signature: Floats) -> Floats:
+        """Shift (T, 3) [m] of the adjusted targets by a change (m,) of the whitened readings."""
+        adjustment = self.adjustment
+        inside = (adjustment.solution.system.design.T @ signature)[:, None]
+        change: Floats = adjustment.factor.covariance_columns(inside)[:, 0][adjustment.problem.unknowns.target]
+        return change
 
 
 def orthonormal(left: Floats, norms: Floats) -> Floats:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjust.frame import Frame
 from ltsim.adjust.problem import NetworkProblem
@@ -133,19 +134,19 @@ class BatchNetwork:
             raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
         return order
 
-    @property
+    @cached_property
     def _others(self) -> tuple[Floats, Floats]:
         """Whitened design (r, K) of the rows beyond the readings and their nominal residuals (r, 1)."""
-        return self._design[1], self._design[2]
+        design, residual = self._system
+        count = int(self.problem.use.sum())
+        return design[count:, self.order], residual[count:, None]
 
     @cached_property
-    def _design(self) -> tuple[Floats, Floats, Floats]:
-        """Whitened design of all rows (m, K), of the rows beyond the readings, and their nominal residuals (r, 1)."""
-        problem, count = self.problem, int(self.problem.use.sum())
-        known = problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
-        system = problem.system(self.nominal, known)
-        dense = as_dense(system.design)[:, self.order]
-        return dense, np.ascontiguousarray(dense[count:]), system.residual[count:, None]
+    def _system(self) -> tuple[Floats, Floats]:
+        """Whitened design (m, K) of all rows, its columns in the order of the problem, and their residuals (m,)."""
+        known = self.problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
+        system = self.problem.system(self.nominal, known)
+        return as_dense(system.design), system.residual
 
     def _prediction(self, known: Known) -> Prediction:
         """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
@@ -156,30 +157,41 @@ class BatchNetwork:
         return Prediction(recording.readings, by_pose, by_target, known.by_value, np.zeros((len(recording), 3, 0)))
 
     @cached_property
-    def covariance(self) -> Floats:
-        """Covariance (K, K) [SI] of all unknowns at the nominal state; the datum is the nominal first pose.
+    def root(self) -> tuple[Floats, Floats]:
+        """Lower Cholesky factor (K, K) of the normal matrix of unit columns at the nominal state; their scale (K,).
 
         Raises
         ------
         SetupError
             When the network does not determine its unknowns.
         """
-        dense = self._design[0]
-        normal = dense.T @ dense
+        design = self._system[0]
+        normal = (design.T @ design)[self.order[:, None], self.order]
         unit, scale = unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
             raise SetupError(
                 "the network of the scenario does not determine all its unknowns: give priors or more pointings"
             )
-        return inverse_of(roots[0]) * np.outer(scale, scale)
+        return roots[0], scale
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (K, K) [SI] of all unknowns at the nominal state; the datum is the nominal first pose."""
+        root, scale = self.root
+        return inverse_of(root) * np.outer(scale, scale)
 
     @cached_property
     def sigma_values(self) -> Floats:
         """Standard deviation (I, p) [SI] of the parameters after adjustment."""
-        _, start, end, _ = self.sizes
-        shape = self.problem.unknowns.instrument.shape
-        return np.sqrt(np.diag(self.covariance)[start:end]).reshape(shape)
+        (_, start, end, _), (root, scale) = self.sizes, self.root
+        last = inverse_of(root[start:, start:])  # of the last unknowns the inverse is that of the last corner
+        own = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
+        return own.reshape(self.problem.unknowns.instrument.shape)
+
+    def step(self, gradient: Floats) -> Floats:
+        """The Gauss-Newton step (K, B) down a gradient (K, B)."""
+        return self.covariance @ gradient
 
     @cached_property
     def _geometry(self) -> tuple[np.ndarray, ...]:
@@ -216,8 +228,7 @@ class BatchNetwork:
     def _reading_design(self) -> Floats:
         """Whitened design (3 n, K) of the readings, with zero rows where nothing is measured."""
         full = np.zeros((3 * len(self.recording), self.sizes[-1]))
-        dense, rest, _ = self._design
-        full[self.problem.use.ravel()] = dense[: len(dense) - len(rest)]
+        full[self.problem.use.ravel()] = self._system[0][: int(self.problem.use.sum()), self.order]
         return full
 
     def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -246,7 +257,7 @@ class BatchNetwork:
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for iteration in range(2, CAP + 1):  # noqa: B007 - its last value is reported
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
-            step = _each(self.covariance, gradient)
+            step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
             left = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
@@ -339,10 +350,12 @@ class Stacked(BatchNetwork):
         """The problem of the first trial."""
         return self.parts[0].problem
 
-    @cached_property
-    def covariance(self) -> Floats:
-        """Covariance (B, K, K) [SI] of the unknowns of each trial."""
-        return np.stack([part.covariance for part in self.parts])
+    def step(self, gradient: Floats) -> Floats:
+        """The step of each trial by its own normal matrix."""
+        step = np.empty_like(gradient)
+        for trial, (root, scale) in enumerate(part.root for part in self.parts):
+            step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
+        return step
 
     @cached_property
     def sigma_values(self) -> Floats:
@@ -368,7 +381,7 @@ class Stacked(BatchNetwork):
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         arguments = deviation, gauge_error, predicted, gradient, cost
         self._gradient(x, *arguments)
-        x += _each(self.covariance, gradient)
+        x += self.step(gradient)
         self._gradient(x, *arguments)  # the predicted readings settle
         return x, predicted
 

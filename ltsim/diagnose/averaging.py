@@ -14,13 +14,13 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
-from ltsim.diagnose.evidence import posterior, wide_posterior
+from ltsim.diagnose.evidence import posterior, shares, wide_posterior
 from ltsim.diagnose.law import Law
 from ltsim.diagnose.noise import NoisePattern
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
-from ltsim.diagnose.shapes import all_shapes, weights_of
+from ltsim.diagnose.shapes import all_shapes
 from ltsim.effects.effect import NoiseEffect
 
 MOST_OPEN = 12
@@ -45,15 +45,9 @@ def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Rankin
 
 def _open(searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Ranking) -> tuple[Floats, Floats]:
     """Probabilities (k,) of explanations, the chosen one first, and the shift (k, T, 3) of the targets by each."""
-    logs = np.array([0.0, *(h.value for h in ranking.entries)])
-    share = np.exp(logs - logs.max())
-    share /= share.sum()
-    none = float(share[0])
-    entries = [
-        (h, float(p))
-        for h, p in zip(ranking.entries, share[1:], strict=True)
-        if p > LEAST and not isinstance(h.effect, NoiseEffect | NoisePattern)
-    ]
+    none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)])).tolist()
+    likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
+    entries = [(h, p) for h, p in likely if not isinstance(h.effect, NoiseEffect | NoisePattern)]
     entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     told = _shaped(searcher, others, chosen)
@@ -68,7 +62,8 @@ def _shaped(searcher: Searcher, others: Found, chosen: Hypothesis) -> list[tuple
     shapes = [] if isinstance(chosen.effect, Law) else all_shapes(searcher, chosen.effect, others, {}, plausible=True)
     if not shapes:
         return [(chosen, 1.0)]
-    ranked = sorted(zip(shapes, weights_of(shapes), strict=True), key=lambda pair: -pair[1])[:MOST_OPEN]
+    weights = shares(np.array([one.log_weight for one in shapes]))
+    ranked = sorted(zip(shapes, weights, strict=True), key=lambda pair: -pair[1])[:MOST_OPEN]
     return [(replace(chosen, effect=one.effect), float(p)) for one, p in ranked if p > LEAST]
 
 
@@ -77,13 +72,6 @@ def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide:
 
     Its size is shrunk by its prior, or, `wide`, that of the refit.
     """
-    space = searcher.space
-    whole = space.signature(hypothesis.effect)
-    left = space.project(whole)
-    left -= others.extension @ (others.extension.T @ left)
-    found = (wide_posterior if wide else posterior)(left.T @ left, left.T @ others.residual, hypothesis.spread)
-    mean = found[0]
-    adjustment = space.adjustment
-    change = adjustment.factor.covariance_columns((adjustment.solution.system.design.T @ (whole @ mean))[:, None])
-    shift: Floats = -change[:, 0][adjustment.problem.unknowns.target]
-    return shift
+    moments = searcher.moments(hypothesis.effect, others)
+    mean = (wide_posterior if wide else posterior)(*moments, hypothesis.spread)[0]
+    return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)

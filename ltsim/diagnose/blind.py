@@ -69,11 +69,8 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
 
 def _hidden_error(space: ResidualSpace, effect: Effect, values: Floats) -> float:
     """Distortion [um] of the adjusted targets, rms after the best rigid fit, that values (q,) [SI] would cause."""
-    adjustment = space.adjustment
-    system, unknowns = adjustment.solution.system, adjustment.problem.unknowns
-    shift = space.signature(effect) @ values
-    change = adjustment.factor.covariance_columns((system.design.T @ shift)[:, None])[:, 0]
-    moved = change[unknowns.target].ravel()
-    motion = rigid_motion(adjustment.state.points, adjustment.state.points.mean(axis=0))
+    moved = space.moved_targets(space.signature(effect) @ values).ravel()
+    points = space.adjustment.state.points
+    motion = rigid_motion(points, points.mean(axis=0))
     rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]
     return float(1e6 * np.sqrt(3 * np.mean(rest**2)))

@@ -29,8 +29,6 @@ class Detection:
     ----------
     statistic : float
         Log evidence of the whole search.
-    p_value : float
-        Corrected for everything that was searched.
     chi2_p_value : float
         Of the plain global test; NaN without redundancy.
     null : (trials,) float
@@ -38,9 +36,13 @@ class Detection:
     """
 
     statistic: float
-    p_value: float
     chi2_p_value: float
     null: Floats
+
+    @property
+    def p_value(self) -> float:
+        """Of the search, corrected for everything that was tried."""
+        return self.chance(self.statistic)
 
     def threshold(self, level: float) -> float:
         """Value of the statistic that a clean recording exceeds with probability `level`."""
@@ -68,5 +70,4 @@ def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     null = np.logaddexp(log_average(simulated), searcher.first.null)
     chi2, dof = float(space.residual @ space.residual), space.adjustment.dof
     plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
-    found = Detection(statistic, 1.0, plain, null)
-    return Detection(statistic, found.chance(statistic), plain, null)
+    return Detection(statistic, plain, null)

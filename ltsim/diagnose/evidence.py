@@ -50,10 +50,16 @@ def log_average(values: Floats, axis: int = 0) -> Floats:
     return total
 
 
-def forms_of(strength: Floats) -> tuple[Floats, Floats]:
+def shares(logs: Floats) -> Floats:
+    """Probabilities (k,) of what has such logarithms."""
+    found: Floats = np.exp(logs - log_average(logs))
+    return found
+
+
+def forms_of(strength: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS) -> tuple[Floats, Floats]:
     """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
-    scale = 1.0 + SIZES**2 * np.asarray(strength)[..., None]
-    return 0.5 * SIZES**2 / scale, LOG_WEIGHTS - 0.5 * np.log(scale).sum(axis=-2)
+    scale = 1.0 + sizes**2 * np.asarray(strength)[..., None]
+    return 0.5 * sizes**2 / scale, log_weights - 0.5 * np.log(scale).sum(axis=-2)
 
 
 def by_size(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
@@ -118,28 +124,30 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
 
 def evidence_with(gram: Floats, score: Floats, spread: Floats) -> float:
     """Log evidence of coefficients with prior N(0, t^2 spread^2), averaged over sizes, from Gram matrix and score."""
-    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
-    return float(log_evidence((vectors.T @ (score * spread)) ** 2, np.maximum(values, 0.0)))
+    strength, turn = _along_eigenvectors(gram, spread)
+    return float(log_evidence((turn.T @ score) ** 2, strength))
 
 
-def posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float, float]:
-    """Mean (k,), covariance (k, k), log evidence and expected size t of coefficients with prior N(0, t^2 spread^2).
+def posterior(
+    gram: Floats, score: Floats, spread: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS
+) -> tuple[Floats, Floats, float]:
+    """Mean (k,), covariance (k, k) and log evidence of coefficients with prior N(0, t^2 spread^2), averaged over t."""
+    strength, turn = _along_eigenvectors(gram, spread)
+    z = turn.T @ score
+    logs = by_size(z**2, forms_of(strength, sizes, log_weights))
+    weight = shares(logs)
+    variances = sizes[:, None] ** 2 / (1.0 + sizes[:, None] ** 2 * strength)
+    means = variances * z
+    mean = weight @ means
+    apart = means - mean
+    inner = np.diag(weight @ variances) + (weight[:, None] * apart).T @ apart
+    return turn @ mean, turn @ inner @ turn.T, float(log_average(logs))
 
-    Averaged over sizes, as the evidence is.
-    """
-    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
-    values = np.maximum(values, 0.0)
-    z = vectors.T @ (score * spread)
-    logs = by_size(z**2, forms_of(values))
-    total = float(log_average(logs))
-    weight = np.exp(logs - total)
-    means = [t**2 * z / (1.0 + t**2 * values) for t in SIZES]
-    mean = sum(w * m for w, m in zip(weight, means, strict=True))
-    inner = np.zeros((len(z), len(z)))
-    for w, m, t in zip(weight, means, SIZES, strict=True):
-        inner += w * (np.diag(t**2 / (1.0 + t**2 * values)) + np.outer(m - mean, m - mean))
-    turn = spread[:, None] * vectors
-    return turn @ mean, turn @ inner @ turn.T, total, float(np.exp(weight @ np.log(SIZES)))
+
+def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (k,) of a Gram matrix in units of plausible sizes, and what turns scores into those along them."""
+    strength, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
+    return np.maximum(strength, 0.0), spread[:, None] * vectors
 
 
 WIDE = 30.0
@@ -148,13 +156,7 @@ WIDE = 30.0
 
 def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats, Floats, float]:
     """Mean (k,), covariance (k, k) and log evidence of coefficients that are held to `WIDE` plausible sizes alone."""
-    values, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
-    scale = 1.0 + WIDE**2 * np.maximum(values, 0.0)
-    z = vectors.T @ (score * spread)
-    turn = spread[:, None] * vectors
-    mean = turn @ (WIDE**2 * z / scale)
-    evidence = 0.5 * float((WIDE**2 * z**2 / scale).sum() - np.log(scale).sum())
-    return mean, (turn * (WIDE**2 / scale)) @ turn.T, evidence
+    return posterior(gram, score, spread, np.array([WIDE]), np.zeros(1))
 
 
 def sign_weight(mean: float, sigma: float) -> float:
@@ -167,7 +169,7 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     spread = np.array([p.prior_sigma for p in effect.parameters])
     if not any(p.positive for p in effect.parameters):
         return evidence_with(gram, score, spread)
-    mean, covariance, total, _ = posterior(gram, score, spread)
+    mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
     return total

@@ -3,141 +3,116 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.gross import GrossFinding
+from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.evidence import carried_by
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.law import Law, curve_of, describe
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
+from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
-from ltsim.diagnose.search import Searcher
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking
-from ltsim.diagnose.words import finding_sentence, number, percent, without_clock
+from ltsim.diagnose.separate import separating_measurement
+from ltsim.diagnose.sets import Found, Ranking
+from ltsim.diagnose.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
+from ltsim.effects.effect import Effect
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
 MOST_EQUIVALENTS = 3
 NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
-
-
-def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
-    """What an effect is confined to; the observable that carries it where a law's carrier does not say."""
-    observables = tuple(effect.observables)
-    if (
-        isinstance(effect, Law)
-        and effect.carrier.kind in ("instrument", "air", "reflector")
-        and not effect.carrier.observables
-    ):
-        observables = carried or observables
-    instruments = effect.instruments if isinstance(effect, Law) else ()
-    return Where(
-        observables=() if set(observables) == set(OBSERVABLES) else observables,
-        stations=() if instruments else effect.stations,
-        targets=effect.targets,
-        instruments=instruments,
-        covariates=tuple(effect.covariates),
-    )
-
-
-def equivalents(probability: Mapping[str, float], name: str = "") -> tuple[Equivalent, ...]:
-    """The likeliest of the other names that are not excluded."""
-    others = [Equivalent(effect=n, probability=p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED]
-    return tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
-
-
-def mean_finding(
-    hypothesis: Hypothesis,
-    told: Sequence[Estimate],
-    others: Found,
-    found: Found,
-    ranking: Ranking,
-    detection: Detection,
-    searcher: Searcher,
-    separate_by: str = "",
-    *,
-    clock: bool = True,
-) -> Finding:
-    """The finding of a mean shift beside the `others` of what was `found`."""
-    effect, name, space = hypothesis.effect, hypothesis.name, searcher.space
-    probabilities = ranking.probabilities()
-    probability = probabilities.get(name, 0.0)
-    drop = float(others.residual @ others.residual - found.residual @ found.residual)
-    spent = found.extension.shape[1] - others.extension.shape[1]
-    gain = (others.residual**2 - found.residual**2)[: int(space.use.sum())]
-    where = where_of(effect, carried_by(space.use, gain))
-    estimates = tuple(told) if clock else tuple(without_clock(e) for e in told)
-    law = law_words(effect, clock=clock) if isinstance(effect, Law) else ""
-    more: dict[str, Any] = {"separate_by": separate_by, "formula": law if not hypothesis.known else ""}
-    if isinstance(effect, Law):
-        curve = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
-        more |= {"carrier": effect.carrier.name, "driver": describe(effect.driver, clock=clock), "curve": curve}
-    sentence = finding_sentence(
-        name, where, estimates, probability, law, implausible=_implausible(hypothesis, estimates)
-    )
-    return Finding(
-        effect=name,
-        known=hypothesis.known,
-        where=where,
-        parameters=estimates,
-        evidence=Evidence(
-            chi2_drop=drop, parameters=spent, p_value=detection.chance(ranking.total), probability=probability
-        ),
-        sentence=sentence,
-        equivalents=equivalents(probabilities, name),
-        **{key: value for key, value in more.items() if value},
-    )
-
-
-def law_words(law: Law, *, clock: bool = True) -> str:
-    """A law in a line: ``distance correction follows cos(3 azimuth)``."""
-    what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    if law.driver.kind == "constant":
-        return f"{what} differs"
-    return f"{what} follows {describe(law.driver, clock=clock)}"
-
-
 IMPLAUSIBLE = 5.0
 """Sizes beyond so many times a bad but plausible one are remarked upon."""
 
 
-def _implausible(hypothesis: Hypothesis, estimates: Sequence[Estimate]) -> bool:
-    known = {p.name: p for p in hypothesis.effect.parameters}
-    told = [(e, known[e.name]) for e in estimates if e.name in known]
-    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * p.prior_sigma / p.factor for e, p in told)
-    return hypothesis.known and (large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p in told))
+@dataclass(frozen=True)
+class Explained:
+    """What explains a recording, searched and refitted: from this its findings are told."""
+
+    case: Case
+    detection: Detection
+    found: Found
+    refit: Refit
+
+    def ranking(self, member: int) -> Ranking:
+        """Everything that could stand in a member's place, changes of the noise among it."""
+        searcher, bank = self.case.searcher, self.case.bank
+        others = searcher.without(self.found, member)
+        redundancy = searcher.space.redundancy - np.sum(others.extension**2, axis=1)
+        return searcher.rank(others).beside(bank.rivals(others.residual, redundancy))
+
+    def finding(self, member: int, ranking: Ranking) -> Finding:
+        """The finding of a member, a mean shift, beside the others."""
+        searcher, clock, found = self.case.searcher, self.case.recording.has_clock, self.found
+        space, others = searcher.space, searcher.without(found, member)
+        hypothesis = replace(found.members[member], effect=self.refit.effects[member])
+        effect, name = hypothesis.effect, hypothesis.name
+        probabilities = ranking.probabilities()
+        probability, rivals = probabilities.get(name, 0.0), equivalents(probabilities, name)
+        gain = others.residual**2 - found.residual**2
+        spent = found.extension.shape[1] - others.extension.shape[1]
+        where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
+        told = searcher.estimates(hypothesis, others, self.refit.estimates[member])
+        told = told if clock else tuple(without_clock(e) for e in told)
+        more: dict[str, Any] = {}
+        sentence = ""
+        if isinstance(effect, Law):
+            more = {"carrier": effect.carrier.name, "driver": describe(effect.driver, clock=clock)}
+            more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
+            law = law_words(effect, more["driver"])
+            sentence = law_sentence(where, told, probability, law)
+            more["formula"] = "" if hypothesis.known else law
+        elif isinstance(effect, Effect):
+            beside = [e for k, e in enumerate(self.refit.effects) if k != member]
+            names = [rival.effect for rival in rivals]
+            more["separate_by"] = separating_measurement(self.case.baseline, name, names, beside)
+        if hypothesis.known:
+            sentence = card_sentence(name, where, told, probability, implausible=_implausible(effect, told))
+        return Finding(
+            effect=name,
+            known=hypothesis.known,
+            where=where,
+            parameters=told,
+            evidence=Evidence(
+                chi2_drop=float(gain.sum()),
+                parameters=spent,
+                p_value=self.detection.chance(ranking.total),
+                probability=probability,
+            ),
+            sentence=sentence,
+            equivalents=rivals,
+            **_told(more),
+        )
 
 
 def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
     """The finding of a change of the noise."""
-    effect = hypothesis.effect
-    name = effect.name if hypothesis.known else "unknown"
+    effect, probability = hypothesis.effect, hypothesis.probability
     where = where_of(effect)
     rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
-    law = effect.law if isinstance(effect, NoisePattern) else ""
-    more: dict[str, Any] = {"formula": law, "carrier": "noise"} if law else {}
-    if law and effect.covariates:
-        more["driver"] = " ".join(effect.covariates)
+    more, sentence = {}, ""
+    if isinstance(effect, NoisePattern):
+        more = {"formula": effect.law, "carrier": "noise", "driver": " ".join(effect.covariates)}
+        sentence = outside_sentence(where, effect.law)
     return Finding(
-        effect=name,
+        effect=effect.name,
         known=hypothesis.known,
         where=where,
         parameters=tuple(rows),
         evidence=Evidence(
-            chi2_drop=hypothesis.drop,
-            parameters=len(rows),
-            p_value=detection.p_value,
-            probability=hypothesis.probability,
+            chi2_drop=hypothesis.drop, parameters=len(rows), p_value=detection.p_value, probability=probability
         ),
-        sentence=finding_sentence(name, where, rows, hypothesis.probability, law),
+        sentence=sentence or card_sentence(effect.name, where, rows, probability),
         equivalents=hypothesis.equivalents,
-        **more,
+        **_told(more),
     )
 
 
@@ -147,13 +122,7 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
     return Finding(
         effect=gross.effect,
         known=True,
-        where=Where(
-            observables=gross.observables,
-            stations=gross.stations,
-            targets=gross.targets,
-            instruments=(),
-            covariates=(),
-        ),
+        where=_place(observables=gross.observables, stations=gross.stations, targets=gross.targets),
         parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
         evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=0.0, probability=1.0),
         sentence=gross.sentence,
@@ -163,32 +132,65 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
 
 def instrument_finding(found: Contradiction) -> Finding:
     """The finding of a constant that contradicts what else is known of its instrument."""
-    p = found.parameter
+    p, chance = found.parameter, float(np.exp(-found.evidence))
     name = next(e.name for e in BASELINE if p.name in {q.name for q in e.parameters})
-    estimate = Estimate.of(p, found.difference, found.sigma)
-    probability = 1.0 / (1.0 + float(np.exp(-found.evidence)))
-    instrument = found.instrument or "the instrument"
+    estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {instrument} differs by ({number(estimate.value, estimate.sigma)}) "
-        f"{p.unit} from {found.against}, probability {percent(probability)}."
+        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
+        f"({number(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, probability {percent(probability)}."
     )
+    drop = (found.difference / found.sigma) ** 2
     return Finding(
         effect=name,
         known=True,
-        where=Where(
-            observables=(),
-            stations=(),
-            targets=(),
-            instruments=(found.instrument,) if found.instrument else (),
-            covariates=(),
-        ),
+        where=_place(instruments=(found.instrument,) if found.instrument else ()),
         parameters=(estimate,),
-        evidence=Evidence(
-            chi2_drop=(found.difference / found.sigma) ** 2,
-            parameters=1,
-            p_value=float(np.exp(-found.evidence)),
-            probability=probability,
-        ),
+        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=chance, probability=probability),
         sentence=sentence,
         equivalents=(),
     )
+
+
+def equivalents(probability: Mapping[str, float], name: str) -> tuple[Equivalent, ...]:
+    """The likeliest of the other names that are not excluded."""
+    others = [Equivalent(effect=n, probability=p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED]
+    return tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
+
+
+def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
+    """What an effect is confined to; the observable that carries it where a law's carrier does not say."""
+    observables, stations, instruments = tuple(effect.observables), effect.stations, tuple[str, ...]()
+    if isinstance(effect, Law):
+        instruments, stations = effect.instruments, () if effect.instruments else stations
+        if effect.carrier.kind in ("instrument", "air", "reflector") and not effect.carrier.observables:
+            observables = carried or observables
+    return _place(
+        observables=() if set(observables) == set(OBSERVABLES) else observables,
+        stations=stations,
+        targets=effect.targets,
+        instruments=instruments,
+        covariates=tuple(effect.covariates),
+    )
+
+
+def law_words(law: Law, driver: str) -> str:
+    """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
+    what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
+    return f"{what} differs" if law.driver.kind == "constant" else f"{what} follows {driver}"
+
+
+def _place(**confined: tuple[str, ...]) -> Where:
+    """A place that says of each kind whether it is confined to some of it."""
+    return Where(**dict.fromkeys(Where.model_fields, ()) | confined)
+
+
+def _told(more: Mapping[str, Any]) -> dict[str, Any]:
+    """What there is to say beside the rest."""
+    return {key: value for key, value in more.items() if value}
+
+
+def _implausible(effect: Tunable, estimates: Sequence[Estimate]) -> bool:
+    """Whether some size is far beyond a bad but plausible one, or negative where none can be."""
+    told = [(e, p) for p in effect.parameters for e in estimates if e.name == p.name]
+    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * p.prior_sigma / p.factor for e, p in told)
+    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p in told)

@@ -30,6 +30,7 @@ EACH = 0.1
 def exactly(searcher: Searcher, law: Law, log_prior: float, base: Found) -> Hypothesis:
     """A law computed exactly, in all its forms, and the likeliest of them."""
     sightings = searcher.space.sightings
+    law = law.as_constant(sightings)
     whole = log_prior + float(np.log(len(law.driver.spreads)))
     each = law.at_each(sightings)
     tried = [_form(searcher, law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]

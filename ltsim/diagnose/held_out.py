@@ -16,16 +16,19 @@ PREDICTED = 1e-6
 """Directions with less redundancy than this are not predicted by the rest of the network at all."""
 
 
-def held_out_rms(space: ResidualSpace, folds: Ints) -> float:
-    """Normalised root mean square error of readings predicted from the other folds.
+def held_out_rms(space: ResidualSpace, only: Ints | None = None) -> float:
+    """Normalised root mean square error of all that a station measured of a target, predicted from the rest.
 
     Parameters
     ----------
     space : ResidualSpace
-    folds : (r,) int
-        Fold of each used reading (the first rows of the space); -1 is never left out.
+    only : (k,) int, optional
+        Pairs of station and target (as in `pairs`) that are left out in turn; default all of them.
     """
-    groups = _members(folds)
+    pair = pairs(space)
+    order = np.argsort(pair, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(pair[order])) + 1) if len(order) else []
+    groups = [rows for rows in groups if only is None or pair[rows[0]] in only]
     square, count = 0.0, 0
     for rows, (values, vectors) in zip(groups, space.projection.spectra(groups), strict=True):
         own = space.residual[rows]
@@ -37,16 +40,7 @@ def held_out_rms(space: ResidualSpace, folds: Ints) -> float:
     return float(np.sqrt(square / count)) if count else float("nan")
 
 
-def _members(folds: Ints) -> list[Ints]:
-    """Rows of each fold."""
-    order = np.argsort(folds, kind="stable")
-    order = order[folds[order] >= 0]
-    return np.split(order, np.flatnonzero(np.diff(folds[order])) + 1) if len(order) else []
-
-
-def pair_folds(space: ResidualSpace) -> Ints:
-    """Folds (r,) that leave out everything one station measured of one target."""
-    s, used = space.sightings, space.use
-    pair = np.unique(s.station * len(s.target_names) + s.target, return_inverse=True)[1]
-    by_reading: Ints = np.broadcast_to(pair[:, None], used.shape)[used].astype(np.int64)
-    return by_reading
+def pairs(space: ResidualSpace) -> Ints:
+    """A number (r,) for the station and target of each used reading, the first rows of the space."""
+    s = space.sightings
+    return (s.station * len(s.target_names) + s.target)[np.nonzero(space.use)[0]]

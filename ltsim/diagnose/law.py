@@ -152,6 +152,20 @@ class Law(Tunable):
             made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
         return replace(self, driver=made, scale=0)
 
+    def as_constant(self, sightings: Sightings) -> Law:
+        """The vertical index in place of an elevation that errs as one.
+
+        It does where it changes sign with the face, or on a single face whatever is pointed at.
+        """
+        index, driver = CARRIERS["vertical index"][0], self.driver
+        names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
+        one_face = not np.ptp(sightings.face)
+        if self.carrier.name == "elevation" and one_face and names <= {*_CLOCK, *sightings.covariates}:
+            return replace(self, carrier=replace(index, size=self.carrier.size))
+        if self.carrier.name == "elevation" and driver.kind == "simple" and driver.covariates == ("face",):
+            return replace(self, carrier=replace(index, size=self.carrier.size), driver=CONSTANT)
+        return self
+
     def at_each(self, sightings: Sightings) -> Law | None:
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,9 +18,10 @@ import scipy.sparse as sp
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.drivers import further
-from ltsim.diagnose.evidence import PRIOR, log_means
+from ltsim.diagnose.evidence import PRIOR, log_means, shares
 from ltsim.diagnose.places import branches
 from ltsim.diagnose.schema import Equivalent
+from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature, Parameter
@@ -29,15 +31,14 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class NoisePattern(NoiseSignature):
-    """Noise of one observable that grows with a covariate, or is larger at some targets: not in the catalogue.
+    """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network.
     """
 
-    stations: tuple[str, ...] = ()
+    observables: tuple[str, ...] = OBSERVABLES
+    covariates: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
-    observable: str = "distance"
-    covariate_name: str = ""
     falling: bool = False
     repeating: bool = False
 
@@ -45,29 +46,19 @@ class NoisePattern(NoiseSignature):
     parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
 
     @property
-    def observables(self) -> tuple[str, ...]:
-        """What scatters."""
-        return (self.observable,) if self.observable else OBSERVABLES
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        """What the scatter depends on."""
-        return (self.covariate_name,) if self.covariate_name else ()
-
-    @property
     def law(self) -> str:
         """What the noise does, in words."""
         if self.repeating:
             return "amounts without a visible law that repeat when a target is measured again"
-        if not self.covariate_name:
+        if not self.covariates:
             return "larger noise"
-        return f"noise that {'falls' if self.falling else 'grows'} with {self.covariate_name}"
+        return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3)."""
         pattern = self.mask(sightings)
-        if self.covariate_name:
-            x = sightings.quantities[self.covariate_name]
+        for name in self.covariates:
+            x = sightings.quantities[name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         acts = [float(o in self.observables) for o in OBSERVABLES]
@@ -77,54 +68,49 @@ class NoisePattern(NoiseSignature):
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A noise effect with parameter values: one point of its grid of sizes."""
+    """A noise effect with parameter values: one point of its grid of sizes; once told, with deviations and evidence."""
 
     family: str
     effect: NoiseSignature
     values: tuple[float, ...]
-    known: bool = True
     sigma: tuple[float, ...] = ()
     drop: float = 0.0
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
 
+    @property
+    def known(self) -> bool:
+        """Whether the catalogue has a card for it."""
+        return self.effect.name != NoisePattern.name
 
-def pattern_hypotheses(sightings: Sightings) -> Iterator[NoiseHypothesis]:
-    """Noise that no effect of the catalogue describes."""
-    names = ["elevation", "time"] + (["incidence"] if np.isfinite(sightings.incidence).any() else [])
-    names += further(sightings)
-    for observable in OBSERVABLES:
-        for name in names:
-            for falling in (False, True):
-                for size in (2.0, 6.0, 20.0):
-                    effect = NoisePattern((), (), observable, name, falling)
-                    yield NoiseHypothesis(f"unknown:noise:{observable}", effect, (size,), False)
-    for observable in (*OBSERVABLES, ""):
-        for size in (0.25, 0.6, 1.5, 4.0, 12.0):
-            yield NoiseHypothesis(
-                "unknown:noise:repeating", NoisePattern((), (), observable, repeating=True), (size,), False
-            )
-            yield NoiseHypothesis("unknown:noise:scatter", NoisePattern((), (), observable), (size,), False)
-    if len(sightings.target_names) <= 60:
-        groups = [[name] for name in sightings.target_names]
-        groups += [[sightings.target_names[t] for t in group] for group in sorted(branches(sightings))]
-        for targets in groups:
-            for observable in (*OBSERVABLES, ""):
-                for size in (3.0, 15.0):
-                    effect = NoisePattern((), tuple(targets), observable)
-                    yield NoiseHypothesis("unknown:noise:target", effect, (size,), False)
+
+def _patterns(sightings: Sightings) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
+    """Noise that no effect of the catalogue describes: family, pattern, sizes."""
+    known = ["elevation", "time", *(["incidence"] if np.isfinite(sightings.incidence).any() else [])]
+    single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
+    for acts, name, falling in product(single, [*known, *further(sightings)], (False, True)):
+        yield acts[0], NoisePattern(acts, (name,), falling=falling), (2.0, 6.0, 20.0)
+    names = sightings.target_names
+    groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
+    for acts in (*single, OBSERVABLES):
+        yield "repeating", NoisePattern(acts, repeating=True), (0.25, 0.6, 1.5, 4.0, 12.0)
+        yield "scatter", NoisePattern(acts), (0.25, 0.6, 1.5, 4.0, 12.0)
+        for group in groups:
+            yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), (3.0, 15.0)
+
+
+MOST_TARGETS = 60
+"""Targets up to whose number each is tried on its own, and those that belong together."""
 
 
 def noise_hypotheses(sightings: Sightings) -> list[NoiseHypothesis]:
     """Every change of the noise that is tried, with a grid of sizes."""
-    known = [
-        NoiseHypothesis(kind.name, effect, values)
-        for kind in CATALOGUE
-        if issubclass(kind, NoiseEffect)
-        for effect in kind.candidates(sightings)
-        for values in effect.size_grid()
-    ]
-    return [*known, *pattern_hypotheses(sightings)]
+    kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect)]
+    known = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
+    found = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in known for values in sizes]
+    for family, pattern, sizes in _patterns(sightings):
+        found += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
+    return found
 
 
 @dataclass(frozen=True)
@@ -182,6 +168,12 @@ class NoiseBank:
         share = np.where(known, PRIOR["noise"] / max(known.sum(), 1), PRIOR["scatter"] / max((~known).sum(), 1))
         ratio = self.log_likelihood_ratio(residual, redundancy)
         return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
+
+    def rivals(self, residual: Floats, redundancy: Floats) -> list[Hypothesis]:
+        """The first hypothesis of each family in a search's terms, with the evidence of all."""
+        values = self.family_evidence(residual[:, None], redundancy)[:, 0]
+        firsts = (self.hypotheses[int(np.argmax(self.family == f))].effect for f in range(len(self.families)))
+        return [Hypothesis(effect, 0.0, float(v), effect.name) for effect, v in zip(firsts, values, strict=True)]
 
     def best(self, residual: Floats, redundancy: Floats) -> list[tuple[float, NoiseHypothesis]]:
         """Families in the order of their evidence, each with its likeliest hypothesis."""
@@ -261,9 +253,7 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
         axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
         points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
         sizes = scale * np.expm1(points)
-        logs = 0.5 * np.array([gain(one) for one in sizes])
-        weight = np.exp(logs - logs.max())
-        weight /= weight.sum()
+        weight = shares(0.5 * np.array([gain(one) for one in sizes]))
         mean = weight @ points
         spread = np.maximum(np.sqrt(weight @ (points - mean) ** 2), 0.4 * (high - low) / (GRID - 1))
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)

@@ -12,7 +12,7 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.diagnose.evidence import WIDE
 from ltsim.diagnose.schema import Estimate
-from ltsim.effects.signature import Parameter, Signature, Tunable
+from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
@@ -33,21 +33,30 @@ class ShapeDirection(Signature):
 
     base: Tunable
     values: tuple[float, ...]
-    constant: str
+    constant: ShapeParameter
 
     name = "shape"
     parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
 
     def design(self, sightings: Sightings) -> Floats:
         """Central difference (n, 3, 1) by the relative change of the constant."""
-        now = getattr(self.base, self.constant)
-        values = np.array(self.values)
+        now, values = self.now, np.array(self.values)
         up, down = (
-            self.base.reshaped(**{self.constant: now * (1 + s)}).design(sightings) @ values
+            self.base.reshaped(**{self.constant.name: now * (1 + s)}).design(sightings) @ values
             for s in (SHAPE_STEP, -SHAPE_STEP)
         )
         change: Floats = ((up - down) / (2 * SHAPE_STEP))[:, :, None]
         return change
+
+    @property
+    def now(self) -> float:
+        """The constant [SI]."""
+        return float(getattr(self.base, self.constant.name))
+
+    def moved(self, change: float) -> float:
+        """The constant after a relative change, within its bounds."""
+        moved = self.now * (1 + np.clip(change, -0.5, 1.0))
+        return float(np.clip(moved, self.constant.low, self.constant.high))
 
 
 @dataclass(frozen=True)
@@ -89,16 +98,10 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[S
         now = getattr(effect, shape.name)
         if not isinstance(now, float) or now == 0.0 or shape.steps < 2:
             continue
-        direction = ShapeDirection(effect, tuple(values), shape.name)
+        direction = ShapeDirection(effect, tuple(values), shape)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
             found.append(direction)
     return found
-
-
-def _bounded(effect: Tunable, constant: str, change: float) -> float:
-    shape = next(s for s in type(effect).shape if s.name == constant)
-    now = float(getattr(effect, constant))
-    return float(np.clip(now * (1 + np.clip(change, -0.5, 1.0)), shape.low, shape.high))
 
 
 @dataclass(frozen=True)
@@ -165,14 +168,9 @@ def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
 
 
 def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], changes: Floats) -> list[Tunable]:
-    moved, at = [], 0
-    for effect, group in zip(effects, directions, strict=True):
-        constants = {}
-        for direction in group:
-            constants[direction.constant] = _bounded(effect, direction.constant, float(changes[at]))
-            at += 1
-        moved.append(effect.reshaped(**constants) if constants else effect)
-    return moved
+    change = iter(changes.tolist())
+    moves = [{d.constant.name: d.moved(next(change)) for d in group} for group in directions]
+    return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
 def _estimates(
@@ -182,22 +180,17 @@ def _estimates(
     directions: list[list[ShapeDirection]],
 ) -> tuple[tuple[Estimate, ...], ...]:
     """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""
-    carrier = joint if joint.solution.converged and len(joint.effects) > len(effects) else found
+    shaped = joint.solution.converged and len(joint.effects) > len(effects)
+    carrier = joint if shaped else found
     if not carrier.solution.converged:
         return tuple(() for _ in effects)
-    sigma = np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0))
-    at, shape_at = 0, sum(len(e.parameters) for e in effects)
+    sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
+    of_shapes = iter(sigma[len(effects) :])
     rows = []
     for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
-        row = []
-        for parameter, value in zip(effect.parameters, values, strict=True):
-            row.append(Estimate.of(parameter, value, sigma[at]))
-            at += 1
-        group = directions[i] if carrier is joint and i < len(directions) else []
-        for direction in group:
-            shape = next(s for s in type(effect).shape if s.name == direction.constant)
-            now = float(getattr(effect, shape.name))
-            row.append(Estimate.of(shape, now, float(sigma[shape_at]) * abs(now)))
-            shape_at += 1
+        row = [Estimate.of(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
+        for direction in directions[i] if shaped else ():
+            now = float(getattr(effect, direction.constant.name))
+            row.append(Estimate.of(direction.constant, now, float(next(of_shapes)[0]) * abs(now)))
         rows.append(tuple(row))
     return tuple(rows)

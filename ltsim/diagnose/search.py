@@ -220,14 +220,11 @@ class Searcher:
         effect = hypothesis.effect
         if isinstance(effect, Law):
             return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
-        found = shape_posterior(self, effect, others, {e.name: e.sigma for e in told})
-        wider = any(found[e.name][1] > WIDER * e.sigma for e in told if e.name in found)
-        rows = list(told)
-        for i, e in enumerate(told):
-            if wider and e.name in found:
-                rows[i] = e.model_copy(update=dict(zip(("value", "sigma"), found[e.name], strict=True)))
+        found = shape_posterior(self, effect, others, told)
+        wider = any(found[e.name].sigma > WIDER * e.sigma for e in told if e.name in found)
+        rows = [found.get(e.name, e) if wider else e for e in told]
         if "time" in found and all(e.name != "time" for e in rows):
-            rows.append(Estimate(name="time", value=found["time"][0], sigma=found["time"][1], unit="s"))
+            rows.append(found["time"])
         return tuple(rows)
 
     def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:

@@ -70,6 +70,11 @@ class Found:
     norms: tuple[Floats, ...]
     whole: Floats = field(repr=False)
 
+    @property
+    def effects(self) -> list[Tunable]:
+        """Effects of the members."""
+        return [h.effect for h in self.members]
+
     @cached_property
     def extension(self) -> Floats:
         """(m, e): orthonormal columns of all members."""

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.diagnose.evidence import wide_posterior
+from ltsim.diagnose.evidence import shares, wide_posterior
+from ltsim.diagnose.schema import Estimate
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.units import FACTOR
 
@@ -75,32 +76,24 @@ def all_shapes(
     return found
 
 
-def weights_of(shapes: Sequence[Shaped]) -> Floats:
-    """Probabilities (k,)."""
-    logs = np.array([one.log_weight for one in shapes])
-    weight = np.exp(logs - logs.max())
-    found: Floats = weight / weight.sum()
-    return found
-
-
-def shape_posterior(
-    searcher: Searcher, effect: Tunable, base: Found, spread: Mapping[str, float]
-) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation, in the units a person reads, of parameters and constants over all shapes.
+def shape_posterior(searcher: Searcher, effect: Tunable, base: Found, told: Sequence[Estimate]) -> dict[str, Estimate]:
+    """Means and standard deviations of parameters and constants over all shapes, the finest around what is `told`.
 
     Shapes are weighed by their evidence and the room they stand for; each brings the uncertainty it leaves the
     parameters. Unlike a curvature at the optimum this holds where a likelihood is flat, skew, cut off by bounds, or has
     two tops. Empty for effects without such constants.
     """
-    units = {p.name: p.factor for p in effect.parameters} | {s.name: FACTOR[s.unit] for s in type(effect).shape}
-    shapes = all_shapes(searcher, effect, base, {name: sigma * units.get(name, 1.0) for name, sigma in spread.items()})
+    shapes = all_shapes(searcher, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in told})
     if not shapes:
         return {}
-    weight = weights_of(shapes)
+    weight = shares(np.array([one.log_weight for one in shapes]))
     values = np.array([[*one.mean, *one.constants.values()] for one in shapes])
     within = np.array([[*one.variance, *(0.0 for _ in one.constants)] for one in shapes])
     mean = weight @ values
-    deviation = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
+    sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
+    units = {"time": "s"} | {s.name: s.unit for s in type(effect).shape} | {p.name: p.unit for p in effect.parameters}
     names = [*(p.name for p in effect.parameters), *shapes[0].constants]
-    told = {n: (float(m), float(d)) for n, m, d in zip(names, mean, deviation, strict=True)}
-    return {n: (m / units.get(n, 1.0), d / units.get(n, 1.0)) for n, (m, d) in told.items()}
+    return {
+        name: Estimate(name=name, value=m / FACTOR[units[name]], sigma=d / FACTOR[units[name]], unit=units[name])
+        for name, m, d in zip(names, mean, sigma, strict=True)
+    }

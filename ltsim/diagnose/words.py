@@ -49,13 +49,8 @@ def _estimate(parameter: Estimate) -> str:
 
 def place(where: Where) -> str:
     """Where, in a phrase."""
-    parts = []
-    if where.stations:
-        parts.append(f"at {'station' if len(where.stations) == 1 else 'stations'} {_list(where.stations)}")
-    if where.instruments:
-        parts.append(f"of {'instrument' if len(where.instruments) == 1 else 'instruments'} {_list(where.instruments)}")
-    if where.targets:
-        parts.append(f"at {'target' if len(where.targets) == 1 else 'targets'} {_list(where.targets)}")
+    kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
+    parts = [f"{kind}{'s' if len(names) > 1 else ''} {_list(names)}" for kind, names in kinds if names]
     if where.observables:
         parts.append(f"in {_list(where.observables)}")
     return " ".join(parts) or "in the whole recording"
@@ -72,27 +67,10 @@ def percent(probability: float) -> str:
     return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
-def finding_sentence(
-    effect: str,
-    where: Where,
-    parameters: Sequence[Estimate],
-    probability: float,
-    formula: str,
-    *,
-    implausible: bool = False,
+def card_sentence(
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, implausible: bool = False
 ) -> str:
-    """One finding in one sentence; two where its size is `implausible` for its cause."""
-    if effect == "unknown":
-        if (
-            formula
-            and (where.covariates or where.instruments)
-            and not formula.startswith(("noise", "larger", "amounts"))
-        ):
-            return _law_sentence(where, parameters, probability, formula)
-        on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
-        law = f"; what fits: {formula}" if formula else ""
-        at = f" {place(where)}" if where.stations or where.targets or where.observables else ""
-        return f"Physics outside the catalogue{at}{on}{law}."
+    """An effect of the catalogue in one sentence; two where its size is `implausible` for its cause."""
     card = card_of(find_effect(effect))
     doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
     told = "; ".join(part for part in (card.cause, estimates(parameters)) if part)
@@ -101,13 +79,26 @@ def finding_sentence(
     return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
 
 
-def _law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
+def law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
     """A law that no card names, in one sentence: what varies with what, where, how much."""
-    kept = where.model_copy(update={"observables": ()})
-    at = f" {place(kept)}" if kept.stations or kept.targets or kept.instruments else ""
+    if not (where.covariates or where.instruments):
+        return outside_sentence(where, law)
     told = estimates(parameters)
     size = f" ({told})" if told else ""
+    at = _at(where.model_copy(update={"observables": ()}))
     return f"The {law}{at}{size}: physics outside the catalogue (probability {percent(probability)})."
+
+
+def outside_sentence(where: Where, law: str) -> str:
+    """What no card names, in one sentence: where, what it depends on, the law that fits."""
+    on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
+    return f"Physics outside the catalogue{_at(where)}{on}; what fits: {law}."
+
+
+def _at(where: Where) -> str:
+    """The place after a blank; empty for the whole recording."""
+    confined = where.stations or where.targets or where.observables or where.instruments
+    return f" {place(where)}" if confined else ""
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
@@ -144,12 +135,13 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
-    gain = ""
-    if after is not before and before.held_out_rms is not None and after.held_out_rms is not None:
-        was, now = f"{before.held_out_rms:.2f}", f"{after.held_out_rms:.2f}"
-        course = (
-            f"falls from {was} to {now}" if after.held_out_rms < before.held_out_rms else f"rises from {was} to {now}"
-        )
-        course = f"stays at {now}" if was == now else course
-        gain = f" With it in the model the error on readings not used for the fit {course} times the stated noise."
-    return first.sentence + open_ + more + gain
+    return first.sentence + open_ + more + ("" if after is before else _course(before.held_out_rms, after.held_out_rms))
+
+
+def _course(before: float | None, after: float | None) -> str:
+    """What became of the error on readings not used for the fit."""
+    if before is None or after is None:
+        return ""
+    was, now = f"{before:.2f}", f"{after:.2f}"
+    course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    return f" With it in the model the error on readings not used for the fit {course} times the stated noise."

@@ -104,7 +104,7 @@ class SmrIncidence(Effect):
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings: the table's error and the first-order terms."""
-        change: Floats = self.design(sightings) @ values
+        change: Floats = self.design(sightings) @ values if np.any(values) else np.zeros((len(sightings), 3))
         if self.table:
             angle, direction = self.incidence(sightings)
             change[:, 0] += self.mask(sightings) * self.table_error(angle, direction - self.direction)

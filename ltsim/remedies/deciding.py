@@ -34,8 +34,7 @@ class Explanation:
 
 def space_of(adjustment: Adjustment, beside: Sequence[Signature] = ()) -> ResidualSpace:
     """The residual space of an adjustment with effects `beside` estimated too."""
-    space = ResidualSpace.of(adjustment)
-    return space.extended(np.hstack([space.signature(effect) for effect in beside])) if beside else space
+    return ResidualSpace.of(adjustment).beside(beside)
 
 
 def explanation(space: ResidualSpace, name: str) -> Explanation:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints, side_by_side
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
 from ltsim.kinematics.chain import point_and_derivatives
 from ltsim.kinematics.misalignment import MISALIGNMENT
@@ -235,8 +235,7 @@ class Sightings:
         """Incidence angle and its direction in the plane of the open face."""
         normal = self.nest_normal[self.target]
         back = -self.unit_vectors[0]
-        up = np.array([0.0, 0.0, 1.0])
-        side = np.cross(up, normal)
+        side = side_by_side(-normal[:, 1], normal[:, 0], 0.0 * normal[:, 2])  # level, across the normal
         flat = np.linalg.norm(side, axis=1) < 1e-6
         side[flat] = [1.0, 0.0, 0.0]
         side /= np.linalg.norm(side, axis=1)[:, None]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,10 +37,14 @@ class Fieldwork:
     """True poses and points, of every target, seen or not."""
     sightings: Sightings
     """The pointings, at the true geometry, of the targets that are seen; covariates are the air readings."""
-    construction: Construction
     effects: tuple[Effect, ...]
     notes: tuple[str, ...]
     """Which station does not see which target, and why; of many pairs, how many and why."""
+
+    @cached_property
+    def construction(self) -> Construction:
+        """That of the scenario's instruments."""
+        return construction_of(self.scenario)
 
 
 def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
@@ -61,7 +66,6 @@ def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | Non
         scenario=scenario,
         layout=layout,
         sightings=sightings,
-        construction=construction_of(scenario),
         effects=effects_of(scenario),
         notes=_notes(layout, table),
     )
@@ -74,16 +78,15 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
     """
     plan, placing = plan or planned(scenario), scenario.placing
     position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
-    draws = [stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations]
+    draws = np.array([stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations])
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
     tilt = [placing.tilt_deg * DEGREE if own is None else own for own in levelled]
     leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
-    for i, (draw, lean) in enumerate(zip(draws, leans, strict=True)):
-        position[i] += placing.station_mm * MILLIMETRE * draw[:3]
-        rotation[i] = lean @ about_z(placing.yaw_deg * DEGREE * draw[5]) @ rotation[i]
-    for i, name in enumerate(scenario.targets):
-        draw = stream(seed, *key, "placing", "target", name).standard_normal(3)
-        points[i] += placing.target_mm * MILLIMETRE * draw
+    yaws = np.array([about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
+    position += placing.station_mm * MILLIMETRE * draws[:, :3]
+    rotation = leans @ yaws @ rotation
+    moves = [stream(seed, *key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
+    points[: len(moves)] += placing.target_mm * MILLIMETRE * np.array(moves).reshape(-1, 3)
     if scenario.gauge is not None:
         body = slice(len(scenario.targets), None)
         draw = stream(seed, *key, "placing", "gauge").standard_normal(6)

@@ -13,6 +13,8 @@ from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
 X = TypeVar("X")
 NEAR = 1.0
 """Squared length [standard deviations] of a step after which the last design is tried once more."""
+SURE = 1e-4
+"""Share of the tolerance below which the next step is not looked at: a millionth of a standard deviation."""
 SLIGHT = 1e-5
 """Damping that leaves a step what it is: a short step under more of it proves nothing."""
 ROUNDED = 1e-4
@@ -99,8 +101,13 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
         length = _length(system, step)
         if not damping and length < ROUNDED and length > before / 4:
             return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
-        trial, before = problem.retract(x, step), length
-        if length < NEAR and not damping:
+        # The next step is as much shorter than this one as this one was than the one before.
+        sure = length * length < SURE * tolerance * before < float("inf")
+        trial, before, near = problem.retract(x, step), length, length < NEAR and not damping
+        if near and sure:
+            system = _after(system, system.residual, step)
+            return Solution(trial, system.cost, iteration, Status.CONVERGED, factor, system)
+        if near:
             final = _last_step(problem, trial, system, factor, tolerance)
             if final is not None:
                 x, system = final
@@ -136,8 +143,12 @@ def _last_step(
     step = factor.step(residual)
     if not _length(system, step) < tolerance:
         return None
-    x = problem.retract(x, step)
-    return x, BlockSystem(system.design, residual - system.design @ step, system.kept)
+    return problem.retract(x, step), _after(system, residual, step)
+
+
+def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
+    """The system where a step led from `residual`, by the same design."""
+    return BlockSystem(system.design, residual - system.design @ step, system.kept)
 
 
 def _damped_step(system: BlockSystem, damping: float) -> tuple[Floats | None, Factor | None, float]:

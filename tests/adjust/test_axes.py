@@ -99,10 +99,14 @@ def test_wrong_frames(recording: Recording) -> None:
 def test_a_file_of_axes(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("target,x_mm,y_mm,z_mm,sigma_x_mm\nA,1,2,3,0.1\nB,,,,\n")
     (tmp_path / "b.txt").write_text("A 1 2 1000\n")
-    for name in ("a.csv", "b.txt"):
+    (tmp_path / "c.csv").write_text("# from the drawing\nname;x_mm;y_mm;z_mm\nA;1,0;2;3\nB;;;\n")
+    for name in ("a.csv", "b.txt", "c.csv"):
         found = read_axes(tmp_path / name)
         assert list(found) == ["A"]
         np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
+    (tmp_path / "d.csv").write_text("point;x_mm;y_mm;z_mm\nA;1;2;3\n")
+    with pytest.raises(RecordError, match=r"d.csv: has no column target or name"):
+        read_axes(tmp_path / "d.csv")
 
 
 def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Recording) -> None:

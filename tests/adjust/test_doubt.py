@@ -169,6 +169,8 @@ def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
     for vertical in ((0, 0, 0), (1e-300, 0, 0)):
         with pytest.raises(ValueError, match="a direction should not have length zero"):
             Station(vertical=vertical)
+        with pytest.raises(ValueError, match="a direction should not have length zero"):
+            Target(nest_normal=vertical)
     with pytest.raises(ValueError, match="greater than or equal to"):
         Target(known_mm=(0, 0, 0), known_sigma_mm=1e-300)
 

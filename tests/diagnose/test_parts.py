@@ -90,7 +90,7 @@ def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> 
 
 def test_chances_are_those_of_the_simulated_recordings_and_fall_exponentially_beyond_them() -> None:
     null = stream(3, "null").permutation(np.arange(1000.0))
-    found = Detection(0.0, 1.0, 1.0, null)
+    found = Detection(0.0, 1.0, null)
     assert found.threshold(0.05) == pytest.approx(949.05)
     assert found.chance(-1.0) == 1.0
     assert found.chance(500.0) == pytest.approx(501 / 1001)

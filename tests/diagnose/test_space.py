@@ -171,6 +171,23 @@ def test_laws_are_effects_like_any_other(space):
     assert card_of(law) == "unknown"
 
 
+def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(space):
+    reading = Law(carrier=CARRIERS["elevation"][0], driver=simple("face", "power"))
+    one, _ = network(faces=1, seed=1)
+    alone = adjust(one, misalignment()).sightings
+    cases = [
+        (reading, space.sightings, "vertical index"),
+        (replace(reading, driver=smooth("time")), space.sightings, "elevation"),
+        (replace(reading, driver=smooth("time")), alone, "vertical index"),
+        (replace(reading, driver=smooth("elevation")), alone, "elevation"),
+        (replace(reading, carrier=CARRIERS["azimuth"][0]), space.sightings, "azimuth"),
+    ]
+    for law, sightings, carrier in cases:
+        told = law.as_constant(sightings)
+        assert told.carrier.name == carrier
+        assert np.abs(np.abs(told.design(sightings)) - np.abs(law.design(sightings))).max() < 1e-12
+
+
 def test_a_wave_is_told_by_amplitude_and_phase(space):
     wave = Law((), (), CARRIERS["distance"][0], Driver("wave", ("azimuth",), constant=3.0))
     amplitude, phase = told_of(wave, space.sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))

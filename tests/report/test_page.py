@@ -6,6 +6,8 @@ import json
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.request import urlopen
+from xml.etree.ElementTree import fromstring
 
 import pytest
 
@@ -96,6 +98,21 @@ def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
     scenes = [block for section in content.sections for block in section.blocks if block.kind == "scene"]
     assert len(scenes) == 1  # one recording, one view
     assert content.answer == "Station S3 leans by 12 ± 2 µrad with a time constant of 9 ± 2 min after set-up."
+
+
+def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> None:
+    """As `ltsim convert` leaves one, and `ltsim diagnose` another beside its result."""
+    samples.calibration_folder(tmp_path)
+    shutil.copytree(tmp_path / "recording", tmp_path / "calibration" / "recording")
+    shutil.move(tmp_path / "recording", tmp_path / "converted")
+    blocks = [block for section in document(tmp_path).sections for block in section.blocks]
+    titles = [block.title for block in blocks]
+    assert titles.count("The workshop in 3D") == titles.count("Floor plan") == titles.count("Residuals by station") == 1
+    pictures = [block for block in blocks if block.kind == "picture"]
+    for picture in pictures:
+        assert not {" ", '"', "\n"} & set(picture.uri)  # one word in srcset, and safe between quotation marks
+        with urlopen(picture.uri) as stream:
+            assert fromstring(stream.read()).tag.endswith("svg")
 
 
 def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:

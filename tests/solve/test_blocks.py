@@ -79,6 +79,38 @@ def test_the_cap_is_a_status_and_not_an_endless_loop():
     assert solution.iterations == 2
 
 
+class Bent:
+    """A slightly bent line that meets its observations but for noise."""
+
+    def __init__(self) -> None:
+        self.at, self.looks = np.linspace(-1, 1, 20), 0
+        self.observed = self._predicted(np.array([40.0, 10.0])) + stream(0, "bent").standard_normal(20)
+
+    def _predicted(self, x):
+        return x[0] + x[1] * self.at + 1e-6 * x[1] ** 2
+
+    def residual(self, x):
+        self.looks += 1
+        return self.observed - self._predicted(x)
+
+    def linearise(self, x):
+        design = np.stack([np.ones(20), self.at + 2e-6 * x[1]], axis=1)
+        return BlockSystem(design, self.observed - self._predicted(x), 2)
+
+    def retract(self, x, step):
+        return x + step
+
+
+def test_a_next_step_that_would_be_nothing_is_not_looked_at():
+    problem = Bent()
+    solution = solve(problem, np.zeros(2))
+    assert (solution.status, solution.iterations, problem.looks) == (Status.CONVERGED, 2, 0)
+    there = problem.linearise(solution.x)
+    assert np.linalg.norm(there.design @ Factor(there).step()) < 1e-6
+    np.testing.assert_allclose(solution.system.residual, there.residual, atol=1e-6)
+    assert solution.cost == pytest.approx(there.cost, rel=1e-9)
+
+
 class Coarse:
     """A line fitted to points whose predictions are rounded, as with coordinates of thousands of kilometres."""
 
