@@ -45,13 +45,15 @@ def branches(s: Sightings) -> set[tuple[int, ...]]:
 
     These are the branches of three trees (average linkage); a surface is known by where its nests look.
     """
+    if len(s.points) < 2 * LEAST_GROUP:
+        return set()
     look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
     found = set()
     for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * LEVEL, look])):
-        branches = [[t] for t in range(len(features))]
+        tree = [[t] for t in range(len(features))]
         for one, other in linkage(features, "average")[:, :2].astype(int):
-            branches.append(sorted(branches[one] + branches[other]))
-        found |= {tuple(b) for b in branches if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
+            tree.append(sorted(tree[one] + tree[other]))
+        found |= {tuple(b) for b in tree if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
     return found
 
 
