@@ -86,7 +86,7 @@ class NoiseHypothesis:
 
 def _patterns(sightings: Sightings) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
-    known = ["elevation", "time", *(["incidence"] if np.isfinite(sightings.incidence).any() else [])]
+    known = ["elevation", "time", "distance", *(["incidence"] if np.isfinite(sightings.incidence).any() else [])]
     single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
     for acts, name, falling in product(single, [*known, *further(sightings)], (False, True)):
         yield acts[0], NoisePattern(acts, (name,), falling=falling), (2.0, 6.0, 20.0)
