@@ -70,7 +70,7 @@ def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[
     spread = np.array([p.prior_sigma for p in whole.parameters])
     places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
     chosen: list[int] = []
-    taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))
+    taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
     while len(chosen) < min(taken + PATIENCE, MOST_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         for i in set(range(len(atoms))) - set(chosen):
@@ -80,5 +80,6 @@ def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[
         value = float(log_average(values)) - len(chosen) * price
         if value > best:
             best, taken = value, len(chosen)
-    found = law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])
-    return [Hypothesis(found, prior - taken * price, best + prior, card_of(found))]
+    found, value = searcher.uphill(law.in_pieces([atoms[i] for i in sorted(chosen[:taken])]), base)
+    prior -= taken * price
+    return [Hypothesis(found, prior, max(best + taken * price, value) + prior, card_of(found))]

@@ -96,12 +96,21 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried for a wave, constants around one."""
+        """Rates between those tried for a wave, edges and constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
+        if driver.kind == "pieces" and len(driver.factors) <= MOVED:
+            x = np.unique(sightings.quantities[driver.covariates[0]][self.mask(sightings) > 0])
+            found = []
+            for i, piece in enumerate(driver.factors):
+                gap = int(np.searchsorted(x, piece.constant))
+                for k in range(max(gap - NEAR, 1), min(gap + NEAR, len(x) - 1) + 1):
+                    moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
+                    found.append(self.in_pieces([*driver.factors[:i], moved, *driver.factors[i + 1 :]]))
+            return found
         if driver.function in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
@@ -199,6 +208,8 @@ OF_A_SET_UP = ("reading", "instrument", "stand")
 MOST_SET_UPS = 12
 """Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+MOVED, NEAR = 4, 6
+"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate."""
 SCALED = ("decay", "relaxing", "saturated")
 """Functions with a constant in the unit of their covariate."""
 SHARES = np.array([0.05, 0.15, 0.5])
