@@ -12,6 +12,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,20 @@ KEPT = 16
 """Projected signatures that are kept."""
 
 
+class Screen(NamedTuple):
+    """Everything beside a set as it is scored at once.
+
+    Log evidence of cards (h,), and of their families with priors; laws worth a second look; the log sum over all, and
+    that (trials,) of simulated recordings, which it is compared with.
+    """
+
+    values: Floats
+    families: Floats
+    hits: list[Hit]
+    statistic: float
+    null: Floats
+
+
 class Searcher:
     """Search over cards and laws in one residual space."""
 
@@ -58,9 +73,10 @@ class Searcher:
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self._grams: dict[str, Floats] = {}
+        self._whole: dict[str, Floats] = {}
         self._carried: dict[str, Floats] = {}
         self._pointing = np.nonzero(space.use)[0]
-        self.first = self.rank(self.empty)
+        self.first = self._screened(self.empty)
 
     def rank(self, base: Found) -> Ranking:
         """Everything beside a set: scored at once, the best computed exactly."""
@@ -69,30 +85,33 @@ class Searcher:
             self._ranked[key] = self._rank(base)
         return self._ranked[key]
 
-    def _rank(self, base: Found) -> Ranking:
+    def _screened(self, base: Found) -> Screen:
+        """All cards and laws beside a set, scored at once."""
         probe = self.probe.beside(base.residual, base.extension) if base.members else self.probe
         values, chance = self.cards.score(probe)
-        count = max(len(self.cards.families), 1)
-        prior = np.log(PRIOR["named"] / count)
-        null = log_average(chance + prior)
-        entries: list[Hypothesis] = []
-        statistic = -np.inf
-        if len(values):
-            families = self.cards.family_evidence(values) + prior
-            statistic = float(log_average(families))
-            order = np.argsort(-families)
-            near = order[: self._most][families[order[: self._most]] > _promising(families.max())]
-            entries += [self._card(int(f), values, float(families[f]), base, refine=f in near) for f in order]
+        families = self.cards.family_evidence(values) + self._of_a_card if len(values) else values
         hits: list[Hit] = []
+        statistic, null = log_average(families), log_average(chance + self._of_a_card)
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
             hits += found
-            statistic = np.logaddexp(statistic, law_total)
-            null = np.logaddexp(null, law_chance)
-        entries += self._laws(hits, base)
+            statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
+        return Screen(values, families, hits, float(statistic), null)
+
+    @property
+    def _of_a_card(self) -> float:
+        """Log prior of each family of cards."""
+        return float(np.log(PRIOR["named"] / max(len(self.cards.families), 1)))
+
+    def _rank(self, base: Found) -> Ranking:
+        values, families, hits, _, _ = self._screened(base) if base.members else self.first
+        entries = self._laws(hits, base)
+        for i, family in enumerate(np.argsort(-families)):
+            refine = i < self._most and families[family] > _promising(families.max())
+            entries.append(self._card(int(family), values, float(families[family]), base, refine=refine))
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
         entries.sort(key=lambda h: -h.value)
-        return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))), float(statistic), null)
+        return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))))
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards; its evidence is that of the family."""
@@ -173,16 +192,19 @@ class Searcher:
         Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
         products with itself alone, and these are the same beside every set.
         """
-        self.prepare([effect])
-        signature = self._signature(effect)
+        key = repr(effect)
+        if key not in self._grams:
+            self.prepare([effect])
+        signature = self._whole[key] if key in self._whole else self._signature(effect)
         beside = base.extension.T @ signature
-        return self._grams[repr(effect)] - beside.T @ beside, signature.T @ base.residual
+        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
 
     def prepare(self, effects: Sequence[Tunable]) -> None:
         """Gram matrices of what the adjustment leaves of the signatures of effects, all in one go."""
-        new = {repr(one): self._signature(one) for one in effects if repr(one) not in self._grams}
+        new = {key: self._signature(one) for key, one in ((repr(e), e) for e in effects) if key not in self._grams}
         if not new:
             return
+        self._whole = new
         left = self.space.project(np.hstack(list(new.values())))
         edges = np.cumsum([signature.shape[1] for signature in new.values()])[:-1]
         for key, part in zip(new, np.split(left, edges, axis=1), strict=True):
@@ -261,7 +283,7 @@ class Searcher:
         have few, and what gains more is told.
         """
         best = self._grown(self.empty, threshold, something=something)
-        stiff = [h for h in self.first.entries if len(h.spread) <= FLEXIBLE]
+        stiff = [h for h in self.rank(self.empty).entries if len(h.spread) <= FLEXIBLE]
         if stiff and not self.large and any(len(h.spread) > FLEXIBLE for h in best.members):
             made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
             best = max(made, key=lambda s: s.score - threshold * len(s.members))

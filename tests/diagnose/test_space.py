@@ -234,7 +234,7 @@ def test_a_wall_does_not_know_where_a_tracker_looks(space):
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
     def ranking(**values: float) -> Ranking:
         law = Law((), (), CARRIERS["distance"][0], CONSTANT)
-        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0, 0.0, np.zeros(0))
+        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
     assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
     assert ranking(unknown=10.0, window=9.0, backlash=8.0).name() == "unknown"
