@@ -27,21 +27,25 @@ EACH = 0.1
 """Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 
 
-def exactly(searcher: Searcher, law: Law, log_prior: float, base: Found) -> Hypothesis:
-    """A law computed exactly, in all its forms, and the likeliest of them."""
+def exactly(searcher: Searcher, law: Law, log_prior: float, base: Found) -> list[Hypothesis]:
+    """A law computed exactly in all its forms: of each name that these have the likeliest, with the evidence of all."""
     sightings = searcher.space.sightings
     law = law.as_constant(sightings)
     whole = log_prior + float(np.log(len(law.driver.spreads)))
     each = law.at_each(sightings)
-    tried = [_form(searcher, law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]
-    tried += [_form(searcher, each, whole + np.log(EACH), base)] if each else []
+    tried = _forms(searcher, law, whole + (np.log(1.0 - EACH) if each else 0.0), base)
+    tried += _forms(searcher, each, whole + np.log(EACH), base) if each else []
     tried += _in_pieces(searcher, law, whole + float(np.log(PIECES)), base)
-    total = float(log_average(np.array([h.value for h in tried])))
-    return replace(max(tried, key=lambda h: h.value), value=total)
+    found = []
+    for name in {h.name: None for h in tried}:
+        alike = [h for h in tried if h.name == name]
+        total = float(log_average(np.array([h.value for h in alike])))
+        found.append(replace(max(alike, key=lambda h: h.value), value=total))
+    return found
 
 
-def _form(searcher: Searcher, law: Law, prior: float, base: Found) -> Hypothesis:
-    """The likeliest of the forms of a law at its place, with the evidence of all."""
+def _forms(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:
+    """The forms of a law at its place."""
     forms = law.forms(searcher.space.sightings)
     searcher.prepare([scales[0] for some in forms.values() for scales in some])
     whole = sum(FORMS[kind] for kind in forms)
@@ -56,8 +60,7 @@ def _form(searcher: Searcher, law: Law, prior: float, base: Found) -> Hypothesis
                 logs = np.array([evidence_of(one, *moments) for one in scales])
                 best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
             tried.append(Hypothesis(best, share, value + share, card_of(best)))
-    total = float(log_average(np.array([h.value for h in tried])))
-    return replace(max(tried, key=lambda h: h.value), value=total)
+    return tried
 
 
 def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:

@@ -232,7 +232,7 @@ class Searcher:
             key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
             if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
-                found.append(exactly(self, law, hit.log_prior, base))
+                found += exactly(self, law, hit.log_prior, base)
             else:
                 found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
         return found
