@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.drivers import further
+from ltsim.diagnose.drivers import MEMORY, further
 from ltsim.diagnose.evidence import PRIOR, log_means, shares
 from ltsim.diagnose.places import branches
 from ltsim.diagnose.schema import Equivalent
@@ -58,7 +58,7 @@ class NoisePattern(NoiseSignature):
         """Variance (n, 3)."""
         pattern = self.mask(sightings)
         for name in self.covariates:
-            x = sightings.quantities[name]
+            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         acts = [float(o in self.observables) for o in OBSERVABLES]
@@ -86,7 +86,8 @@ class NoiseHypothesis:
 
 def _patterns(sightings: Sightings) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
-    known = ["elevation", "time", "distance", *(["incidence"] if np.isfinite(sightings.incidence).any() else [])]
+    known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
+    known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
     for acts, name, falling in product(single, [*known, *further(sightings)], (False, True)):
         yield acts[0], NoisePattern(acts, (name,), falling=falling), (2.0, 6.0, 20.0)

@@ -141,7 +141,7 @@ class Ranking:
         weight = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
         found: dict[str, float] = {}
         for hypothesis, w in zip(self.entries, weight, strict=True):
-            found[hypothesis.name] = found.get(hypothesis.name, 0.0) + float(w)
+            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + float(w), 1.0)
         return found
 
 
