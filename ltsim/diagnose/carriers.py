@@ -22,8 +22,8 @@ from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, MICROMETRE, PPM
 
-ANGLE, LENGTH, STRAIN = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM
-"""Plausible sizes: what a good instrument and a quiet hall leave of an angle, a length, a scale."""
+ANGLE, LENGTH, STRAIN, MOTION = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM, 30 * MICROMETRE
+"""Plausible sizes: what a good instrument leaves of an angle, a length, a scale; what walls and floors move by."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ _READINGS = tuple(
     for name in OBSERVABLES
 )
 _SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
-_LEAN = Carrier("lean of the stand", "urad", ANGLE, ("azimuth", "elevation"), "stand", ("about x", "about y"))
-_STAND = Carrier("place of the stand", "um", LENGTH, (), "stand", ("along x", "along y", "along z"))
-_TARGETS = Carrier("place of targets", "um", LENGTH, (), "target", ("along x", "along y", "along z"))
-_NORMAL = Carrier("height of targets in their nests", "um", LENGTH, (), "reflector")
+_LEAN = Carrier("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
+_STAND = Carrier("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
+_TARGETS = Carrier("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
+_NORMAL = Carrier("height of targets in their nests", "um", MOTION, (), "target")
 _AIR = Carrier("air gradient", "K/m", 1.0, (), "air")
 _VERTEX = Carrier("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
 

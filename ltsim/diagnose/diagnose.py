@@ -77,7 +77,7 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, histor
     found, fitted = _refitted(case, _explain(case, detection) if mismatch else case.searcher.empty)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(one, baseline) for one in gross]
-    odd = [instrument_finding(one) for one in compared(settled, LEAST_GAIN)]
+    odd = [instrument_finding(one) for one in compared(settled, LEAST_GAIN + found.misfit)]
     return _told(Explained(case, detection, found, fitted), sight, [*mistaken, *odd], settled, mismatch=mismatch)
 
 
@@ -91,11 +91,12 @@ def _explain(case: Case, detection: Detection) -> Found:
         kept += [searcher.empty] if len(members) > 1 else []
         spaces = [searcher.space.beside(one.effects) for one in kept]
         ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
-        rest = [min(searcher.rank(found).total, threshold), *(searcher.rank(one).total for one in kept[1:])]
+        least = threshold + found.misfit
+        rest = [min(searcher.rank(found).total, least), *(searcher.rank(one).total for one in kept[1:])]
         lost = [0.0, *rest[1 : len(members) + 1], *(found.score - one.score for one in kept[len(members) + 1 :])]
         gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
-        if gains[most] < (threshold if not most and (case.noise or members) else 0.0):
+        if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
         likeliest = _with_probability(ranked[most], rest[most])
         case.add_noise(most_likely(spaces[most], searcher.space.sigma, likeliest))

@@ -9,16 +9,16 @@ waves. Several length scales share the columns and differ in the variances; so d
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
-CIRCULAR = ("azimuth", "bearing", "nest-direction")
+CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
 MODES, LOW, FINE = 9, 4, 32
 """Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
 EDGE = 1.25
@@ -36,6 +36,8 @@ WORDS = {
     "repeat": "time",
     "parity": "approach",
     "bearing": "azimuth",
+    "circle": "azimuth",
+    "vertical-circle": "elevation",
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
@@ -47,6 +49,8 @@ SIMPLE = {
     "sin": lambda x, k: np.sin(k * x),
     "tan": lambda x, k: np.tan(k * x),
     "step": lambda x, k: (x > k).astype(np.float64),
+    "ramp": lambda x, k: np.maximum(x - k, 0.0),
+    "relaxing": lambda x, k: 1.0 / (1.0 + x / k),
     "saturated": lambda x, k: x / (k + np.abs(x)),
     "decay": lambda x, k: np.exp(-x / k),
 }
@@ -65,15 +69,18 @@ class Driver:
     Attributes
     ----------
     kind : str
-        constant, smooth, wave (cosine and sine of `constant` times a covariate), simple, product, or field: the same
-        for all, growing across the room, and bent, for what carries targets.
+        constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
+        product, visits (something else at every set-up), pieces (the sum of steps and ramps of one covariate), or
+        field: the same for all, growing across the room, and bent, for what carries targets.
     covariates : tuple of str
     function : str
         Of a simple driver.
     constant : float
         Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field.
     factors : tuple of Driver
-        Of a product.
+        Of a product; the pieces.
+    around : tuple of str
+        Targets about whose middle a field grows; empty for all.
     """
 
     kind: str
@@ -81,16 +88,28 @@ class Driver:
     function: str = ""
     constant: float = 0.0
     factors: tuple[Driver, ...] = ()
+    around: tuple[str, ...] = ()
 
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
         """Columns (n, k), each of rms about one over the pointings.
 
-        What is `moving` with a further column is where it says at that column's mean. Elsewhere a constant is absorbed,
-        but coordinates have to be those of some moment; a clock begins with the work, and a curve has no mean.
+        Coordinates are those of some moment: what is `moving` is where it says at the start of the work, or while a
+        column of the recording is at its zero, and where there is no such moment in the mean of the work.
         """
         found = self._columns(sightings, moving)
-        centred = moving and self.kind == "simple" and self.covariates[0] in sightings.covariates
-        return found - found.mean(axis=0) if centred else found
+        if not moving or self.kind in ("constant", "field", "product"):
+            return found
+        found = found - found[self._resting(sightings)].mean(axis=0)
+        return _sized(found) if self.kind == "simple" else found
+
+    def _resting(self, sightings: Sightings) -> Bools:
+        """The pointings (n,) at which what moves is where its coordinates say."""
+        every = np.ones(len(sightings), dtype=bool)
+        name = "".join(self.covariates)
+        if name == "time" and self.kind in ("simple", "pieces"):
+            return np.asarray(sightings.time == sightings.time.min())
+        x = np.abs(sightings.covariates.get(name, every))
+        return x == x.min() if _has_zero(x) else every
 
     def _columns(self, sightings: Sightings, moving: bool) -> Floats:
         match self.kind:
@@ -98,21 +117,27 @@ class Driver:
                 return np.ones((len(sightings), 1))
             case "smooth":
                 return _smooth(self.covariates[0], sightings.quantities[self.covariates[0]], int(self.constant))
-            case "wave":
-                phase = self.constant * sightings.quantities[self.covariates[0]]
-                return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=1)
+            case "wave" | "cycle":
+                return waves_of(self.constant * sightings.quantities[self.covariates[0]], self.size // 2)
             case "field":
                 place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
-                place = place - place.mean(axis=0)
-                place = place / max(float(place.std()), 1e-300)
+                names = self.around or sightings.target_names
+                near = np.isin(sightings.target, [sightings.target_names.index(name) for name in names])
+                place = place - place[near].mean(axis=0)
+                place = place / max(float(place[near].std()), 1e-300)
                 bent = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]
                 return np.hstack([np.ones((len(place), 1)), place, *(bent if self.constant > 1 else [])])
             case "simple":
+                x = sightings.quantities[self.covariates[0]]
+                if self.function == "power" and self.covariates[0] in sightings.covariates and not _has_zero(x):
+                    x = x - x.mean()
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                    values = SIMPLE[self.function](sightings.quantities[self.covariates[0]], self.constant)
-                values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
-                size = float(np.sqrt(np.mean(values**2)))
-                return (values / size if size > 0 else values)[:, None]
+                    values = SIMPLE[self.function](x, self.constant)
+                return _sized(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
+            case "visits":
+                return (sightings.station[:, None] == np.unique(sightings.station)).astype(np.float64)
+            case "pieces":
+                return np.hstack([factor.columns(sightings) for factor in self.factors])
         found = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, moving=moving)
@@ -126,8 +151,12 @@ class Driver:
         match self.kind:
             case "constant" | "simple":
                 return (np.ones(1),)
+            case "visits" | "pieces":
+                return (np.ones(int(self.constant)),)
             case "wave":
                 return (np.full(2, np.sqrt(0.5)),)
+            case "cycle":
+                return (np.repeat(1.0 / np.arange(1, OVERTONES + 1), 2) / np.sqrt(2.0),)
             case "field":
                 spread = np.concatenate([np.ones(4), np.full(6 if self.constant > 1 else 0, 0.5)])
                 return (spread / np.linalg.norm(spread),)
@@ -140,6 +169,11 @@ class Driver:
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
+    def about(self, targets: tuple[str, ...]) -> Driver:
+        """The driver with the field of some targets in the place of that of the room."""
+        factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
+        return replace(self, factors=factors)
+
     @property
     def size(self) -> int:
         """Number of columns k."""
@@ -149,15 +183,39 @@ class Driver:
     def told(self) -> tuple[str, ...]:
         """What it depends on, in the words of the interface."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
+        names += ["place"] if self.kind == "visits" else []
         words = ["approach" if n.startswith(MEMORY) else WORDS.get(n, n) for n in names]
         return tuple(dict.fromkeys(words))
 
 
+RESTING = 0.02
+"""Share of its largest value up to which a column counts as zero."""
+
+
+def _has_zero(x: Floats) -> bool:
+    """Whether a column comes to zero; one that does not is told from its mean (a load, but no temperature, rests)."""
+    return bool(np.abs(x).min() < RESTING * np.abs(x).max())
+
+
+def _sized(column: Floats) -> Floats:
+    """A column (n, 1) with an rms of one."""
+    size = float(np.sqrt(np.mean(column**2)))
+    return column / size if size > 0 else column
+
+
+OVERTONES = 5
+"""Waves of which a cycle of any shape is made."""
+
+
+def waves_of(phase: Floats, count: int) -> Floats:
+    """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
+    phases = phase[:, None] * np.arange(1, count + 1)
+    return np.sqrt(2.0) * np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phase), -1)
+
+
 def _smooth(name: str, x: Floats, count: int) -> Floats:
     if name in CIRCULAR:
-        orders = np.arange(1, count // 2 + 1 + count % 2)
-        phase = x[:, None] * orders
-        return np.sqrt(2.0) * np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(x), -1)
+        return waves_of(x, (count + 1) // 2)
     low, high = float(x.min()), float(x.max())
     half = max(0.5 * (high - low), 1e-300)
     u = (x - 0.5 * (low + high)) / half
@@ -193,12 +251,18 @@ def simple(name: str, function: str, constant: float = 1.0) -> Driver:
     return Driver("simple", (name,), function, constant)
 
 
+def pieces(steps: Sequence[Driver]) -> Driver:
+    """A driver that is the sum of steps and ramps of one covariate, of any sizes."""
+    return Driver("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
+
+
 def smooth(name: str, modes: int = MODES) -> Driver:
     """A smooth driver."""
     return Driver("smooth", (name,), constant=modes)
 
 
 _OWN = ("azimuth", "elevation", "distance", "time", "station-time", "height", "bearing")
+_CIRCLES = ("circle", "vertical-circle")
 _BALL = ("incidence", "nest-direction")
 _BEFORE = (*(f"{when}-{axis}" for when in ("move", "last") for axis in ("azimuth", "elevation", "distance")), "lapse")
 
@@ -207,6 +271,7 @@ def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
     """What of some covariates, and which further columns, vary here."""
     seen = np.isfinite(sightings.incidence).any()
     asked = [n for n in (*names, *further(sightings)) if seen or n not in _BALL]
+    asked += _CIRCLES if np.ptp(sightings.face) else ()
     return [n for n in asked if np.ptp(sightings.quantities[n]) > 0]
 
 
@@ -220,6 +285,8 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     tried = ("face", "approach-azimuth", "approach-elevation", "parity", "repeat")
     signs = [s for s in tried if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
+    visits = len(np.unique(sightings.station))
+    found += [Driver("visits", constant=visits)] if 1 < visits <= MOST_VISITS else []
     for name in ("time", "station-time"):
         span = float(np.ptp(sightings.quantities[name]))
         found += [simple(name, "decay", float(t)) for t in span * np.array([0.03, 0.1, 0.3, 1.0]) if span > 0]
@@ -231,17 +298,20 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     return found
 
 
+MOST_VISITS = 12
+"""Set-ups up to which something may be another at each."""
 _AXES = ("azimuth", "elevation")
-_HEAD = (*_AXES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
+_HEAD = (*_AXES, *_CIRCLES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
 _CLOCKS = ("time", "station-time", "lapse")
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*_CLOCKS, *_HEAD, "parity", "repeat", "distance", "height", "move-distance", "last-distance"),
-    "stand": _CLOCKS,
+    "stand": (*_CLOCKS, *_AXES, "bearing"),
     "target": ("time",),
     "reflector": ("time", *_BALL),
     "air": ("time", "station-time"),
 }
-"""What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks."""
+"""What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
+stand does, for a head is never quite in balance."""
 
 
 def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
@@ -263,7 +333,7 @@ def products(sightings: Sightings) -> Iterator[Driver]:
                 for name in ("distance", "elevation"):
                     yield Driver("product", factors=(simple(length, function), simple(name, "power")))
     for one, other in combinations(names, 2):
-        if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}):
+        if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}) and other not in _CIRCLES:
             yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))
 
 
@@ -284,15 +354,3 @@ def waves(sightings: Sightings) -> Iterator[Driver]:
     for name in ("time", "distance", "azimuth", "elevation", "x", "y", "z", "station-time"):
         for rate in rates(sightings, name, most):
             yield Driver("wave", (name,), constant=float(rate))
-
-
-EDGES = 20
-"""Values of a covariate at which a step is tried."""
-
-
-def edges(sightings: Sightings) -> Iterator[Driver]:
-    """Steps where a covariate passes a value."""
-    for name in (*covariates_of(sightings),):
-        values = np.unique(np.quantile(sightings.quantities[name], np.linspace(0.0, 1.0, EDGES + 2)[1:-1]))
-        for edge in values:
-            yield simple(name, "step", float(edge))

@@ -14,7 +14,19 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.carriers import CARRIERS, Carrier
-from ltsim.diagnose.drivers import CIRCULAR, CONSTANT, FINE, LOW, MODES, WAVE_STEP, Driver, simple, smooth
+from ltsim.diagnose.drivers import (
+    CIRCULAR,
+    CONSTANT,
+    FINE,
+    LOW,
+    MODES,
+    WAVE_STEP,
+    Driver,
+    pieces,
+    simple,
+    smooth,
+    waves_of,
+)
 from ltsim.diagnose.schema import Curve, Estimate
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
@@ -84,17 +96,14 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried for a wave, gaps around a step."""
+        """Rates between those tried for a wave, constants around one."""
         driver = self.driver
-        if driver.kind == "wave":
+        if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if driver.function == "step":
-            values = np.unique(sightings.quantities[driver.covariates[0]])
-            middles = 0.5 * (values[1:] + values[:-1])
-            near = middles[np.argsort(np.abs(middles - driver.constant))[:12]]
-            return [replace(self, driver=replace(driver, constant=float(edge))) for edge in near]
+        if driver.function in SCALED:
+            return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
 
     def formulas(self, sightings: Sightings) -> list[Law]:
@@ -115,6 +124,8 @@ class Law(Tunable):
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             found["fine"] = [replace(self, driver=finer)]
+        if driver.kind == "wave" and driver.covariates[0] in ("time", "station-time"):
+            found["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
         return {
             kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
             for kind, laws in found.items()
@@ -135,11 +146,29 @@ class Law(Tunable):
             return replace(self, carrier=replace(index, size=self.carrier.size), driver=CONSTANT)
         return self
 
+    def atoms(self, sightings: Sightings) -> list[Driver]:
+        """Steps and ramps of which a smooth driver may be made instead."""
+        curved = [f for f in (self.driver, *self.driver.factors) if f.kind == "smooth"]
+        if len(curved) != 1:
+            return []
+        name = curved[0].covariates[0]
+        x = np.unique(sightings.quantities[name][self.mask(sightings) > 0])
+        x = x[np.unique(np.linspace(0, len(x) - 1, ATOMS).round().astype(int))]
+        edges = 0.5 * (x[1:] + x[:-1])
+        return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
+
+    def in_pieces(self, steps: Sequence[Driver]) -> Law:
+        """The law with steps and ramps in the place of its smooth driver."""
+        made, driver = pieces(steps), self.driver
+        if driver.kind == "product":
+            made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
+        return replace(self, driver=made, scale=0)
+
     def at_each(self, sightings: Sightings) -> Law | None:
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.driver.kind == "product" or self.driver.function == "step" or self.carrier.kind not in OF_A_SET_UP
+        once = self.driver.kind in ("product", "visits") or self.carrier.kind not in OF_A_SET_UP
         if confined or once or len(stations) < 2:
             return None
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
@@ -161,11 +190,15 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
+ATOMS = 41
+"""Values of a covariate between which steps and ramps are tried."""
 OF_A_SET_UP = ("reading", "instrument", "stand")
 """Kinds of carriers that may do the same at every set-up, each in its own way."""
 MOST_SET_UPS = 12
 """Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+SCALED = ("decay", "relaxing", "saturated")
+"""Functions with a constant in the unit of their covariate."""
 SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
 
@@ -182,13 +215,14 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Dr
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     if not few:
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        tried += [("decay", shares)] if name in ("station-time", "time", "lapse") else []
+        tried += [("decay", shares), ("relaxing", shares)] if name in ("station-time", "time", "lapse") else []
         tried += [("abs", (1.0,)), ("saturated", shares)] if name.startswith("move-") else []
     for function, constants in tried:
         for constant in constants:
             yield simple(name, function, float(constant))
 
 
+ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
     ("distance", "horizontal", "height", "move-distance", "last-distance", "x", "y", "z"), "m"
 )
@@ -196,7 +230,7 @@ UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
     """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
-    if name.endswith(("azimuth", "bearing", "elevation", "incidence", "nest-direction")):
+    if name.endswith((*ANGLES, "incidence")):
         return f"{np.degrees(value):.3g} deg"
     if UNITS.get(name) == "s" and not clock:
         return f"{value:.3g} rows"
@@ -209,15 +243,14 @@ def value_of(name: str, value: float, *, clock: bool = True) -> str:
 
 def _wave_words(driver: Driver, clock: bool) -> str:
     name, rate = driver.covariates[0], driver.constant
-    if name.endswith(("azimuth", "bearing", "elevation", "nest-direction")):
-        return f"a wave in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
-    return f"a wave in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
+    if name.endswith(ANGLES):
+        return f"a {driver.kind} in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
+    return f"a {driver.kind} in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
 
 
 def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words: ``tan(elevation)``, ``a smooth function of time``."""
     name = driver.covariates[0] if driver.covariates else ""
-    k = driver.constant
     match driver.kind:
         case "constant":
             return "constant"
@@ -225,22 +258,31 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
             return f"a smooth function of {name}"
         case "field":
             return "the place in the room"
-        case "wave":
+        case "visits":
+            return "the station, another at each"
+        case "wave" | "cycle":
             return _wave_words(driver, clock)
-        case "product":
-            return " times ".join(describe(f, clock=clock) for f in driver.factors)
-    match driver.function:
+        case "product" | "pieces":
+            between = " times " if driver.kind == "product" else ", "
+            return between.join(describe(f, clock=clock) for f in driver.factors)
+    return _simple_words(name, driver.function, driver.constant, clock=clock)
+
+
+def _simple_words(name: str, function: str, k: float, *, clock: bool) -> str:
+    value = value_of(name, k, clock=clock)
+    match function:
         case "power":
             return {1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
-        case "abs":
-            return f"|{name}|"
-        case "decay":
-            return f"exp(-{name} / {value_of(name, k, clock=clock)})"
-        case "saturated":
-            return f"saturation({name}, half at {value_of(name, k, clock=clock)})"
-        case "step":
-            return f"step({name} above {value_of(name, k, clock=clock)})"
-    return f"{driver.function}({'' if k == 1 else f'{k:.4g} '}{name})"
+        case "sin" | "cos" | "tan":
+            return f"{function}({'' if k == 1 else f'{k:.4g} '}{name})"
+    return {
+        "abs": f"|{name}|",
+        "decay": f"exp(-{name} / {value})",
+        "relaxing": f"1 / (1 + {name} / {value})",
+        "saturated": f"saturation({name}, half at {value})",
+        "step": f"step({name} above {value})",
+        "ramp": f"ramp({name} from {value})",
+    }[function]
 
 
 _CLOCK = ("time", "station-time")
@@ -322,10 +364,10 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     law, way, means, spread = law.along(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
     x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
-    if driver.kind == "wave":
+    if driver.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
-        columns = np.sqrt(2.0) * np.stack([np.cos(driver.constant * at), np.sin(driver.constant * at)], axis=1)
+        columns = waves_of(driver.constant * at, driver.size // 2)
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]

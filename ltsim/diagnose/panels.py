@@ -6,11 +6,12 @@ The score of carrier c with driver d at a place is the sum over its pointings of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.cluster.hierarchy import linkage
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
@@ -21,7 +22,6 @@ from ltsim.diagnose.drivers import (
     MODES,
     Driver,
     across_the_room,
-    edges,
     further,
     general_drivers,
     moves,
@@ -40,8 +40,10 @@ MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""
 ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
-NEIGHBOURS = (3, 6, 9)
-"""Targets that stand together: one with so many around it."""
+NEIGHBOURS = (3, 6)
+"""Targets around one that may move with it."""
+LEAST_GROUP = 3
+"""Targets of a group, and targets beside it, at least."""
 
 
 Form = tuple[Floats, tuple[Floats, Floats], Singles]
@@ -171,20 +173,27 @@ MOST_HITS = 6
 """Hypotheses a place that are looked at again."""
 
 SHARES = {
-    "anywhere": 0.34,  # any carrier, any driver, the whole recording
+    "anywhere": 0.38,  # any carrier, any driver, the whole recording
     "station": 0.15,  # the same at one set-up
     "instrument": 0.10,  # the same at all set-ups of one instrument
-    "product": 0.16,  # a reading that follows two drivers
+    "product": 0.12,  # a reading that follows two drivers
     "wave": 0.08,  # a reading that swings
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
-    "edge": 0.04,  # a reading that jumps
     "target": 0.04,  # one target
-    "group": 0.03,  # targets that stand together
+    "group": 0.02,  # targets that belong together
+    "tilt": 0.04,  # the same, more the farther across the group
+    "corner": 0.02,  # a target and those around it
 }
 """How the prior of laws without a card is shared."""
-KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.1, "reflector": 0.04, "air": 0.04}
+KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.12, "reflector": 0.02, "air": 0.04}
 """Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone."""
+AT_SET_UPS = {"reading": 0.4, "instrument": 0.1, "stand": 0.46, "air": 0.04}
+"""The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
+AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.3, "stand": 0.15, "air": 0.05}
+"""The same for what happens to one of several instruments."""
+AT_TARGETS = {"reading": 0.2, "target": 0.8}
+"""The same for what happens at some targets: an instrument does not know where it looks."""
 
 
 def panels(space: ResidualSpace, mass: float) -> list[Panel]:
@@ -200,7 +209,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         targets = tuple(Place((), (name,), rows) for name, rows in _each(s.target_names, s.target))
     trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
     instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
-    groups = tuple(_groups(s)) if 12 <= len(s.target_names) <= 100 else ()
+    some = 12 <= len(s.target_names) <= 100
+    groups, corners = (tuple(_together(s, sets(s))) if some else () for sets in (_branches, _corners))
     general = general_drivers(s)
     visits = float(np.median([len(place.rows) for place in stations] or [0]))
     there = general if visits > ROOM * MODES else general_drivers(s, LOW)
@@ -209,18 +219,18 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     plain += [simple(n, "power") for n in further(s)]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
     bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
-    here, moved = ("reading", "instrument", "stand", "air"), ("reading", "target")
     requests = [
-        ("anywhere", general, everywhere, tuple(KINDS)),
-        ("station", there, stations, here),
-        ("instrument", general, instruments, here),
-        ("product", list(products(s)), everywhere, ("reading",)),
-        ("wave", list(waves(s)), everywhere, ("reading", "vertical index")),
-        ("sway", swings, everywhere, ("stand", "target", "air")),
-        ("structure", bent, everywhere, ("target",)),
-        ("edge", list(edges(s)), everywhere, ("reading",)),
-        ("target", [*plain, *clock], targets, moved),
-        ("group", [*plain, *clock], groups, moved),
+        ("anywhere", general, everywhere, KINDS),
+        ("station", there, stations, AT_SET_UPS),
+        ("instrument", general, instruments, AT_INSTRUMENTS),
+        ("product", list(products(s)), everywhere, {"reading": 1.0}),
+        ("wave", list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),
+        ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
+        ("structure", bent, everywhere, {"target": 1.0}),
+        ("target", [*plain, *clock], targets, AT_TARGETS),
+        ("group", [*plain, *clock], groups, AT_TARGETS),
+        ("tilt", across_the_room([*plain[1:], *clock], 1), groups, {"target": 1.0}),
+        ("corner", [*plain, *clock], corners, AT_TARGETS),
     ]
     asked = [r for r in requests if r[1] and r[2]]
     whole = sum(SHARES[name] for name, *_ in asked)
@@ -238,15 +248,16 @@ class _Maker:
             self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
     def panels(
-        self, drivers: Sequence[Driver], places: tuple[Place, ...], kinds: tuple[str, ...], mass: float
+        self, drivers: Sequence[Driver], places: tuple[Place, ...], kinds: Mapping[str, float], mass: float
     ) -> Iterator[Panel]:
         """Panels of carriers of a kind and drivers that move it, alike in columns and scales."""
         asked = []
         for (kind, _), known in self._known.items():
             some = [(c, w) for c, w in known if kind in kinds or c.name in kinds]
             asked += [(kind, some)] if some else []
-        moved = {kind: [d for d in drivers if moves(kind, d, self._s)] for kind, _ in asked}
-        whole = sum(KINDS[kind] for kind in moved if moved[kind])
+        share = {kind: kinds.get(kind) or max(kinds.get(c.name, 0.0) for c, _ in some) for kind, some in asked}
+        moved = {kind: [d for d in drivers if moves(kind, d, self._s)] for kind in share}
+        whole = sum(share[kind] for kind in moved if moved[kind])
         for kind, known in asked:
             alike: dict[tuple[int, int], list[Driver]] = {}
             for driver in moved[kind]:
@@ -255,8 +266,8 @@ class _Maker:
             count = carriers * len(places) * sum(len(d.spreads) for d in moved[kind])
             weights = np.stack([w for _, w in known], axis=2).astype(np.float32)
             for same in alike.values():
-                columns = np.hstack([d.columns(self._s) for d in same]).astype(np.float32)
-                log_prior = float(np.log(mass * KINDS[kind] / whole / count))
+                columns = np.hstack([d.columns(self._s, moving=kind == "target") for d in same]).astype(np.float32)
+                log_prior = float(np.log(mass * share[kind] / whole / count))
                 yield Panel(tuple(c for c, _ in known), tuple(same), places, weights, columns, log_prior)
 
 
@@ -277,13 +288,34 @@ def _stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
     return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
 
 
-def _groups(s: Sightings) -> Iterator[Place]:
-    """Targets that stand together, and what lies beyond the middle of the room along each axis."""
+def _branches(s: Sightings) -> set[tuple[int, ...]]:
+    """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
+
+    These are the branches of three trees (average linkage); a surface is known by where its nests look.
+    """
+    look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
     found = set()
-    for point in s.points:
-        near = np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable")
-        found |= {tuple(sorted(near[: k + 1].tolist())) for k in NEIGHBOURS if 2 * k < len(near)}
-    for members in sorted(found):
+    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * LEVEL, look])):
+        branches = [[t] for t in range(len(features))]
+        for one, other in linkage(features, "average")[:, :2].astype(int):
+            branches.append(sorted(branches[one] + branches[other]))
+        found |= {tuple(b) for b in branches if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
+    return found
+
+
+def _corners(s: Sightings) -> set[tuple[int, ...]]:
+    """Targets with a few around them."""
+    near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
+
+
+def _together(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
+    """Places of some targets, with pointings to them."""
+    for members in sorted(sets):
         rows = np.flatnonzero(np.isin(s.target, members))
         if len(rows):
             yield Place((), tuple(s.target_names[t] for t in members), rows)
+
+
+LEVEL = 5.0
+"""Weight of heights in the tree of levels."""

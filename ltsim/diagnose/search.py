@@ -80,9 +80,8 @@ class Searcher:
             families = self.cards.family_evidence(values) + prior
             statistic = float(log_average(families))
             order = np.argsort(-families)
-            entries += [
-                self._card(int(f), values, float(families[f]), base, refine=i < self._most) for i, f in enumerate(order)
-            ]
+            near = order[: self._most][families[order[: self._most]] > _promising(families.max())]
+            entries += [self._card(int(f), values, float(families[f]), base, refine=f in near) for f in order]
         hits: list[Hit] = []
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
@@ -203,10 +202,12 @@ class Searcher:
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
         found, seen = [], set[tuple[object, ...]]()
-        for hit in sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]:
-            law = Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, hit.place.instruments)
-            key = (hit.carrier.name, hit.driver.kind, hit.driver.told, hit.place.stations, hit.place.targets)
-            if len(seen) < self._most and key not in seen:
+        hits = sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]
+        for hit in hits:
+            place, driver = hit.place, hit.driver.about(hit.place.targets)
+            law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
+            key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
+            if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
                 found.append(self._law(law, hit, base))
             else:
@@ -221,6 +222,7 @@ class Searcher:
         each = law.at_each(sightings)
         tried = [self._form(law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]
         tried += [self._form(each, whole + np.log(EACH), base)] if each else []
+        tried += self._in_pieces(law, whole + float(np.log(PIECES)), base)
         total = float(log_average(np.array([h.value for h in tried])))
         return replace(max(tried, key=lambda h: h.value), value=total)
 
@@ -242,6 +244,29 @@ class Searcher:
                 tried.append(Hypothesis(best, share, value + share, card_of(best)))
         total = float(log_average(np.array([h.value for h in tried])))
         return replace(max(tried, key=lambda h: h.value), value=total)
+
+    def _in_pieces(self, law: Law, prior: float, base: Found) -> list[Hypothesis]:
+        """The law made of a few steps and ramps, chosen one after another while the evidence rises."""
+        atoms = law.atoms(self.space.sightings)
+        if not atoms or self._large:
+            return []
+        whole = law.in_pieces(atoms)
+        gram, score = self.moments(whole, base)
+        spread = np.array([p.prior_sigma for p in whole.parameters])
+        places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
+        chosen: list[int] = []
+        taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))
+        while len(chosen) < min(taken + PATIENCE, MOST_PIECES, len(atoms)):
+            values = np.full(len(atoms), -np.inf)
+            for i in set(range(len(atoms))) - set(chosen):
+                some = places[:, [*chosen, i]].ravel()
+                values[i] = evidence_with(gram[np.ix_(some, some)], score[some], spread[some])
+            chosen.append(int(np.argmax(values)))
+            value = float(log_average(values)) - len(chosen) * price
+            if value > best:
+                best, taken = value, len(chosen)
+        found = law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])
+        return [Hypothesis(found, prior - taken * price, best + prior, card_of(found))]
 
     def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
@@ -298,8 +323,8 @@ class Searcher:
     def _grown(self, best: Found, threshold: float, *, something: bool) -> Found:
         """A set with findings added one at a time."""
         for depth in range(len(best.members), MOST_MEMBERS):
-            ranking = self.rank(best)
-            if ranking.total < threshold and (depth or not something):
+            ranking, least = self.rank(best), threshold + best.misfit
+            if ranking.total < least and (depth or not something):
                 break
             grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
             grown = grown if self._large else self.reexamined(grown)
@@ -313,7 +338,7 @@ class Searcher:
         for member in found.members[::-1]:
             others = self.without(found, found.members.index(member))
             ranking = self.rank(others)
-            if others.members and ranking.total < threshold:
+            if others.members and ranking.total < threshold + others.misfit:
                 found = others
             elif (likeliest := ranking.name()) != member.name:
                 better = next(h for h in ranking.entries if h.name == likeliest)
@@ -337,6 +362,11 @@ class Searcher:
         return found
 
 
+def _promising(best: float) -> float:
+    """Log evidence from which something is computed exactly beside the best: shapes and forms can double it."""
+    return 0.5 * best - 5.0
+
+
 def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
     spread = np.array([p.prior_sigma for p in effect.parameters])
@@ -348,8 +378,12 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     return total
 
 
-FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1}
+FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2}
 """Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
+PIECES = 0.1
+"""Prior share of curves that are made of a few steps and ramps."""
+MOST_PIECES, PATIENCE = 10, 3
+"""Steps and ramps at most, and those that are tried beyond the best."""
 EACH = 0.1
 """Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 MOST_LAWS = 400

@@ -202,6 +202,8 @@ class Sightings:
         known = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
+            "circle": wrap(self.raw[:, 1]),
+            "vertical-circle": wrap(self.raw[:, 2]),
             "distance": self.range_,
             "horizontal": self.range_ * np.cos(self.elevation),
             "height": self.local[:, 2],
