@@ -180,6 +180,7 @@ def _place(where: Where) -> str:
         f"{word} {listing(list(names))}"
         for word, names in (
             ("in", where.observables),
+            ("of instrument", where.instruments),
             ("at station", where.stations),
             ("at target", where.targets),
             ("along", where.covariates),
