@@ -103,6 +103,8 @@ class Adjustment(Shown):
             solution = planned(problem, state)
         except SingularSystemError:
             message = "the pointings do not determine all poses and targets; let stations share more targets"
+            if not recording.measured[:, 1:].any():
+                message = "ranges alone want four stations off one plane and six targets, or known lengths"
             raise NetworkError(message) from None
         return cls(problem, solution, np.zeros(len(recording), dtype=bool))
 

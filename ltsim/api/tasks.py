@@ -11,12 +11,15 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
 from ltsim.adjust import Adjustment, adjust
 from ltsim.check.check import Check, check as check_of
+from ltsim.errors import ModelError
 from ltsim.evaluate.bench import bench_file, evaluate_bench, read_bench
 from ltsim.evaluate.schema import BenchFile
 from ltsim.model.construction import ideal, stated_construction
+from ltsim.recording.coordinates import Coordinates, holds_coordinates, read_coordinates
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
-from ltsim.uncertainty.epochs import Congruence, compare as compared
+from ltsim.uncertainty.congruence import Congruence
+from ltsim.uncertainty.epochs import compare as compared, compare_coordinates
 from ltsim.uncertainty.evaluation import Evaluation, evaluate_tasks
 from ltsim.uncertainty.spec import FORMAT, Tasks, load_tasks, tasks_from
 from ltsim.units import DEGREE, MICROMETRE
@@ -57,10 +60,11 @@ def uncertainty(recording: RecordingSource, tasks: str | Path | Mapping[str, Any
 
 
 def compare(
-    first: RecordingSource,
-    second: RecordingSource,
+    first: RecordingSource | Coordinates,
+    second: RecordingSource | Coordinates,
     *,
     stable: Sequence[str] | None = None,
+    free: bool = False,
     scaled: bool = False,
     same_instrument: bool = False,
     calibrate: bool = True,
@@ -70,9 +74,12 @@ def compare(
 
     Parameters
     ----------
-    first, second : Recording, str or Path
+    first, second : Recording, Coordinates, str or Path
+        Two recordings, or two lists of coordinates with their covariance (`ltsim.recording.coordinates`).
     stable : sequence of str, optional
         Points known not to have moved; they are not tested. Default: found by the test.
+    free : bool
+        Of lists alone: their frames differ, the second may move as a whole.
     scaled : bool
         Let the second recording have a scale of its own: another temperature, another instrument.
     same_instrument : bool
@@ -90,14 +97,28 @@ def compare(
     >>> lt.compare(january, january, same_instrument=True).moved
     ()
     """
+    lists = [one for one in (_coordinates_of(first), _coordinates_of(second)) if one is not None]
+    if len(lists) == 2:
+        return compare_coordinates(*lists, stable=stable, free=free, scaled=scaled, level=level)
+    if lists or free:
+        raise ModelError("a list of coordinates is compared with another one alone, and free frames are theirs")
 
     def adjusted(recording: Recording) -> Adjustment:
         found = adjust(recording, stated_construction(recording) if calibrate else ideal())
         found.solution.require_success()
         return found
 
-    epochs = adjusted(recording_of(first)), adjusted(recording_of(second))
+    epochs = [adjusted(recording_of(one)) for one in (first, second) if not isinstance(one, Coordinates)]
     return compared(*epochs, stable=stable, scaled=scaled, same_instrument=same_instrument, level=level)
+
+
+def _coordinates_of(source: RecordingSource | Coordinates) -> Coordinates | None:
+    """The list of coordinates itself, read where a path leads to one; None for a recording."""
+    if isinstance(source, Coordinates):
+        return source
+    return (
+        read_coordinates(Path(source)) if isinstance(source, str | Path) and holds_coordinates(Path(source)) else None
+    )
 
 
 def check(recording: RecordingSource, *, level: float = 0.01) -> Check:

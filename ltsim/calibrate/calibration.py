@@ -12,6 +12,8 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.beside import FittedEffect
+from ltsim.calibrate.determined import determined
+from ltsim.calibrate.schema import DeterminedEntry
 from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
@@ -191,6 +193,17 @@ class Calibration(Shown):
     def sigma(self) -> Floats:
         """Standard deviations (I, p) of the parameters [SI]."""
         return np.sqrt(np.diag(self.covariance)).reshape(self.values.shape)
+
+    @cached_property
+    def determined(self) -> tuple[DeterminedEntry, ...]:
+        """Combinations of parameters that are known far better than each of them."""
+        several, size = len(self.instruments) > 1, len(self.names)
+        found: list[DeterminedEntry] = []
+        for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
+            own = slice(i * size, (i + 1) * size)
+            entries = determined(self.construction.parameters, values, self.covariance[own, own])
+            found += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
+        return tuple(found)
 
     @property
     def missed(self) -> Floats:

@@ -86,6 +86,7 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
             CombinationEntry(combination=dict(c.coefficients), gain=c.gain, cure=c.cure)
             for c in calibration.undetermined
         ),
+        determined=calibration.determined,
         stations=tuple(_station(station) for station in calibration.stations),
         criteria=calibration.criteria.as_json() if calibration.criteria else {},
         outliers=tuple(OutlierEntry(**vars(outlier)) for outlier in calibration.outliers),

@@ -112,6 +112,26 @@ class CombinationEntry(Entry):
     """The measurement that would determine it."""
 
 
+class DeterminedEntry(Entry):
+    """A combination of parameters that the recording determines far better than each of them."""
+
+    combination: dict[str, Finite]
+    """Coefficient of each parameter."""
+    value: Finite
+    """Its size."""
+    sigma: Known = None
+    """Its standard deviation."""
+    unit: str = ""
+    """Of both."""
+    instrument: str = ""
+    """Where there are several."""
+
+    @property
+    def terms(self) -> str:
+        """The combination in a line."""
+        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
+
+
 class StationEntry(Entry):
     """Pose of a station: mm, quaternion x y z w from instrument to network."""
 
@@ -249,6 +269,8 @@ class CalibrationFile(ResultFile):
     """Cosines and sines as amplitude and phase."""
     undetermined: tuple[CombinationEntry, ...] = ()
     """What the recording does not tell."""
+    determined: tuple[DeterminedEntry, ...] = ()
+    """What it tells of several parameters together far better than of each."""
     stations: tuple[StationEntry, ...] = ()
     """Poses."""
     criteria: dict[str, CriterionEntry] = Field(default_factory=dict)

@@ -47,6 +47,12 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
         terminal.say(effect.sentence)
     if calibration.correction is not None:
         terminal.say("\n".join([calibration.correction.line, *calibration.correction.sentences]))
+    if calibration.determined:
+        terminal.say()
+        terminal.say("known together far better than each alone:")
+        for c in calibration.determined:
+            at = f" of {c.instrument}" if c.instrument else ""
+            terminal.say(f"  {c.terms}{at} = {' +- '.join(digits(c.value, c.sigma or 0.0))} {c.unit}")
     if calibration.undetermined:
         terminal.say()
         show_undetermined(terminal, calibration)

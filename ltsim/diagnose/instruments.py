@@ -7,15 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.arrays import Floats
+from ltsim.calibrate.determined import determined
 from ltsim.diagnose.evidence import log_evidence
-from ltsim.diagnose.schema import Combination, Estimate, InstrumentEntry
+from ltsim.diagnose.schema import Estimate, InstrumentEntry
 from ltsim.effects.effect import Parameter
-
-DETERMINED = 0.25
-"""A combination is told where its deviation is at most this share of what it would be were its members independent."""
-PART = 0.2
-"""Weight from which a constant belongs to a combination."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
@@ -28,31 +23,11 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     values = adjustment.state.instrument[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    told = tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True))
-    found: list[Combination] = []
-    for unit in dict.fromkeys(p.unit for p in parameters):
-        at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
-        found += _determined(
-            [parameters[i].name for i in at], values[at], covariance[np.ix_(at, at)], unit, parameters[at[0]].factor
-        )
-    return InstrumentEntry(name=adjustment.recording.instruments[instrument], parameters=told, determined=tuple(found))
-
-
-def _determined(names: list[str], values: Floats, covariance: Floats, unit: str, factor: float) -> list[Combination]:
-    """Eigenvectors of a covariance that join constants and are known far better than each of these."""
-    spread, vectors = np.linalg.eigh(covariance)
-    found = []
-    for variance, vector in zip(spread, vectors.T, strict=True):
-        members = np.flatnonzero(np.abs(vector) > PART * np.abs(vector).max())
-        apart = float(np.sqrt(vector[members] ** 2 @ np.diag(covariance)[members]))
-        sigma = float(np.sqrt(max(variance, 0.0)))
-        if len(members) < 2 or sigma > DETERMINED * apart:
-            continue
-        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        weights = {names[i]: float(vector[i]) for i in members}
-        value = float(vector @ values) / factor
-        found.append(Combination(combination=weights, value=value, sigma=sigma / factor, unit=unit))
-    return found
+    return InstrumentEntry(
+        name=adjustment.recording.instruments[instrument],
+        parameters=tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
+        determined=tuple(determined(parameters, values, covariance)),
+    )
 
 
 PRIOR_ODDS = 0.05

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar, Literal, Self
 
-from ltsim.calibrate.schema import COORDINATES, RESIDUALS
+from ltsim.calibrate.schema import COORDINATES, RESIDUALS, DeterminedEntry
 from ltsim.effects.signature import Parameter, ShapeParameter
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.recording.result_table import ResultTable, numbers
@@ -181,19 +181,6 @@ class DetectableEntry(Entry):
     """Of the size."""
 
 
-class Combination(Entry):
-    """A combination of parameters that the recording determines better than each of them."""
-
-    combination: dict[str, Finite]
-    """Coefficient of each parameter."""
-    value: Finite
-    """Its size."""
-    sigma: Known = None
-    """Its standard deviation."""
-    unit: str = ""
-    """Of both."""
-
-
 class InstrumentEntry(Entry):
     """The ordinary calibration of one instrument."""
 
@@ -201,7 +188,7 @@ class InstrumentEntry(Entry):
     """Its name."""
     parameters: tuple[Estimate, ...] = ()
     """Estimates."""
-    determined: tuple[Combination, ...] = ()
+    determined: tuple[DeterminedEntry, ...] = ()
     """Combinations that the recording determines."""
 
 

@@ -27,7 +27,7 @@ from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.schema import Estimate
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
-from ltsim.diagnose.shapes import shape_posterior
+from ltsim.diagnose.shapes import apart, between, shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 
 MOST_MEMBERS = 5
@@ -135,7 +135,7 @@ class Searcher:
         for i in members[1:40]:
             if len(chosen) == 3 or values[i] < values[chosen[0]] - 10.0:
                 break
-            if all(_apart(self.cards.effects[int(i)], self.cards.effects[j]) for j in chosen):
+            if all(apart(self.cards.effects[int(i)], self.cards.effects[j]) for j in chosen):
                 chosen.append(int(i))
         return chosen
 
@@ -155,15 +155,15 @@ class Searcher:
         if not low < high:
             return effect, value
         u = np.linspace(-1.0, 1.0, CELLS)
-        logs = np.array([self.evidence(effect.reshaped(**{shape.name: _on(shape, low, high, x)}), base) for x in u])
+        logs = np.array([self.evidence(effect.reshaped(**{shape.name: between(shape, low, high, x)}), base) for x in u])
         for _ in range(2):
             top = int(np.argmax(logs))
             near = u[max(top - 1, 0) : top + 2]
             more = np.setdiff1d(np.linspace(near[0], near[-1], 9), u)
-            found = [self.evidence(effect.reshaped(**{shape.name: _on(shape, low, high, x)}), base) for x in more]
+            found = [self.evidence(effect.reshaped(**{shape.name: between(shape, low, high, x)}), base) for x in more]
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, found])[order]
-        best = effect.reshaped(**{shape.name: _on(shape, low, high, float(u[np.argmax(logs)]))})
+        best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[np.argmax(logs)]))})
         share = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(share, u), 1e-300)))
 
@@ -338,27 +338,6 @@ def _promising(best: float) -> float:
 
 MOST_LAWS = 400
 """Laws of all panels that are kept beside the ones computed exactly."""
-
-
-def _on(shape: ShapeParameter, low: float, high: float, u: float) -> float:
-    """The shape constant at u, from -1 at `low` to 1 at `high`, evenly in the coordinate of its grid."""
-    s = 0.5 * (u + 1.0)
-    if shape.logarithmic:
-        return float(low * (high / low) ** s)
-    if shape.reciprocal and low > 0:
-        return float(1.0 / ((1 - s) / low + s / high))
-    return float(low + s * (high - low))
-
-
-def _apart(one: Tunable, other: Tunable) -> bool:
-    """Whether two effects differ in place, or in a shape constant by more than integration reaches."""
-    if (one.stations, one.targets) != (other.stations, other.targets):
-        return True
-    for shape in type(one).shape:
-        low, high = shape.bracket(float(vars(other)[shape.name]))
-        if not low <= float(vars(one)[shape.name]) <= high:
-            return True
-    return False
 
 
 WIDER = 1.15

@@ -35,6 +35,27 @@ def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[
     return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
+def between(shape: ShapeParameter, low: float, high: float, u: float) -> float:
+    """The shape constant at u, from -1 at `low` to 1 at `high`, evenly in the coordinate of its grid."""
+    s = 0.5 * (u + 1.0)
+    if shape.logarithmic:
+        return float(low * (high / low) ** s)
+    if shape.reciprocal and low > 0:
+        return float(1.0 / ((1 - s) / low + s / high))
+    return float(low + s * (high - low))
+
+
+def apart(one: Tunable, other: Tunable) -> bool:
+    """Whether two effects differ in place, or in a shape constant by more than integration reaches."""
+    if (one.stations, one.targets) != (other.stations, other.targets):
+        return True
+    for shape in type(one).shape:
+        low, high = shape.bracket(float(vars(other)[shape.name]))
+        if not low <= float(vars(one)[shape.name]) <= high:
+            return True
+    return False
+
+
 class Shaped(NamedTuple):
     """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
 

@@ -81,12 +81,11 @@ def card_sentence(
 
 def law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
     """A law that no card names, in one sentence: what varies with what, where, how much."""
-    if not (where.covariates or where.instruments):
-        return outside_sentence(where, law)
     told = estimates(parameters)
     size = f" ({told})" if told else ""
     at = _at(where.model_copy(update={"observables": ()}))
-    return f"The {law}{at}{size}: physics outside the catalogue (probability {percent(probability)})."
+    carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
+    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue (probability {percent(probability)})."
 
 
 def outside_sentence(where: Where, law: str) -> str:

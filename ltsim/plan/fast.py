@@ -16,13 +16,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.problem import DATUM_SIGMA
+from ltsim.adjust.problem import DATUM_SIGMA, NetworkProblem
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import MeasurementModel
 from ltsim.plan.survey import Survey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import as_dense
@@ -89,8 +90,12 @@ class Reducer:
         self.construction = construction or misalignment()
         whole = survey.replace(seen=np.ones_like(survey.seen))
         pointings, state = whole.recording(self.construction), whole.state(self.construction)
-        adjustment = Adjustment.planned(pointings, state, self.construction)
-        problem = adjustment.problem
+        # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
+        problem = (
+            Adjustment.planned(pointings, state, self.construction).problem
+            if survey.is_whole
+            else NetworkProblem.of(MeasurementModel(pointings, self.construction))
+        )
         self._rank_free, self._free = problem.free.shape[1], problem.free
         self._vertical = np.full((self.stations, 3), np.nan)
         self._vertical[problem.levels.station] = problem.levels.vertical
@@ -99,7 +104,7 @@ class Reducer:
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
         self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)
         self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.kept)
-        rows = problem.linearise(adjustment.state).design[int(problem.use.sum()) :]
+        rows = problem.linearise(state).design[int(problem.use.sum()) :]
         other = as_dense(rows[: rows.shape[0] - self._rank_free])
         self._other_blocks(other, problem.unknowns.target, problem.unknowns.pose, problem.unknowns.instrument[0])
         self._weight, self._use = survey.weight, survey.used

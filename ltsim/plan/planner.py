@@ -22,7 +22,8 @@ from ltsim.plan.spec import PlanFile
 from ltsim.plan.starts import Layouts, gathered, search_one
 from ltsim.plan.survey import Survey
 from ltsim.plan.tolerances import Demands, Kept, every_loss, holds, judged
-from ltsim.plan.workshop import fixed_of, objective_of, site_of, survey_of
+from ltsim.plan.workshop import SIGHTS, fixed_of, objective_of, site_of, survey_of
+from ltsim.recording.recording import OBSERVABLES
 from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulate.physics import planned_construction
@@ -207,7 +208,8 @@ def _fewest(
     Where none keeps them, the one that comes nearest.
     """
     if "seen_from" not in file.stations.model_fields_set:
-        least = 1 if demands.robust == "no" else 2
+        alone = 1 if scenario.instrument.observables == OBSERVABLES else SIGHTS
+        least = alone if demands.robust == "no" else alone + 1
         file = file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": least})})
     faces = sorted({*file.budget.faces, scenario.work.faces})
     first = max(FEWEST, len(file.stations.fixed), 2 if demands.robust == "no" else 3)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ltsim.errors import SetupError
+from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.plan.reflectors import choose_reflectors
 from ltsim.plan.search import Layout, Searcher, unheard
@@ -55,12 +55,12 @@ def _task(
     notes: Notes,
     number: int,
 ) -> Found:
-    """One start's layout; None where the rules allow none."""
+    """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
     n, f, start = task
     made = built or planned_construction(scenario)
     try:
         return n, f, start, search_one(file, scenario, n, f, start, made, partial(notes.write, number))
-    except SetupError:
+    except (SetupError, NetworkError):
         return n, f, start, None
     finally:
         notes.write(number, 1.0)

@@ -101,7 +101,7 @@ def judged(survey: Survey, demands: Demands, built: Construction, lost: str = ""
     try:
         information = LayoutInformation.of(only(survey, seen), built)
     except NetworkError:
-        return Kept(lost, {}, np.inf, "", tuple(demands.tolerance))
+        return Kept(lost, {}, np.inf, "", unseen)
     names = information.survey.target_names
     every = dict(zip(names, radius(information.target_covariance, demands.level).tolist(), strict=True))
     found = {name: every[name] for name in demands.tolerance if name in every}

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ltsim.errors import RecordError
+from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.files import read_bytes, read_text, shown, write_texts
 from ltsim.recording.recording import Recording
 
@@ -63,6 +64,12 @@ class SourceEntry(Entry):
         """What a result says of its recording."""
         when = {"measured": recording.setup.measured} if recording.setup.measured else {}
         return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
+
+    @classmethod
+    def listed(cls, found: Coordinates) -> SourceEntry:
+        """What a result says of a list of coordinates, behind which no pointing is known."""
+        content = "\t".join((*found.names, found.axes)).encode() + found.points.tobytes() + found.covariance.tobytes()
+        return cls(title=found.title, pointings=0, digest=hashlib.sha256(content).hexdigest())
 
 
 class ResultFile(Entry):

@@ -55,9 +55,11 @@ class Proposal:
 
     @classmethod
     def of(cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None) -> Proposal:
-        """What a remedy tells about the first instrument of a planned network."""
+        """What a remedy tells about the first instrument of a planned network; nothing of one without parameters."""
+        if not adjustment.construction.size:
+            return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
-        sharper = np.exp(0.5 / max(len(before), 1) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
+        sharper = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best = int(np.argmin(ratio))
         return cls(remedy, float(sharper), adjustment.construction.names[best], float(ratio[best]), evidence or {})

@@ -68,7 +68,8 @@ def _diagnosis(folder: Path) -> list[str]:
     said = [_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     for finding in content.findings:
         where = finding.where
-        place = listing([*where.instruments, *where.stations, *where.targets]) or "the whole recording"
+        trackers = [f"instrument {name}" for name in where.instruments]
+        place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
         follows = f" with {listing(where.covariates)}" if where.covariates else ""
         unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
         cause = f"the cause of {finding.effect}" if finding.known else unnamed

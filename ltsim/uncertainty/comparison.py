@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from ltsim.arrays import Floats
-from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector, write_result
 from ltsim.recording.result_table import ResultTable, numbers, texts
-from ltsim.uncertainty.epochs import Congruence
+from ltsim.uncertainty.congruence import Congruence
 from ltsim.units import MICROMETRE, MILLIMETRE
 
 DISPLACEMENTS = ResultTable(
@@ -45,6 +46,8 @@ class DisplacementEntry(Entry):
     """that the point did not move, paid for all points tested"""
     visible_um: tuple[Finite, Finite]
     """smallest motion found with 80 %: best and worst direction"""
+    own_chi2: Known = None
+    """of the point's own difference between epochs in one frame, whatever the others did"""
 
 
 class ComparisonFile(ResultFile):
@@ -73,7 +76,7 @@ class ComparisonFile(ResultFile):
     """One a common point."""
 
 
-def comparison_file(found: Congruence, first: Recording, second: Recording, places: Floats) -> ComparisonFile:
+def comparison_file(found: Congruence, first: SourceEntry, second: SourceEntry, places: Floats) -> ComparisonFile:
     """The contents of the file; `places` (T, 3) [m] are the common points in the first epoch."""
     entries = []
     for d, place in zip(found.displacements, places, strict=True):
@@ -87,11 +90,12 @@ def comparison_file(found: Congruence, first: Recording, second: Recording, plac
                 semi_axes_um=_vector(d.semi_axes() / MICROMETRE),
                 p_value=d.p_value,
                 visible_um=(d.least / MICROMETRE, d.surely / MICROMETRE),
+                own_chi2=None if np.isnan(d.own) else d.own,
             )
         )
     return ComparisonFile(
-        recording=SourceEntry.of(first),
-        second=SourceEntry.of(second),
+        recording=first,
+        second=second,
         sentence=found.sentence,
         level=found.level,
         statistic=found.statistic,

@@ -3,156 +3,31 @@
 Each epoch is adjusted by itself; the second is brought onto the first by the rigid motions that one of them leaves open
 (and a scale, if asked for). What remains is compared with the full covariance of both. Points that moved are found one
 by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
-
-References
-----------
-Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence test.
-Baarda, A testing procedure for use in geodetic networks (1968): the single hypotheses and their smallest visible size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from scipy import special
 
 from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.reliability import noncentrality
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.chances import p_is
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.notebook import Columns, Shown
+from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.lengths import COEFFICIENT
 from ltsim.recording.setup import Gauge
+from ltsim.uncertainty.congruence import Congruence, Gap, judged
 from ltsim.uncertainty.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
-from ltsim.units import MICROMETRE
 
-AXES = tuple(enumerate("xyz"))
+SPACE = np.arange(3)
 ALIGNING = 6
-
-
-@dataclass(frozen=True)
-class Displacement:
-    """What one point did."""
-
-    target: str
-    shift: Floats
-    """(3,) [m]: from the first epoch to the second, in the frame that the stable points hold."""
-    covariance: Floats
-    """(3, 3) [m^2]."""
-    p_value: float
-    """Of the hypothesis that this point alone did not move, the other moved ones apart."""
-    moved: bool
-    least: float
-    """[m]: the smallest motion, in its best direction, that is found with 80 %; `surely` in its worst."""
-    surely: float
-    """[m]."""
-
-    @property
-    def size(self) -> float:
-        """Length of the shift [m]."""
-        return float(np.linalg.norm(self.shift))
-
-    def semi_axes(self, coverage: float = 0.95) -> Floats:
-        """Semi-axes (3,) [m] of the ellipsoid that holds the true shift with a probability, largest first."""
-        factor = float(2.0 * special.gammaincinv(1.5, coverage))
-        return np.sqrt(factor * np.clip(np.linalg.eigvalsh(self.covariance), 0.0, None))[::-1]
-
-
-@dataclass(frozen=True, repr=False)
-class Congruence(Shown):
-    """Two epochs compared."""
-
-    statistic: float
-    dof: int
-    p_value: float
-    """Global test: no point moved. Chi-square under the stated noise."""
-    after: float
-    """P-value of the same test without the points that moved."""
-    level: float
-    """False-alarm rate over all points together."""
-    displacements: tuple[Displacement, ...]
-    """Of every common point, in the order of the first recording."""
-    scale: float | None
-    """Scale of the second epoch less 1, where it was estimated."""
-
-    def _lines(self) -> list[str]:
-        return [self.sentence, f"no motion at all: {p_is(self.p_value)}; without what moved: {p_is(self.after)}"]
-
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"displacements": self._displacements}
-
-    def _displacements(self) -> Columns:
-        shift = np.array([d.shift for d in self.displacements]) / MICROMETRE
-        sigma = np.array([np.sqrt(np.diag(d.covariance)) for d in self.displacements]) / MICROMETRE
-        named = {f"{what}{axis}_um": list(v[:, i]) for what, v in (("d", shift), ("s", sigma)) for i, axis in AXES}
-        return {
-            "target": [d.target for d in self.displacements],
-            "moved": [d.moved for d in self.displacements],
-            **named,
-            "p_value": [d.p_value for d in self.displacements],
-            "visible_um": [d.surely / MICROMETRE for d in self.displacements],
-        }
-
-    @property
-    def moved(self) -> tuple[str, ...]:
-        """Names of the points that moved."""
-        return tuple(d.target for d in self.displacements if d.moved)
-
-    @property
-    def sentence(self) -> str:
-        """The verdict."""
-        told = [d for d in self.displacements if d.moved]
-        if not told:
-            sure = max(d.surely for d in self.displacements)
-            return f"no point moved; a motion of {1e6 * sure:.0f} um would have been found anywhere in 4 of 5 cases"
-        worst = sorted(told, key=lambda d: -d.size)
-        names = ", ".join(f"{d.target} by {1e6 * d.size:.0f} um" for d in worst[:6])
-        more = f" and {len(worst) - 6} more" if len(worst) > 6 else ""
-        return f"{len(told)} of {len(self.displacements)} points moved: {names}{more}"
-
-
-@dataclass(frozen=True)
-class _Gap:
-    """Differences d (3 T,) of common points after alignment, their covariance, and motions (3 T, f) that are free."""
-
-    gap: Floats
-    covariance: Floats
-    free: Floats
-
-    @cached_property
-    def _root(self) -> Floats:
-        scale = np.sqrt(np.diag(self.covariance))
-        unit = self.covariance / np.outer(scale, scale)
-        values, vectors = np.linalg.eigh(unit)
-        # Directions that neither epoch measured at all say nothing.
-        keep = values > 1e-12 * values[-1]
-        return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
-
-    def cost(self, columns: Floats | None = None) -> float:
-        """Weighted sum of squares of what free motions and further columns (3 T, q) do not explain."""
-        left = self._root @ self.gap
-        design = self._root @ (self.free if columns is None else np.hstack([self.free, columns]))
-        basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
-        return float(left @ left - np.sum((basis.T @ left) ** 2))
-
-    def estimate(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Values of free motions and further columns, and their covariance."""
-        design = self._root @ np.hstack([self.free, columns])
-        size = np.linalg.norm(design, axis=0)
-        inverse = np.linalg.pinv(design / size) / size[:, None]
-        return inverse @ (self._root @ self.gap), inverse @ inverse.T
-
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom of the global test."""
-        return len(self._root) - self.free.shape[1]
+STILL = 1e-9
+"""Share of the extent by which a unit motion has to move points along the axes that are known."""
 
 
 def compare(
@@ -186,10 +61,45 @@ def compare(
     known = np.array([stable is None or name in stable for name in common])
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
-    gap = _aligned(one, other, scaled, known)
-    tested = np.flatnonzero(~known) if stable is not None else np.arange(len(common))
-    moved = _search(gap, tested, level, 3 * len(common))
-    return _told(gap, common, moved, known if stable is not None else np.zeros(len(common), dtype=bool), scaled, level)
+    return judged(_aligned(one, other, scaled, known), common, known & (stable is not None), scaled, level)
+
+
+def compare_coordinates(
+    first: Coordinates,
+    second: Coordinates,
+    *,
+    stable: Sequence[str] | None = None,
+    free: bool = False,
+    scaled: bool = False,
+    level: float = 0.05,
+) -> Congruence:
+    """Compare two lists of coordinates in one frame; where their frames are `free`, the second may move as a whole.
+
+    Raises
+    ------
+    ModelError
+        When a stable point is not common, or the lists know other axes.
+    NetworkError
+        When too few points are common.
+    """
+    if first.axes != second.axes:
+        raise ModelError(
+            f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
+        )
+    common = [name for name in first.names if name in second.names]
+    for name in stable or ():
+        if name not in common:
+            raise unknown_name("common point", name, common)
+    held = len(first.axes) if free or scaled else 0
+    if len(common) < held + 1:
+        raise NetworkError(
+            f"the lists share {len(common)} points; at least {held + 1} are needed to see one of them move"
+        )
+    if stable is not None and len(stable) < held:
+        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+    known = np.array([stable is None or name in stable for name in common])
+    one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
+    return judged(_aligned(one, other, scaled, known, first.along), common, known & (stable is not None), scaled, level)
 
 
 @dataclass(frozen=True)
@@ -210,6 +120,15 @@ class _Epoch:
         groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
         return cls(adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
+
+    @classmethod
+    def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> _Epoch:
+        """Points of a list."""
+        at = np.array([found.names.index(name) for name in common])
+        a = len(found.axes)
+        rows = (a * at[:, None] + np.arange(a)).ravel()
+        open_ = np.eye(6) if free else np.zeros((6, 0))
+        return cls(found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), open_)
 
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
@@ -238,27 +157,32 @@ def _certificate(gauge: Gauge) -> Gauge:
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
 
 
-def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools) -> _Gap:
-    """The second epoch moved onto the first; where both frames are held, as they are."""
+def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: Ints = SPACE) -> Gap:
+    """The second epoch moved onto the first; where both frames are held, as they are; along `axes` (a,)."""
     one, other, turn = first.points, second.points, np.eye(3)
     middle = one[known].mean(axis=0)
     both = np.hstack([first.free, second.free])
     free = scipy.linalg.orth(both) if both.shape[1] else both
-    if free.shape[1]:
+    if free.shape[1] and len(axes) > 1:
         weights = known.astype(np.float64)
         for _ in range(ALIGNING):
             turn, shift = align(second.points, one, weights)
             other = second.points @ turn.T + shift
             off = np.linalg.norm(other - one, axis=1)
             weights = known / (off + np.median(off[known]) + 1e-12)  # A point that moved must not turn the rest.
-    big = np.kron(np.eye(len(one)), turn)
+    big = np.kron(np.eye(len(one)), turn[np.ix_(axes, axes)])
     shared = first.by_given @ second.by_given.T @ big.T
     covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
     motions = rigid_motion(one, middle)
     motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
+    motions = motions.reshape(len(one), 3, -1)[:, axes].reshape(len(covariance), -1)
+    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(one - middle).max()]
+    if motions.shape[1]:
+        basis = scipy.linalg.orth(motions)
+        covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
-        motions = np.hstack([motions, (one - middle).reshape(-1, 1)])
-    return _Gap((other - one).ravel(), covariance, motions)
+        motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
+    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:
@@ -266,59 +190,3 @@ def _about(free: Floats, centre: Floats) -> Floats:
     about = free.copy()
     about[:3] += np.cross(free[3:].T, centre).T
     return about
-
-
-def _columns(points: Sequence[int] | Ints, size: int) -> Floats:
-    """Unit displacements (3 T, 3 k) of some points."""
-    columns = np.zeros((size, 3 * len(points)))
-    for j, point in enumerate(points):
-        columns[3 * point : 3 * point + 3, 3 * j : 3 * j + 3] = np.eye(3)
-    return columns
-
-
-def _search(gap: _Gap, tested: Ints, level: float, size: int) -> list[int]:
-    """Points that moved: added while one stands out, then each tested again beside the others."""
-    moved: list[int] = []
-    limit = special.chdtri(3, level / max(len(tested), 1))
-    most = max(0, (size // 3) - 3)
-    while len(moved) < min(len(tested), most):
-        now = gap.cost(_columns(moved, size))
-        rest = [p for p in tested if p not in moved]
-        drops = [now - gap.cost(_columns([*moved, p], size)) for p in rest]
-        best = int(np.argmax(drops))
-        if drops[best] < limit:
-            break
-        moved.append(int(rest[best]))
-    for point in list(moved):
-        others = [p for p in moved if p != point]
-        if gap.cost(_columns(others, size)) - gap.cost(_columns(moved, size)) < limit:
-            moved = others
-    return moved
-
-
-def _told(gap: _Gap, names: Sequence[str], moved: list[int], fixed: Bools, scaled: bool, level: float) -> Congruence:
-    """Displacements of all points in the frame that the unmoved ones hold, and the tests."""
-    size = 3 * len(names)
-    count = max(int(np.sum(~fixed)), 1)
-    needed = noncentrality(3, level=level / count)
-    rest = gap.cost(_columns(moved, size))
-    displacements = []
-    for i, name in enumerate(names):
-        free = [*[p for p in moved if p != i], i]
-        values, covariance = gap.estimate(_columns(free, size))
-        own = covariance[-3:, -3:]
-        drop = gap.cost(_columns(free[:-1], size)) - gap.cost(_columns(free, size))
-        spread = np.sqrt(needed * np.clip(np.linalg.eigvalsh(own), 0.0, None))
-        p = float(min(1.0, count * special.chdtrc(3, max(drop, 0.0))))
-        displacements.append(Displacement(name, values[-3:], own, p, i in moved, float(spread[0]), float(spread[-1])))
-    values, _ = gap.estimate(_columns(moved, size))
-    dof = gap.dof
-    return Congruence(
-        statistic=gap.cost(),
-        dof=dof,
-        p_value=float(special.chdtrc(dof, max(gap.cost(), 0.0))),
-        after=float(special.chdtrc(dof - 3 * len(moved), max(rest, 0.0))),
-        level=level,
-        displacements=tuple(displacements),
-        scale=float(values[gap.free.shape[1] - 1]) if scaled else None,
-    )

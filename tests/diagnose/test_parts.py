@@ -11,7 +11,9 @@ import pytest
 from ltsim.adjust import Adjustment, adjust
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.refit import refit
+from ltsim.diagnose.schema import Where
 from ltsim.diagnose.separate import separating_measurement
+from ltsim.diagnose.words import law_sentence
 from ltsim.effects.effect import Effect
 from ltsim.effects.range_cyclic import RangeCyclic
 from ltsim.effects.station_settling import StationSettling
@@ -98,3 +100,14 @@ def test_chances_are_those_of_the_simulated_recordings_and_fall_exponentially_be
     assert last == pytest.approx(16 / 1001)
     assert found.chance(np.sort(null)[-15] + np.log(10.0)) == pytest.approx(last / 10)
     assert found.chance(1e4) < 1e-300
+
+
+@pytest.mark.parametrize(
+    ("law", "where", "told"),
+    [
+        ("vertical index follows hall_c", Where(instruments=("B",), covariates=("hall_c",)), "of instrument B follows"),
+        ("vertical index differs", Where(stations=("S4",)), "vertical index at station S4 differs"),
+    ],
+)
+def test_the_place_of_a_law_stands_beside_what_varies(law, where, told):
+    assert told in law_sentence(where, [], 0.9, law)

@@ -92,6 +92,33 @@ def test_batch_agrees_with_the_slow_twin_with_levels_and_without_parameters() ->
     assert out.target_rms[0] == pytest.approx(LayoutInformation.of(made, ideal()).target_rms, rel=1e-9)
 
 
+def test_batch_agrees_with_the_slow_twin_for_ranges_alone() -> None:
+    made = survey((1,), observables=("distance",))
+    reducer = Reducer(made)
+    position, yaw = scattered(4, 2)
+    out = reducer.reduce(
+        reducer.blocks(position.reshape(-1, 3), yaw.ravel()), np.arange(20).reshape(4, 5)[:, :5], targets=True
+    )
+    for i in range(4):
+        slow = LayoutInformation.of(made.replace(position=position[i], yaw=yaw[i]))
+        fast = np.linalg.inv(out.information[i])
+        assert np.abs(fast - slow.scaled_covariance).max() < 1e-7
+        assert out.target_rms[i] == pytest.approx(slow.target_rms, rel=1e-7)
+
+
+def test_ranges_from_one_plane_determine_nothing() -> None:
+    """Stations in a plane may be sheared against their targets without any range changing: only the gauge resists."""
+    made = survey((1,), observables=("distance",))
+    made = made.replace(setup=made.setup.model_copy(update={"gauge": None}))
+    flat = made.position * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0]
+    reducer = Reducer(made)
+    both = np.concatenate([made.position, flat])
+    out = reducer.reduce(reducer.blocks(both, np.tile(YAW, 2)), np.arange(10).reshape(2, 5), targets=True)
+    assert np.isfinite(out.target_rms).tolist() == [True, False]
+    with pytest.raises(NetworkError, match="off one plane"):
+        LayoutInformation.of(made.replace(position=flat))
+
+
 def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     """A range offset taken as an effect beside the others has the information it has as a parameter without prior."""
     made = survey()

@@ -13,12 +13,12 @@ from ltsim.cli.main import run
 from ltsim.diagnose import diagnose
 from ltsim.diagnose.separate import open_question
 from ltsim.errors import ModelError
-from ltsim.model.construction import misalignment
+from ltsim.model.construction import ideal, misalignment
 from ltsim.plan.criteria import d_criterion
 from ltsim.recording import Recording, write
 from ltsim.remedies.deciding import Rivals, explanation, space_of
 from ltsim.remedies.network import Network
-from ltsim.remedies.next_measurement import next_measurement
+from ltsim.remedies.next_measurement import deciding, next_measurement
 from ltsim.remedies.remedy import (
     FloorPlan,
     further_pointings,
@@ -51,6 +51,16 @@ def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: t
     assert max(sharper) <= 1.0 + 1e-9
     assert "other face" in made.proposals[0].remedy.words
     assert {p.remedy.kind for p in made.proposals} == {"pointings", "return", "station"}
+
+
+def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still_decided(
+    drifting: tuple[Recording, Truth],
+) -> None:
+    adjusted = adjust(drifting[0], ideal())
+    asked = [explanation(space_of(adjusted, ()), name) for name in ("index-drift", "station-settling")]
+    made = deciding(adjusted, asked, first_is_enough=True)
+    assert made.proposals[0].evidence
+    assert {(p.sharper, p.serves, p.serves_factor) for p in made.proposals} == {(1.0, "", 1.0)}
 
 
 def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Recording, Truth]) -> None:

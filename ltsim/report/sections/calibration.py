@@ -18,7 +18,14 @@ from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Fact, Note, Section, Table, mood, picture
 from ltsim.report.residuals import Residuals
-from ltsim.report.sections.network import residual_blocks, station_table, target_table, undetermined, workshop_blocks
+from ltsim.report.sections.network import (
+    combined,
+    residual_blocks,
+    station_table,
+    target_table,
+    undetermined,
+    workshop_blocks,
+)
 from ltsim.report.sections.recording import adjusted
 from ltsim.report.words import agreement, count
 from ltsim.report.workshop import Sights, Workshop, assemble
@@ -57,6 +64,7 @@ def calibration_section(
     blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in fitted_effects(content)]
     blocks += _criteria(content)
     blocks += _network(folder, content, recording, detail=detail, residuals=not brief)
+    blocks += combined("Determined in combination", content.determined)
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
     blocks += _outliers(content)

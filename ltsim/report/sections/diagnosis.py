@@ -17,7 +17,7 @@ from ltsim.report import figures, style
 from ltsim.report.document import Block, Fact, Note, Section, Table, mood, picture
 from ltsim.report.residuals import Residuals
 from ltsim.report.sections.calibration import residuals_before
-from ltsim.report.sections.network import residual_blocks, target_table
+from ltsim.report.sections.network import combined, residual_blocks, target_table
 from ltsim.report.words import count, listing, typeset
 
 LEAST_UM = 0.1
@@ -139,17 +139,7 @@ def _instruments(content: DiagnosisFile) -> list[Block]:
         rows = [[p.name, style.with_unit(p.value, p.sigma, p.unit)] for p in entry.parameters]
         title = f"Constants{name}, with the findings modelled"
         blocks.append(Table(title, ["constant", "value"], rows, text_columns=2))
-        joined = [
-            [
-                " ".join(f"{weight:+.2f} {constant}" for constant, weight in c.combination.items()),
-                style.with_unit(c.value, c.sigma, c.unit),
-            ]
-            for c in entry.determined
-        ]
-        if joined:
-            note = "Together they are known far better than each of them."
-            together = f"What the recording determines{name} in combination"
-            blocks.append(Table(together, ["combination", "value"], joined, 2, note))
+        blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     return blocks
 
 
@@ -180,6 +170,7 @@ def _place(where: Where) -> str:
         f"{word} {listing(list(names))}"
         for word, names in (
             ("in", where.observables),
+            ("of instrument", where.instruments),
             ("at station", where.stations),
             ("at target", where.targets),
             ("along", where.covariates),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ltsim.arrays import Floats
-from ltsim.calibrate.schema import CombinationEntry
+from ltsim.calibrate.schema import CombinationEntry, DeterminedEntry
 from ltsim.report import figures, style
 from ltsim.report.document import Block, Detail, Scene, Table, picture
 from ltsim.report.residuals import Residuals
@@ -79,6 +79,17 @@ def undetermined(title: str, entries: Sequence[CombinationEntry], *, decimals: i
     ]
     header = ["combination, in units of the prior σ", "what would determine it", "told"]
     return [Table(title, header, rows, text_columns=2, note=note)] if rows else []
+
+
+def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Block]:
+    """Combinations of parameters that are known far better than each of them."""
+    rows = [
+        [f"{entry.terms} ({entry.instrument})" if entry.instrument else entry.terms,
+         style.with_unit(entry.value, entry.sigma, entry.unit)]
+        for entry in entries
+    ]  # fmt: skip
+    note = "Together they are known far better than each of them."
+    return [Table(title, ["combination", "value"], rows, text_columns=2, note=note)] if rows else []
 
 
 def station_table(names: tuple[str, ...], position: Floats, sigma: Floats | None, *, note: str) -> Table:
