@@ -62,6 +62,8 @@ _SLOTS = {
     "beam-tilt": Carrier("beam tilt", "urad", ANGLE, ("azimuth",)),
 }
 """Slots of the kinematic chain."""
+SLOT_OF = {carrier.name: slot for slot, carrier in _SLOTS.items()} | {"distance": "range"}
+"""The slot that a carrier varies."""
 _READINGS = tuple(
     Carrier(name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading")
     for name in OBSERVABLES

@@ -14,6 +14,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.calibrate.known import Known
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
+from ltsim.diagnose.carriers import SLOT_OF
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
@@ -22,11 +23,15 @@ from ltsim.diagnose.findings import Explained, equivalents, gross_finding, instr
 from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
 from ltsim.diagnose.instruments import contradictions, instrument_entries
+from ltsim.diagnose.law import Law
 from ltsim.diagnose.noise import NoiseHypothesis, most_likely
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Finding, Fit
 from ltsim.diagnose.sets import Found
 from ltsim.diagnose.words import summarise
+from ltsim.effects import BASELINE
+from ltsim.effects.effect import SlotEffect, Term
+from ltsim.effects.signature import Tunable
 from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.solve.threads import in_one_thread
@@ -34,6 +39,8 @@ from ltsim.solve.threads import in_one_thread
 MOST_ROUNDS = 3
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
+ABSORBED = 10.0
+"""How much less than in the readings it is known what an unknown law does to the constants, which absorb most of it."""
 LEAST_GAIN = 2.0
 """Log evidence of a further finding: odds of 7 to 1 that there is one."""
 
@@ -76,9 +83,18 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, histor
     mismatch = detection.p_value < level
     found, fitted = _refitted(case, _explain(case, detection) if mismatch else case.searcher.empty)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
-    mistaken = [gross_finding(one, baseline) for one in gross]
-    odd = [instrument_finding(one) for one in compared(settled, LEAST_GAIN + found.misfit)]
+    mistaken = [gross_finding(slip, baseline) for slip in gross]
+    apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
+    odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)]
     return _told(Explained(case, detection, found, fitted), sight, [*mistaken, *odd], settled, mismatch=mismatch)
+
+
+def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
+    """Whether a constant of an instrument is what an effect varies: then it has no value to contradict another."""
+    ordinary = [e for e in BASELINE if isinstance(e, SlotEffect)]
+    slots = {p.name: t.slot for e in ordinary for p, t in zip(e.parameters, e.terms, strict=True) if t == Term(t.slot)}
+    varied = {SLOT_OF.get(e.carrier.name) if isinstance(e, Law) else getattr(e, "slot", None) for e in effects}
+    return slots.get(constant, "") in varied
 
 
 def _explain(case: Case, detection: Detection) -> Found:

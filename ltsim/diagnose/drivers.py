@@ -57,6 +57,11 @@ SIMPLE = {
 """Functions of a covariate and a constant, of which the shortest laws are made."""
 
 
+def words_of(names: Iterable[str]) -> tuple[str, ...]:
+    """Covariates in the words of the interface."""
+    return tuple(dict.fromkeys("approach" if n.startswith(MEMORY) else WORDS.get(n, n) for n in names))
+
+
 def further(sightings: Sightings) -> list[str]:
     """Columns of the recording beyond the format's that vary."""
     return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
@@ -183,9 +188,7 @@ class Driver:
     def told(self) -> tuple[str, ...]:
         """What it depends on, in the words of the interface."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
-        names += ["place"] if self.kind == "visits" else []
-        words = ["approach" if n.startswith(MEMORY) else WORDS.get(n, n) for n in names]
-        return tuple(dict.fromkeys(words))
+        return words_of([*names, "x"] if self.kind == "visits" else names)
 
 
 RESTING = 0.02

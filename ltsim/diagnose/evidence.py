@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ltsim.arrays import Bools, Floats, Ints, Singles
+from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
 SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0])
@@ -161,6 +162,17 @@ def wide_posterior(gram: Floats, score: Floats, spread: Floats) -> tuple[Floats,
 def sign_weight(mean: float, sigma: float) -> float:
     """Log factor on the evidence of what is never negative: twice the posterior chance of a positive size."""
     return float(np.log(2.0) + log_ndtr(mean / max(sigma, 1e-300)))
+
+
+def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
+    """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
+    spread = np.array([p.prior_sigma for p in effect.parameters])
+    if not any(p.positive for p in effect.parameters):
+        return evidence_with(gram, score, spread)
+    mean, covariance, total = posterior(gram, score, spread)
+    for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
+        total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
+    return total
 
 
 MAINLY = 0.8

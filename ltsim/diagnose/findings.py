@@ -12,6 +12,7 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.gross import GrossFinding
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
+from ltsim.diagnose.drivers import words_of
 from ltsim.diagnose.evidence import carried_by
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.law import Law, curve_of, describe
@@ -169,7 +170,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         stations=stations,
         targets=effect.targets,
         instruments=instruments,
-        covariates=tuple(effect.covariates),
+        covariates=words_of(effect.covariates),
     )
 
 

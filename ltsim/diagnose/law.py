@@ -96,12 +96,21 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried for a wave, constants around one."""
+        """Rates between those tried for a wave, edges and constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
+        if driver.kind == "pieces" and len(driver.factors) <= MOVED:
+            x = np.unique(sightings.quantities[driver.covariates[0]][self.mask(sightings) > 0])
+            found = []
+            for i, piece in enumerate(driver.factors):
+                gap = int(np.searchsorted(x, piece.constant))
+                for k in range(max(gap - NEAR, 1), min(gap + NEAR, len(x) - 1) + 1):
+                    moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
+                    found.append(self.in_pieces([*driver.factors[:i], moved, *driver.factors[i + 1 :]]))
+            return found
         if driver.function in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
@@ -110,6 +119,8 @@ class Law(Tunable):
         """Short laws that a smooth one may turn out to be."""
         if self.driver.kind == "smooth":
             return [replace(self, driver=d, scale=0) for d in _short(sightings, self.driver.covariates[0])]
+        if self.driver.function == "decay":
+            return [replace(self, driver=replace(self.driver, function="relaxing"))]
         if self.driver.kind != "product":
             return []
         options = [
@@ -132,20 +143,6 @@ class Law(Tunable):
             if laws
         }
 
-    def as_constant(self, sightings: Sightings) -> Law:
-        """The vertical index in place of an elevation that errs as one.
-
-        It does where it changes sign with the face, or on a single face whatever is pointed at.
-        """
-        index, driver = CARRIERS["vertical index"][0], self.driver
-        names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
-        one_face = not np.ptp(sightings.face)
-        if self.carrier.name == "elevation" and one_face and names <= {*_CLOCK, *sightings.covariates}:
-            return replace(self, carrier=replace(index, size=self.carrier.size))
-        if self.carrier.name == "elevation" and driver.kind == "simple" and driver.covariates == ("face",):
-            return replace(self, carrier=replace(index, size=self.carrier.size), driver=CONSTANT)
-        return self
-
     def atoms(self, sightings: Sightings) -> list[Driver]:
         """Steps and ramps of which a smooth driver may be made instead."""
         curved = [f for f in (self.driver, *self.driver.factors) if f.kind == "smooth"]
@@ -163,6 +160,20 @@ class Law(Tunable):
         if driver.kind == "product":
             made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
         return replace(self, driver=made, scale=0)
+
+    def as_constant(self, sightings: Sightings) -> Law:
+        """The vertical index in place of an elevation that errs as one.
+
+        It does where it changes sign with the face, or on a single face whatever is pointed at.
+        """
+        index, driver = CARRIERS["vertical index"][0], self.driver
+        names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
+        one_face = not np.ptp(sightings.face)
+        if self.carrier.name == "elevation" and one_face and names <= {*_CLOCK, *sightings.covariates}:
+            return replace(self, carrier=replace(index, size=self.carrier.size))
+        if self.carrier.name == "elevation" and driver.kind == "simple" and driver.covariates == ("face",):
+            return replace(self, carrier=replace(index, size=self.carrier.size), driver=CONSTANT)
+        return self
 
     def at_each(self, sightings: Sightings) -> Law | None:
         """The law with coefficients of its own for each set-up, where that can be."""
@@ -197,6 +208,8 @@ OF_A_SET_UP = ("reading", "instrument", "stand")
 MOST_SET_UPS = 12
 """Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+MOVED, NEAR = 4, 6
+"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate."""
 SCALED = ("decay", "relaxing", "saturated")
 """Functions with a constant in the unit of their covariate."""
 SHARES = np.array([0.05, 0.15, 0.5])

@@ -17,8 +17,9 @@ import scipy.sparse as sp
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.drivers import further
+from ltsim.diagnose.drivers import MEMORY, further
 from ltsim.diagnose.evidence import PRIOR, log_means, shares
+from ltsim.diagnose.places import branches
 from ltsim.diagnose.schema import Equivalent
 from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
@@ -30,7 +31,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class NoisePattern(NoiseSignature):
-    """Noise of some observables that grows with a covariate, or is larger at one target: not in the catalogue.
+    """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network.
     """
@@ -57,7 +58,7 @@ class NoisePattern(NoiseSignature):
         """Variance (n, 3)."""
         pattern = self.mask(sightings)
         for name in self.covariates:
-            x = sightings.quantities[name]
+            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
             x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
             pattern = pattern * ((1 - x) if self.falling else x) ** 2
         acts = [float(o in self.observables) for o in OBSERVABLES]
@@ -85,20 +86,22 @@ class NoiseHypothesis:
 
 def _patterns(sightings: Sightings) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
-    names = ["elevation", "time", *(["incidence"] if np.isfinite(sightings.incidence).any() else [])]
+    known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
+    known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
-    for acts, name, falling in product(single, [*names, *further(sightings)], (False, True)):
+    for acts, name, falling in product(single, [*known, *further(sightings)], (False, True)):
         yield acts[0], NoisePattern(acts, (name,), falling=falling), (2.0, 6.0, 20.0)
-    targets = sightings.target_names if len(sightings.target_names) <= MOST_TARGETS else ()
+    names = sightings.target_names
+    groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
     for acts in (*single, OBSERVABLES):
         yield "repeating", NoisePattern(acts, repeating=True), (0.25, 0.6, 1.5, 4.0, 12.0)
         yield "scatter", NoisePattern(acts), (0.25, 0.6, 1.5, 4.0, 12.0)
-        for target in targets:
-            yield "target", NoisePattern(acts, targets=(target,)), (3.0, 15.0)
+        for group in groups:
+            yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), (3.0, 15.0)
 
 
 MOST_TARGETS = 60
-"""Targets up to whose number each is tried on its own."""
+"""Targets up to whose number each is tried on its own, and those that belong together."""
 
 
 def noise_hypotheses(sightings: Sightings) -> list[NoiseHypothesis]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.cluster.hierarchy import linkage
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
@@ -31,8 +30,8 @@ from ltsim.diagnose.drivers import (
     waves,
 )
 from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
+from ltsim.diagnose.places import Place, branches, corners_of, each, stations_of, together
 from ltsim.diagnose.probe import Probe
-from ltsim.scene.sightings import Sightings
 
 CHUNK = 1000
 """Pointings whose products are held at once."""
@@ -40,23 +39,9 @@ MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""
 ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
-NEIGHBOURS = (3, 6)
-"""Targets around one that may move with it."""
-LEAST_GROUP = 3
-"""Targets of a group, and targets beside it, at least."""
 
 
 Form = tuple[Floats, tuple[Floats, Floats], Singles]
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a law acts: names of set-ups or targets, and their pointings."""
-
-    stations: tuple[str, ...]
-    targets: tuple[str, ...]
-    rows: Ints
-    instruments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -186,8 +171,9 @@ SHARES = {
     "corner": 0.02,  # a target and those around it
 }
 """How the prior of laws without a card is shared."""
-KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.12, "target": 0.12, "reflector": 0.02, "air": 0.04}
-"""Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone."""
+KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.2, "target": 0.04, "reflector": 0.02, "air": 0.04}
+"""Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all
+targets seem to move alike it is the stands."""
 AT_SET_UPS = {"reading": 0.4, "instrument": 0.1, "stand": 0.46, "air": 0.04}
 """The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
 AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.3, "stand": 0.15, "air": 0.05}
@@ -204,13 +190,13 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     stations: tuple[Place, ...] = ()
     targets: tuple[Place, ...] = ()
     if 1 < len(s.station_names) <= MOST_PLACES:
-        stations = tuple(Place((name,), (), rows) for name, rows in _each(s.station_names, s.station))
+        stations = tuple(Place((name,), (), rows) for name, rows in each(s.station_names, s.station))
     if 1 < len(s.target_names) <= MOST_PLACES:
-        targets = tuple(Place((), (name,), rows) for name, rows in _each(s.target_names, s.target))
-    trackers = list(_each(space.adjustment.recording.instruments, s.instrument))
-    instruments = tuple(Place(_stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
+        targets = tuple(Place((), (name,), rows) for name, rows in each(s.target_names, s.target))
+    trackers = list(each(space.adjustment.recording.instruments, s.instrument))
+    instruments = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
     some = 12 <= len(s.target_names) <= 100
-    groups, corners = (tuple(_together(s, sets(s))) if some else () for sets in (_branches, _corners))
+    groups, corners = (tuple(together(s, sets(s))) if some else () for sets in (branches, corners_of))
     general = general_drivers(s)
     visits = float(np.median([len(place.rows) for place in stations] or [0]))
     there = general if visits > ROOM * MODES else general_drivers(s, LOW)
@@ -276,46 +262,3 @@ def at_noise(carrier: Carrier, weights: Floats) -> Carrier:
     strength = np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     felt = float(np.median(strength[strength > 0])) if (strength > 0).any() else 0.0
     return replace(carrier, size=max(carrier.size, 1.0 / felt)) if felt > 0 else carrier
-
-
-def _each(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
-    """Names with their pointings, where they have any."""
-    rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
-    return (pair for pair in rows if len(pair[1]))
-
-
-def _stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
-    return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
-
-
-def _branches(s: Sightings) -> set[tuple[int, ...]]:
-    """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
-
-    These are the branches of three trees (average linkage); a surface is known by where its nests look.
-    """
-    look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
-    found = set()
-    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * LEVEL, look])):
-        branches = [[t] for t in range(len(features))]
-        for one, other in linkage(features, "average")[:, :2].astype(int):
-            branches.append(sorted(branches[one] + branches[other]))
-        found |= {tuple(b) for b in branches if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
-    return found
-
-
-def _corners(s: Sightings) -> set[tuple[int, ...]]:
-    """Targets with a few around them."""
-    near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
-    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
-
-
-def _together(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
-    """Places of some targets, with pointings to them."""
-    for members in sorted(sets):
-        rows = np.flatnonzero(np.isin(s.target, members))
-        if len(rows):
-            yield Place((), tuple(s.target_names[t] for t in members), rows)
-
-
-LEVEL = 5.0
-"""Weight of heights in the tree of levels."""

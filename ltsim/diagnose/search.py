@@ -12,6 +12,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.carriers import CARRIERS
-from ltsim.diagnose.evidence import PRIOR, evidence_with, log_average, posterior, sign_weight
+from ltsim.diagnose.evidence import PRIOR, evidence_of, log_average, posterior
+from ltsim.diagnose.forms import exactly
 from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
@@ -42,6 +44,20 @@ KEPT = 16
 """Projected signatures that are kept."""
 
 
+class Screen(NamedTuple):
+    """Everything beside a set as it is scored at once.
+
+    Log evidence of cards (h,), and of their families with priors; laws worth a second look; the log sum over all, and
+    that (trials,) of simulated recordings, which it is compared with.
+    """
+
+    values: Floats
+    families: Floats
+    hits: list[Hit]
+    statistic: float
+    null: Floats
+
+
 class Searcher:
     """Search over cards and laws in one residual space."""
 
@@ -49,17 +65,18 @@ class Searcher:
         """A search; with `cards` of one on the same readings with other weights, which is judged already."""
         self.space = space
         self.probe = Probe.of(space, seed, judged=cards is None)
-        self._large = self.probe.basis is None
-        self._most = FEW if self._large else REFINED
+        self.large = self.probe.basis is None
+        self._most = FEW if self.large else REFINED
         self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self._grams: dict[str, Floats] = {}
+        self._whole: dict[str, Floats] = {}
         self._carried: dict[str, Floats] = {}
         self._pointing = np.nonzero(space.use)[0]
-        self.first = self.rank(self.empty)
+        self.first = self._screened(self.empty)
 
     def rank(self, base: Found) -> Ranking:
         """Everything beside a set: scored at once, the best computed exactly."""
@@ -68,30 +85,33 @@ class Searcher:
             self._ranked[key] = self._rank(base)
         return self._ranked[key]
 
-    def _rank(self, base: Found) -> Ranking:
+    def _screened(self, base: Found) -> Screen:
+        """All cards and laws beside a set, scored at once."""
         probe = self.probe.beside(base.residual, base.extension) if base.members else self.probe
         values, chance = self.cards.score(probe)
-        count = max(len(self.cards.families), 1)
-        prior = np.log(PRIOR["named"] / count)
-        null = log_average(chance + prior)
-        entries: list[Hypothesis] = []
-        statistic = -np.inf
-        if len(values):
-            families = self.cards.family_evidence(values) + prior
-            statistic = float(log_average(families))
-            order = np.argsort(-families)
-            near = order[: self._most][families[order[: self._most]] > _promising(families.max())]
-            entries += [self._card(int(f), values, float(families[f]), base, refine=f in near) for f in order]
+        families = self.cards.family_evidence(values) + self._of_a_card if len(values) else values
         hits: list[Hit] = []
+        statistic, null = log_average(families), log_average(chance + self._of_a_card)
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
             hits += found
-            statistic = np.logaddexp(statistic, law_total)
-            null = np.logaddexp(null, law_chance)
-        entries += self._laws(hits, base)
+            statistic, null = np.logaddexp(statistic, law_total), np.logaddexp(null, law_chance)
+        return Screen(values, families, hits, float(statistic), null)
+
+    @property
+    def _of_a_card(self) -> float:
+        """Log prior of each family of cards."""
+        return float(np.log(PRIOR["named"] / max(len(self.cards.families), 1)))
+
+    def _rank(self, base: Found) -> Ranking:
+        values, families, hits, _, _ = self._screened(base) if base.members else self.first
+        entries = self._laws(hits, base)
+        for i, family in enumerate(np.argsort(-families)):
+            refine = i < self._most and families[family] > _promising(families.max())
+            entries.append(self._card(int(family), values, float(families[family]), base, refine=refine))
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
         entries.sort(key=lambda h: -h.value)
-        return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))), float(statistic), null)
+        return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))))
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards; its evidence is that of the family."""
@@ -121,7 +141,7 @@ class Searcher:
 
     def _integrated(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
         """An effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
-        effect, value = self._uphill(effect, base)
+        effect, value = self.uphill(effect, base)
         for shape in type(effect).shape:
             now = getattr(effect, shape.name)
             if isinstance(now, float) and shape.steps > 1:
@@ -147,14 +167,14 @@ class Searcher:
         share = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(share, u), 1e-300)))
 
-    def _uphill(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
+    def uphill(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
         """Uphill over what an effect offers near itself; the evidence is the mean over the last neighbourhood."""
         value, mean = self.evidence(effect, base), -np.inf
         for _ in range(MOST_STEPS):
             near = effect.finer(self.space.sightings)
             if not near:
                 return effect, value
-            self._prepare(near)
+            self.prepare(near)
             logs = np.array([self.evidence(one, base) for one in near])
             mean = float(log_average(np.append(logs, value)) - np.log(len(logs) + 1))
             if logs.max() <= value:
@@ -172,16 +192,19 @@ class Searcher:
         Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
         products with itself alone, and these are the same beside every set.
         """
-        self._prepare([effect])
-        signature = self._signature(effect)
+        key = repr(effect)
+        if key not in self._grams:
+            self.prepare([effect])
+        signature = self._whole[key] if key in self._whole else self._signature(effect)
         beside = base.extension.T @ signature
-        return self._grams[repr(effect)] - beside.T @ beside, signature.T @ base.residual
+        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
 
-    def _prepare(self, effects: Sequence[Tunable]) -> None:
+    def prepare(self, effects: Sequence[Tunable]) -> None:
         """Gram matrices of what the adjustment leaves of the signatures of effects, all in one go."""
-        new = {repr(one): self._signature(one) for one in effects if repr(one) not in self._grams}
+        new = {key: self._signature(one) for key, one in ((repr(e), e) for e in effects) if key not in self._grams}
         if not new:
             return
+        self._whole = new
         left = self.space.project(np.hstack(list(new.values())))
         edges = np.cumsum([signature.shape[1] for signature in new.values()])[:-1]
         for key, part in zip(new, np.split(left, edges, axis=1), strict=True):
@@ -209,64 +232,10 @@ class Searcher:
             key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
             if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
-                found.append(self._law(law, hit, base))
+                found += exactly(self, law, hit.log_prior, base)
             else:
                 found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
         return found
-
-    def _law(self, law: Law, hit: Hit, base: Found) -> Hypothesis:
-        """A law computed exactly, in all its forms, and the likeliest of them."""
-        sightings = self.space.sightings
-        law = law.as_constant(sightings)
-        whole = hit.log_prior + float(np.log(len(law.driver.spreads)))
-        each = law.at_each(sightings)
-        tried = [self._form(law, whole + (np.log(1.0 - EACH) if each else 0.0), base)]
-        tried += [self._form(each, whole + np.log(EACH), base)] if each else []
-        tried += self._in_pieces(law, whole + float(np.log(PIECES)), base)
-        total = float(log_average(np.array([h.value for h in tried])))
-        return replace(max(tried, key=lambda h: h.value), value=total)
-
-    def _form(self, law: Law, prior: float, base: Found) -> Hypothesis:
-        """The likeliest of the forms of a law at its place, with the evidence of all."""
-        forms = law.forms(self.space.sightings)
-        self._prepare([scales[0] for some in forms.values() for scales in some])
-        whole = sum(FORMS[kind] for kind in forms)
-        tried = []
-        for kind, some in forms.items():
-            share = prior + float(np.log(FORMS[kind] / whole / len(some)))
-            for scales in some:
-                if len(scales) == 1:
-                    best, value = self._uphill(scales[0], base)
-                else:
-                    moments = self.moments(scales[0], base)
-                    logs = np.array([evidence_of(one, *moments) for one in scales])
-                    best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
-                tried.append(Hypothesis(best, share, value + share, card_of(best)))
-        total = float(log_average(np.array([h.value for h in tried])))
-        return replace(max(tried, key=lambda h: h.value), value=total)
-
-    def _in_pieces(self, law: Law, prior: float, base: Found) -> list[Hypothesis]:
-        """The law made of a few steps and ramps, chosen one after another while the evidence rises."""
-        atoms = law.atoms(self.space.sightings)
-        if not atoms or self._large:
-            return []
-        whole = law.in_pieces(atoms)
-        gram, score = self.moments(whole, base)
-        spread = np.array([p.prior_sigma for p in whole.parameters])
-        places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
-        chosen: list[int] = []
-        taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))
-        while len(chosen) < min(taken + PATIENCE, MOST_PIECES, len(atoms)):
-            values = np.full(len(atoms), -np.inf)
-            for i in set(range(len(atoms))) - set(chosen):
-                some = places[:, [*chosen, i]].ravel()
-                values[i] = evidence_with(gram[np.ix_(some, some)], score[some], spread[some])
-            chosen.append(int(np.argmax(values)))
-            value = float(log_average(values)) - len(chosen) * price
-            if value > best:
-                best, taken = value, len(chosen)
-        found = law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])
-        return [Hypothesis(found, prior - taken * price, best + prior, card_of(found))]
 
     def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
@@ -314,8 +283,8 @@ class Searcher:
         have few, and what gains more is told.
         """
         best = self._grown(self.empty, threshold, something=something)
-        stiff = [h for h in self.first.entries if len(h.spread) <= FLEXIBLE]
-        if stiff and not self._large and any(len(h.spread) > FLEXIBLE for h in best.members):
+        stiff = [h for h in self.rank(self.empty).entries if len(h.spread) <= FLEXIBLE]
+        if stiff and not self.large and any(len(h.spread) > FLEXIBLE for h in best.members):
             made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
             best = max(made, key=lambda s: s.score - threshold * len(s.members))
         return self._renamed(best, threshold)
@@ -327,11 +296,11 @@ class Searcher:
             if ranking.total < least and (depth or not something):
                 break
             grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
-            grown = grown if self._large else self.reexamined(grown)
+            grown = grown if self.large else self.reexamined(grown)
             if depth and grown.score < best.score + threshold:
                 break
             best = grown
-        return self.reexamined(best) if self._large else best
+        return self.reexamined(best) if self.large else best
 
     def _renamed(self, found: Found, threshold: float) -> Found:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""
@@ -349,7 +318,7 @@ class Searcher:
         """Members replaced, dropped, or two of them exchanged for one, while the set gains."""
         for turn in range(2):
             before = found.score
-            for size in (1,) if turn or self._large else (1, 2):
+            for size in (1,) if turn or self.large else (1, 2):
                 for some in combinations(range(len(found.members)), size):
                     if len(found.members) < 2 or max(some) >= len(found.members):
                         continue
@@ -367,25 +336,6 @@ def _promising(best: float) -> float:
     return 0.5 * best - 5.0
 
 
-def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
-    """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
-    spread = np.array([p.prior_sigma for p in effect.parameters])
-    if not any(p.positive for p in effect.parameters):
-        return evidence_with(gram, score, spread)
-    mean, covariance, total = posterior(gram, score, spread)
-    for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-        total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
-    return total
-
-
-FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2}
-"""Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
-PIECES = 0.1
-"""Prior share of curves that are made of a few steps and ramps."""
-MOST_PIECES, PATIENCE = 10, 3
-"""Steps and ramps at most, and those that are tried beyond the best."""
-EACH = 0.1
-"""Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 MOST_LAWS = 400
 """Laws of all panels that are kept beside the ones computed exactly."""
 

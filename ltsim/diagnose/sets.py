@@ -118,22 +118,16 @@ class Ranking:
     entries : tuple of Hypothesis
     total : float
         Log sum over them, the first computed exactly.
-    statistic : float
-        Log sum over everything as it was scored at once: what the simulated recordings are compared with.
-    null : (trials,) float
-        The same of simulated recordings.
     """
 
     entries: tuple[Hypothesis, ...]
     total: float
-    statistic: float
-    null: Floats
 
     def beside(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """The ranking with further hypotheses in it."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
         total = float(log_average(np.array([self.total, *(h.value for h in rivals)])))
-        return Ranking(tuple(entries), total, self.statistic, self.null)
+        return Ranking(tuple(entries), total)
 
     def name(self) -> str:
         """The likeliest name; `unknown` where that is likelier than all names together."""
@@ -147,7 +141,7 @@ class Ranking:
         weight = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
         found: dict[str, float] = {}
         for hypothesis, w in zip(self.entries, weight, strict=True):
-            found[hypothesis.name] = found.get(hypothesis.name, 0.0) + float(w)
+            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + float(w), 1.0)
         return found
 
 

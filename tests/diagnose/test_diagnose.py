@@ -124,6 +124,43 @@ def test_neighbours_that_move_together_are_found_together():
     assert max(first.parameters, key=lambda p: abs(p.value)).name == "swing along z"
 
 
+def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_first():
+    recording, state = workshop(14)
+    sightings = sightings_of(recording, state)
+    wall = sightings.points[:, 1] > np.median(sightings.points[:, 1])
+    leans = wall[sightings.target] * sightings.points[sightings.target, 2] * sightings.time
+    change = by_displacement(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert len(found.findings) == 1
+    first = found.findings[0]
+    assert "target" in first.carrier and first.driver.startswith("time")
+    assert set(first.where.targets) <= {recording.targets[t] for t in np.flatnonzero(wall)}
+    errors = [rigid_gap(points, state.points) for points in (found.baseline.state.points, found.targets.points)]
+    assert errors[1] < 0.8 * errors[0]
+
+
+def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
+    rotation, translation = align(points, truth)
+    return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("amount", "told"),
+    [
+        (lambda time: np.mod(time, 2000.0) < 700.0, "cycle in time"),
+        (lambda time: (time > np.quantile(time, 0.3)) & (time < np.quantile(time, 0.6)), "step(time"),
+    ],
+)
+def test_a_range_that_is_off_for_a_while_is_one_finding_with_sharp_edges(amount, told):
+    recording, state = workshop(15)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=amount(sightings.time).astype(np.float64))
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["unknown"]
+    assert told in found.findings[0].formula
+    assert found.findings[0].carrier == "distance"
+
+
 def test_a_noisy_station_is_noise_and_not_a_shift():
     recording, _ = workshop(7)
     extra = stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()

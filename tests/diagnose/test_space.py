@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from ltsim.diagnose.drivers import CONSTANT, Driver, general_drivers, moves, pro
 from ltsim.diagnose.evidence import PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
 from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import panels
+from ltsim.diagnose.places import LEAST_GROUP, branches
 from ltsim.diagnose.probe import Probe
-from ltsim.diagnose.sets import Hypothesis, Ranking
+from ltsim.diagnose.sets import MISFIT, Found, Hypothesis, Ranking
 from ltsim.effects import find_effect
 from ltsim.effects.motions import station_design
 from ltsim.model.construction import misalignment
@@ -232,7 +234,36 @@ def test_a_wall_does_not_know_where_a_tracker_looks(space):
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
     def ranking(**values: float) -> Ranking:
         law = Law((), (), CARRIERS["distance"][0], CONSTANT)
-        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0, 0.0, np.zeros(0))
+        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
     assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
     assert ranking(unknown=10.0, window=9.0, backlash=8.0).name() == "unknown"
+
+
+def test_targets_on_one_surface_belong_together():
+    rng = stream(5, "places")
+    points = rng.uniform(0.0, 10.0, (12, 3))
+    look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
+    found = branches(SimpleNamespace(points=points, nest_normal=look))
+    assert {tuple(range(6)), tuple(range(6, 12))} <= found
+    assert all(LEAST_GROUP <= len(group) <= 12 - LEAST_GROUP for group in found)
+
+
+def test_what_an_unknown_law_leaves_is_no_further_cause(space):
+    law = Law((), (), CARRIERS["distance"][0], simple("time", "power"))
+    left = space.project(space.signature(law))
+    unknown = Hypothesis(law, 0.0, 0.0, "unknown")
+    known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
+    whole = 1e7 * left[:, 0]
+    found = [Found((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
+    assert found[0].misfit == pytest.approx(0.5 * MISFIT * whole @ whole)
+    assert found[1].misfit == 0.0
+
+
+def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(space):
+    sightings = replace(space.sightings, covariates={"load": np.maximum(np.sin(space.sightings.time / 900.0), 0.0)})
+    load = simple("load", "power").columns(sightings, moving=True)
+    assert load[sightings.covariates["load"] == 0.0].max() == 0.0
+    time = simple("time", "decay", 600.0).columns(sightings, moving=True)
+    assert time[np.argmin(sightings.time)] == 0.0
+    assert abs(smooth("time").columns(sightings, moving=True).mean(axis=0)).max() < 1e-12

@@ -1,0 +1,88 @@
+"""A law in all its forms: the curve, short formulas, steps and ramps, everywhere alike or another at each set-up.
+
+What is scored at once is a rough sight of a law; here the few that stand out are computed exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ltsim.diagnose.evidence import evidence_of, evidence_with, log_average
+from ltsim.diagnose.law import Law, card_of
+from ltsim.diagnose.sets import Found, Hypothesis
+
+if TYPE_CHECKING:
+    from ltsim.diagnose.search import Searcher
+
+FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2}
+"""Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
+PIECES = 0.1
+"""Prior share of curves that are made of a few steps and ramps."""
+MOST_PIECES, PATIENCE = 10, 3
+"""Steps and ramps at most, and those that are tried beyond the best."""
+EACH = 0.1
+"""Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
+
+
+def exactly(searcher: Searcher, law: Law, log_prior: float, base: Found) -> list[Hypothesis]:
+    """A law computed exactly in all its forms: of each name that these have the likeliest, with the evidence of all."""
+    sightings = searcher.space.sightings
+    law = law.as_constant(sightings)
+    whole = log_prior + float(np.log(len(law.driver.spreads)))
+    each = law.at_each(sightings)
+    tried = _forms(searcher, law, whole + (np.log(1.0 - EACH) if each else 0.0), base)
+    tried += _forms(searcher, each, whole + np.log(EACH), base) if each else []
+    tried += _in_pieces(searcher, law, whole + float(np.log(PIECES)), base)
+    found = []
+    for name in {h.name: None for h in tried}:
+        alike = [h for h in tried if h.name == name]
+        total = float(log_average(np.array([h.value for h in alike])))
+        found.append(replace(max(alike, key=lambda h: h.value), value=total))
+    return found
+
+
+def _forms(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:
+    """The forms of a law at its place."""
+    forms = law.forms(searcher.space.sightings)
+    searcher.prepare([scales[0] for some in forms.values() for scales in some])
+    whole = sum(FORMS[kind] for kind in forms)
+    tried = []
+    for kind, some in forms.items():
+        share = prior + float(np.log(FORMS[kind] / whole / len(some)))
+        for scales in some:
+            if len(scales) == 1:
+                best, value = searcher.uphill(scales[0], base)
+            else:
+                moments = searcher.moments(scales[0], base)
+                logs = np.array([evidence_of(one, *moments) for one in scales])
+                best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
+            tried.append(Hypothesis(best, share, value + share, card_of(best)))
+    return tried
+
+
+def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:
+    """The law made of a few steps and ramps, chosen one after another while the evidence rises."""
+    atoms = law.atoms(searcher.space.sightings)
+    if not atoms or searcher.large:
+        return []
+    whole = law.in_pieces(atoms)
+    gram, score = searcher.moments(whole, base)
+    spread = np.array([p.prior_sigma for p in whole.parameters])
+    places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
+    chosen: list[int] = []
+    taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
+    while len(chosen) < min(taken + PATIENCE, MOST_PIECES, len(atoms)):
+        values = np.full(len(atoms), -np.inf)
+        for i in set(range(len(atoms))) - set(chosen):
+            some = places[:, [*chosen, i]].ravel()
+            values[i] = evidence_with(gram[np.ix_(some, some)], score[some], spread[some])
+        chosen.append(int(np.argmax(values)))
+        value = float(log_average(values)) - len(chosen) * price
+        if value > best:
+            best, taken = value, len(chosen)
+    found, value = searcher.uphill(law.in_pieces([atoms[i] for i in sorted(chosen[:taken])]), base)
+    prior -= taken * price
+    return [Hypothesis(found, prior, max(best + taken * price, value) + prior, card_of(found))]
