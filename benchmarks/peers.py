@@ -15,12 +15,13 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import least_squares
 
-from ltsim.adjust.problem import NetworkProblem
+from ltsim.adjust.prior import prior_sigmas
+from ltsim.adjust.rows import GaugeRows
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
 from ltsim.model.construction import Construction
-from ltsim.model.measurement import MeasurementModel, State
+from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 
 TOLERANCE = 1e-8
@@ -49,8 +50,16 @@ class DenseProblem:
         return self.start.position, self.start.rotation, self.start.points
 
     @cached_property
-    def _rows(self) -> NetworkProblem:
-        return NetworkProblem.of(MeasurementModel(self.recording, self.construction))
+    def _gauge(self) -> GaugeRows:
+        return GaugeRows.of(self.recording)
+
+    @cached_property
+    def _sigma(self) -> Floats:
+        return self.recording.sigma()
+
+    @cached_property
+    def _prior_sigma(self) -> Floats:
+        return prior_sigmas(self.recording, self.construction)[0]
 
     @property
     def size(self) -> int:
@@ -67,37 +76,48 @@ class DenseProblem:
         return position + pose[:, :3], turned, moved, x[poses + points.size :]
 
     def _local(self, x: Floats) -> tuple[Floats, ...]:
-        """Readings and geometry; kept for the Jacobian at the point of the last residual."""
-        key = x.tobytes()
-        if key not in self._seen:
-            self._seen.clear()
-            self._seen[key] = self._evaluate(x)
-        return self._seen[key]
-
-    def _evaluate(self, x: Floats) -> tuple[Floats, ...]:
+        """Local points and geometry."""
         position, rotation, points, values = self.state(x)
         turn = rotation[self.recording.station]
         arm = points[self.recording.target] - position[self.recording.station]
-        local = np.einsum("nji,nj->ni", turn, arm)
-        return self.construction.readings(local, self.recording.face, values), arm, turn, points, values
+        return np.einsum("nji,nj->ni", turn, arm), arm, turn, points, values
+
+    def _evaluated(self, x: Floats) -> tuple[Floats, ...]:
+        """Readings and geometry; kept for the Jacobian at the point of the last residual."""
+        key = x.tobytes()
+        if key not in self._seen:
+            local, *geometry = self._local(x)
+            self._seen.clear()
+            self._seen[key] = (self.construction.readings(local, self.recording.face, geometry[-1]), *geometry)
+        return self._seen[key]
+
+    def _linearised(self, x: Floats) -> tuple[Floats, ...]:
+        """Derivatives of the readings by the local point and by the parameters, and geometry; readings are kept."""
+        key = x.tobytes()
+        if key in self._seen:
+            raw, *geometry = self._seen[key]
+            return (*self.construction.reading_design(raw, geometry[-1]), *geometry)
+        local, *geometry = self._local(x)
+        raw, *by = self.construction.readings_and_design(local, self.recording.face, geometry[-1])
+        self._seen.clear()
+        self._seen[key] = (raw, *geometry)
+        return (*by, *geometry)
 
     def residual(self, x: Floats) -> Floats:
         """Predicted less observed (m,), over sigma."""
-        raw, _, _, points, values = self._local(x)
+        raw, _, _, points, values = self._evaluated(x)
         gap = raw - self.recording.readings
         gap[:, 1:] = wrap(gap[:, 1:])
-        gauge = self._rows.gauge
-        lengths = (gauge.predict(points) - gauge.length) / gauge.sigma
-        return np.concatenate([(gap / self._rows.sigma).ravel(), lengths, values / self._rows.prior_sigma[0]])
+        lengths = (self._gauge.predict(points) - self._gauge.length) / self._gauge.sigma
+        return np.concatenate([(gap / self._sigma).ravel(), lengths, values / self._prior_sigma])
 
     def jacobian(self, x: Floats) -> Floats:
         """Derivative (m, K) of the residual."""
-        raw, arm, turn, points, values = self._local(x)
-        by_point, by_value = self.construction.reading_design(raw, values)
-        by_target = by_point @ np.swapaxes(turn, 1, 2) / self._rows.sigma[:, :, None]
+        by_point, by_value, arm, turn, points, values = self._linearised(x)
+        by_target = by_point @ np.swapaxes(turn, 1, 2) / self._sigma[:, :, None]
         by_pose = np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
-        n, (poses, targets) = len(raw), (6 * (len(self._start[0]) - 1), points.size)
-        design = np.zeros((3 * n + len(self._rows.gauge) + len(values), self.size))
+        n, (poses, targets) = len(arm), (6 * (len(self._start[0]) - 1), points.size)
+        design = np.zeros((3 * n + len(self._gauge) + len(values), self.size))
         rows = np.arange(3 * n).reshape(n, 3, 1)
         moves = self.recording.station > 0
         columns = (6 * (self.recording.station - 1))[:, None, None] + np.arange(6)
@@ -105,13 +125,13 @@ class DenseProblem:
         columns = poses + (3 * self.recording.target)[:, None, None] + np.arange(3)
         design[rows, columns] = by_target
         columns = np.arange(poses + targets, self.size)
-        design[rows, columns] = by_value / self._rows.sigma[:, :, None]
+        design[rows, columns] = by_value / self._sigma[:, :, None]
         self._add_known(design, points, 3 * n, poses)
-        design[3 * n + len(self._rows.gauge) :, poses + targets :] = np.diag(1.0 / self._rows.prior_sigma[0])
+        design[3 * n + len(self._gauge) :, poses + targets :] = np.diag(1.0 / self._prior_sigma)
         return design
 
     def _add_known(self, design: Floats, points: Floats, start: int, poses: int) -> None:
-        gauge = self._rows.gauge
+        gauge = self._gauge
         unit = gauge.directions(points) / gauge.sigma[:, None]
         at = start + np.arange(len(gauge))[:, None]
         design[at, poses + 3 * gauge.first[:, None] + np.arange(3)] = unit

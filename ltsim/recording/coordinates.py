@@ -71,6 +71,8 @@ def read_coordinates(path: Path) -> Coordinates:
     RecordError
         One sentence: what is wrong, and where.
     """
+    if not path.exists():
+        raise RecordError("there is no such file", file=path)
     if not holds_coordinates(path):
         known = "adjustment results of gama-local, or a CSV table with columns target, x_mm, y_mm, z_mm"
         raise RecordError(f"is no list of coordinates, expected {known}", file=path)
