@@ -114,7 +114,7 @@ class Driver:
         if name == "time" and self.kind in ("simple", "pieces"):
             return np.asarray(sightings.time == sightings.time.min())
         x = np.abs(sightings.covariates.get(name, every))
-        return x == x.min() if _has_zero(x) else every
+        return x == np.nanmin(x) if _has_zero(x) else every
 
     def _columns(self, sightings: Sightings, moving: bool) -> Floats:
         match self.kind:
@@ -197,7 +197,7 @@ RESTING = 0.02
 
 def _has_zero(x: Floats) -> bool:
     """Whether a column comes to zero; one that does not is told from its mean (a load, but no temperature, rests)."""
-    return bool(np.abs(x).min() < RESTING * np.abs(x).max())
+    return bool(np.nanmin(np.abs(x)) < RESTING * np.nanmax(np.abs(x)))
 
 
 def _sized(column: Floats) -> Floats:

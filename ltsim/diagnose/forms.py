@@ -66,7 +66,7 @@ def _forms(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypo
 def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:
     """The law made of a few steps and ramps, chosen one after another while the evidence rises."""
     atoms = law.atoms(searcher.space.sightings)
-    if not atoms or searcher.large:
+    if not atoms or searcher.large or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
     whole = law.in_pieces(atoms)
     gram, score = searcher.moments(whole, base)

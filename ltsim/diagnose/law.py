@@ -104,10 +104,12 @@ class Law(Tunable):
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
         if driver.kind == "pieces" and len(driver.factors) <= MOVED:
             x = np.unique(sightings.quantities[driver.covariates[0]][self.mask(sightings) > 0])
+            gaps = np.searchsorted(x, [piece.constant for piece in driver.factors])
             found = []
             for i, piece in enumerate(driver.factors):
-                gap = int(np.searchsorted(x, piece.constant))
-                for k in range(max(gap - NEAR, 1), min(gap + NEAR, len(x) - 1) + 1):
+                for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
+                    if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) < NEAR:
+                        continue
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
                     found.append(self.in_pieces([*driver.factors[:i], moved, *driver.factors[i + 1 :]]))
             return found
@@ -209,7 +211,8 @@ MOST_SET_UPS = 12
 """Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 MOVED, NEAR = 4, 6
-"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate."""
+"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
+nearer to each other they are not set, for a few pointings make no law."""
 SCALED = ("decay", "relaxing", "saturated")
 """Functions with a constant in the unit of their covariate."""
 SHARES = np.array([0.05, 0.15, 0.5])

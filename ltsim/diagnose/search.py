@@ -107,8 +107,7 @@ class Searcher:
         values, families, hits, _, _ = self._screened(base) if base.members else self.first
         entries = self._laws(hits, base)
         for i, family in enumerate(np.argsort(-families)):
-            refine = i < self._most and families[family] > _promising(families.max())
-            entries.append(self._card(int(family), values, float(families[family]), base, refine=refine))
+            entries.append(self._card(int(family), values, float(families[family]), base, refine=i < self._most))
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
         entries.sort(key=lambda h: -h.value)
         return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))))
@@ -332,7 +331,7 @@ class Searcher:
 
 
 def _promising(best: float) -> float:
-    """Log evidence from which something is computed exactly beside the best: shapes and forms can double it."""
+    """Log evidence from which a law is computed exactly beside the best: its forms can double it."""
     return 0.5 * best - 5.0
 
 
