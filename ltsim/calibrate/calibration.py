@@ -197,7 +197,7 @@ class Calibration(Shown):
     @cached_property
     def determined(self) -> tuple[DeterminedEntry, ...]:
         """Combinations of parameters that are known far better than each of them."""
-        several, size = len(self.instruments) > 1, len(self.names)
+        several, size = len(self.instruments) > 1, len(self.construction.names)
         found: list[DeterminedEntry] = []
         for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
             own = slice(i * size, (i + 1) * size)

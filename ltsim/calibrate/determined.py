@@ -16,8 +16,8 @@ from ltsim.effects.signature import Parameter
 
 DETERMINED = 0.25
 """A combination is told where its deviation is at most this share of what it would be were its members independent."""
-PART = 0.2
-"""Weight, over the largest, from which a parameter belongs to a combination."""
+WHOLE = 1.2
+"""Members are told until they leave so many times the deviation that all parameters together have."""
 
 
 def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[DeterminedEntry]:
@@ -34,14 +34,19 @@ def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floa
     for unit in dict.fromkeys(p.unit for p in parameters):
         at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
         own, factor = covariance[np.ix_(at, at)], parameters[at[0]].factor
-        for variance, vector in zip(*np.linalg.eigh(own), strict=True):
-            members = np.flatnonzero(np.abs(vector) > PART * np.abs(vector).max())
-            apart = float(np.sqrt(vector[members] ** 2 @ np.diag(own)[members]))
-            sigma = float(np.sqrt(max(variance, 0.0)))
-            if len(members) < 2 or sigma > DETERMINED * apart:
-                continue
+        alone = np.sqrt(np.diag(own))
+        variances, vectors = np.linalg.eigh(own)
+        for variance, vector in zip(variances, vectors.T, strict=True):
             vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-            weights = {parameters[at[i]].name: float(vector[i]) for i in members}
-            value = float(vector @ values[at]) / factor
-            found.append(DeterminedEntry(combination=weights, value=value, sigma=sigma / factor, unit=unit))
+            for count in range(1, len(at) + 1):
+                members = np.sort(np.argsort(-np.abs(vector) * alone)[:count])
+                weights = vector[members]
+                sigma = float(np.sqrt(weights @ own[np.ix_(members, members)] @ weights))
+                if sigma <= WHOLE * np.sqrt(max(variance, 0.0)):
+                    break
+            if count < 2 or sigma > DETERMINED * float(np.linalg.norm(weights * alone[members])):
+                continue
+            told = {parameters[at[i]].name: float(w) for i, w in zip(members, weights, strict=True)}
+            value = float(weights @ values[at[members]]) / factor
+            found.append(DeterminedEntry(combination=told, value=value, sigma=sigma / factor, unit=unit))
     return found

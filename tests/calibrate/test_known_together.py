@@ -45,3 +45,15 @@ def test_a_single_face_tells_the_index_with_others_and_the_file_and_page_say_so(
     assert any("vertical-index" in entry["combination"] for entry in content["determined"])
     assert run(["report", str(tmp_path / "cal"), "-q"]) == 0
     assert "Determined in combination" in (tmp_path / "cal" / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_is_told_is_as_certain_as_its_own_weights_make_it() -> None:
+    """Parameters that are left out of a combination leave its deviation true: it is that of what is told."""
+    recording, _ = network(faces=1, seed=6)
+    found = lt.calibrate(recording)
+    assert found.determined
+    for told in found.determined:
+        weights = np.array([told.combination.get(name, 0.0) for name in found.construction.names])
+        factor = next(p.factor for p in found.construction.parameters if p.name in told.combination)
+        np.testing.assert_allclose(told.sigma, np.sqrt(weights @ found.covariance @ weights) / factor, rtol=1e-9)
+        np.testing.assert_allclose(told.value, weights @ found.values[0] / factor, rtol=1e-9)
