@@ -289,7 +289,7 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     signs = [s for s in tried if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
     visits = len(np.unique(sightings.station))
-    found += [Driver("visits", constant=visits)] if 1 < visits <= MOST_VISITS else []
+    found += [Driver("visits", constant=visits)] if FEW_VISITS < visits <= MOST_VISITS else []
     for name in ("time", "station-time"):
         span = float(np.ptp(sightings.quantities[name]))
         found += [simple(name, "decay", float(t)) for t in span * np.array([0.03, 0.1, 0.3, 1.0]) if span > 0]
@@ -301,8 +301,8 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     return found
 
 
-MOST_VISITS = 12
-"""Set-ups up to which something may be another at each."""
+FEW_VISITS, MOST_VISITS = 3, 12
+"""Set-ups beyond and up to which something may be another at each; of few, it is another at one or two of them."""
 _AXES = ("azimuth", "elevation")
 _HEAD = (*_AXES, *_CIRCLES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
 _CLOCKS = ("time", "station-time", "lapse")

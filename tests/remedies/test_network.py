@@ -58,7 +58,7 @@ def test_the_smallest_recordings_get_advice_and_no_traceback() -> None:
         found = calibrate_network(one)
         assert all(c.cure for c in found.undetermined)
     first = recording.select(np.arange(len(recording)) == 0)
-    assert "none of the measurements" in calibrate_network(first).undetermined[0].cure
+    assert any("none of the measurements" in c.cure for c in calibrate_network(first).undetermined)
 
 
 def test_every_sentence_of_the_table_is_said_somewhere() -> None:
