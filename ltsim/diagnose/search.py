@@ -31,6 +31,8 @@ from ltsim.diagnose.shapes import apart, between, shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 
 MOST_MEMBERS = 5
+FLEXIBLE = 10
+"""Coefficients of the curve of one quantity; more can imitate several effects."""
 REFINED = 7
 """Cards, and laws, that are computed exactly in each round."""
 CELLS = 11
@@ -274,8 +276,17 @@ class Searcher:
         return self._left[key]
 
     def search(self, threshold: float, *, something: bool) -> Found:
-        """The best set: each further finding must raise the evidence of all there is by `threshold`."""
-        return self._renamed(self._grown(self.empty, threshold, something=something), threshold)
+        """The best set: each further finding must raise the evidence of all there is by `threshold`.
+
+        A curve with many coefficients can imitate several effects: the search begins again with the best of those that
+        have few, and what gains more is told.
+        """
+        best = self._grown(self.empty, threshold, something=something)
+        stiff = [h for h in self.rank(self.empty).entries if len(h.spread) <= FLEXIBLE]
+        if stiff and not self.large and any(len(h.spread) > FLEXIBLE for h in best.members):
+            made = (best, self._grown(self.with_members(stiff[:1]), threshold, something=True))
+            best = max(made, key=lambda s: s.score - threshold * len(s.members))
+        return self._renamed(best, threshold)
 
     def _grown(self, best: Found, threshold: float, *, something: bool) -> Found:
         """A set with findings added one at a time."""
