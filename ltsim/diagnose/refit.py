@@ -154,7 +154,7 @@ def refit(
             break
         current = _reshaped(current, directions, changes)
         found = adjusted(effects=current, start=found.state)
-        if found.chi2 > best[0].chi2 + 1e-3:
+        if not found.solution.converged or found.chi2 > best[0].chi2 + 1e-3:
             found, current = best
             break
         best = (found, list(current))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from ltsim.model.measurement import MeasurementModel
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.remedies.deciding import DECISIVE
+from ltsim.solve.gauss_newton import Status
 from tests.networks import network
 
 # --- refit ------------------------------------------------------------------------------------------------------------
@@ -65,6 +68,28 @@ def test_a_refit_without_noise_ends_at_the_truth() -> None:
     found, told = refitted(true, true.reshaped(wavelength=0.76), [10e-6, 0.0], noise=0.0)
     assert found.chi2 < 1.0
     assert told["wavelength"].value == pytest.approx(750.0, rel=1e-3)  # mm
+
+
+def test_constants_at_which_the_network_does_not_settle_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A refit ends at the last constants with which the adjustment converged, however low a capped one came."""
+    module = import_module("ltsim.diagnose.refit")
+    bad = 0
+
+    def capped(*args: Any, **kwargs: Any) -> Adjustment:
+        nonlocal bad
+        found = adjust(*args, **kwargs)
+        if len(kwargs["effects"]) == 1 and kwargs["effects"][0] != guess:
+            bad += 1
+            return replace(found, solution=replace(found.solution, status=Status.CAPPED))
+        return found
+
+    true = RangeCyclic(wavelength=0.75)
+    guess = true.reshaped(wavelength=0.76)
+    monkeypatch.setattr(module, "adjust", capped)
+    found, told = refitted(true, guess, [10e-6, 0.0], noise=0.0)
+    assert bad
+    assert found.solution.converged
+    assert told["wavelength"].value == pytest.approx(760.0)
 
 
 # --- separate ---------------------------------------------------------------------------------------------------------
