@@ -14,6 +14,7 @@ from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import Construction
 from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
@@ -106,12 +107,18 @@ def lift_of(recording: Recording) -> Floats | None:
     """Lift (n, 3) [m] of each pointing's reflector over the target's mark; None where all stand on it.
 
     An instrument height stated for single pointings counts here, less the one of the set-up, which is part of the
-    station's position.
+    station's position. A ball of another radius than the reference stands off along the nest's normal, which holds in
+    the frame of the set-up: `adjust` refuses a network that is not put into it.
     """
     instrument, target = recording.heights()
     usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(usual)[recording.station])
-    return height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
+    lift = height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
+    excess = excess_radii(recording)
+    if excess is None:
+        return lift
+    off = excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
+    return off if lift is None else lift + off
 
 
 @dataclass(frozen=True)

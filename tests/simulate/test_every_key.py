@@ -39,6 +39,7 @@ OTHER: dict[str, Any] = {
     "instrument.limits.range_max_mm": 6000.0,
     "smr.reflector": "ball",
     "smr.acceptance_deg": 15.0,
+    "stations.S2.reflector": "ball",
     "gauge.nest_normal": [1, 1, 1],
     "gauge.sigma_um": 3.0,
     "gauge.measured_at_c": 22.0,
