@@ -8,10 +8,8 @@ from ltsim.adjust.frame import Frame
 from ltsim.adjust.growth import BEGINNINGS, Growth
 from ltsim.adjust.pairs import Pairs
 from ltsim.arrays import Bools, Floats
-from ltsim.errors import NetworkError
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.recording import Recording
-from ltsim.recording.reflectors import excess_radii
 
 
 def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[Floats, Bools]:
@@ -50,26 +48,13 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest, or normals of nests are needed and nothing turns the network
-        into their frame.
+        When the readings do not tie a station to the rest.
     """
     growth = _grown(recording)
     growth.require_stations()
     position, rotation, points = growth.result()
-    if excess_radii(recording) is not None and not _stands_in_setup(recording, position, rotation, points):
-        raise NetworkError(
-            "balls of several radii stand off along the normals of their nests, and nothing turns this network into "
-            "the frame of these: state three known points, or rough places (position_mm) of two stations"
-        )
     lost = np.asarray(np.isnan(points).any(axis=1))
     return (position, rotation, np.where(lost[:, None], points[~lost].mean(axis=0), points)), lost
-
-
-def _stands_in_setup(recording: Recording, position: Floats, rotation: Floats, points: Floats) -> bool:
-    """Whether a network could be turned into the frame of the set-up, by known points or by the floor plan."""
-    frame = Frame.of(recording)
-    turn = frame.upright(rotation, np.ones(len(position), dtype=bool))
-    return frame.motion(position, points, turn) is not None or frame.is_on_plan(position, rotation)
 
 
 def _grown(recording: Recording) -> Growth:

@@ -19,8 +19,8 @@ from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
+from ltsim.model.measurement import ball_lift
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
-from ltsim.recording.reflectors import excess_radii
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, undetermined
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
@@ -213,12 +213,10 @@ def criteria_of(
 
 def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
     """The recording as the reference ball would have given it."""
-    excess = excess_radii(recording)
-    if excess is None:
+    off = ball_lift(recording)
+    if off is None:
         return recording
-    sightings = adjustment.sightings
-    off = excess[:, None] * np.nan_to_num(sightings.nest_normal)[sightings.target]
-    readings = recording.readings + exact_target_change(sightings, -off)
+    readings = recording.readings + exact_target_change(adjustment.sightings, -off)
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 

@@ -107,18 +107,23 @@ def lift_of(recording: Recording) -> Floats | None:
     """Lift (n, 3) [m] of each pointing's reflector over the target's mark; None where all stand on it.
 
     An instrument height stated for single pointings counts here, less the one of the set-up, which is part of the
-    station's position. A ball of another radius than the reference stands off along the nest's normal, which holds in
-    the frame of the set-up: `adjust` refuses a network that is not put into it.
+    station's position.
     """
     instrument, target = recording.heights()
     usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(usual)[recording.station])
     lift = height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
+    off = ball_lift(recording)
+    return off if lift is None else lift if off is None else lift + off
+
+
+def ball_lift(recording: Recording) -> Floats | None:
+    """The part (n, 3) [m] that balls of other radii than the reference have in it, along the normals of their nests.
+
+    These are those of the set-up: `adjust` refuses a network that is not held in that frame.
+    """
     excess = excess_radii(recording)
-    if excess is None:
-        return lift
-    off = excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
-    return off if lift is None else lift + off
+    return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
 
 
 @dataclass(frozen=True)

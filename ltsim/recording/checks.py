@@ -1,4 +1,4 @@
-"""What a set-up says without effect, or needs for more than it is known: told, not passed over."""
+"""What a set-up says of points that nobody measured, and that therefore changes nothing: told, not passed over."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ import difflib
 from collections import Counter
 from collections.abc import Iterable
 
-import numpy as np
-
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
-from ltsim.recording.reflectors import excess_radii
-from ltsim.units import DEGREE, MILLIMETRE
 
 
-def notes_on_setup(recording: Recording) -> tuple[str, ...]:
-    """Notes on marks that nothing else names, datum points that nothing reaches, normals that the floor plan holds."""
+def idle_settings(recording: Recording) -> tuple[str, ...]:
+    """Notes on settings without effect: marks that nothing else names, datum points that nothing reaches."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -30,13 +26,6 @@ def notes_on_setup(recording: Recording) -> tuple[str, ...]:
             notes.append(
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )
-    excess = excess_radii(recording)
-    if excess is not None and not any(t.known_mm or t.datum for t in setup.targets.values()):
-        off = np.abs(excess).max() * DEGREE / MILLIMETRE
-        notes.append(
-            "balls of several radii: normals of nests are those of the floor plan, and each degree by which the rough "
-            f"places of the stations turn it moves a ball by up to {off:.2f} mm; known points would hold the frame"
-        )
     return tuple(notes)
 
 

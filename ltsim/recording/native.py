@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.checks import notes_on_setup
+from ltsim.recording.checks import idle_settings
 from ltsim.recording.files import (
     check_name,
     check_text,
@@ -139,7 +139,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     if not growing:
         _check_gauge(recording, folder / SETUP)
     _check_balls(recording, folder)
-    return recording.replace(notes=notes_on_setup(recording))
+    return recording.replace(notes=idle_settings(recording))
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
