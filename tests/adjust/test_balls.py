@@ -11,6 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjust import adjust
+from ltsim.adjust.gross import explain_gross
 from ltsim.arrays import Floats
 from ltsim.campaign.cell import truth_of
 from ltsim.errors import NetworkError, RecordError, SetupError
@@ -18,10 +19,12 @@ from ltsim.geometry.polar import wrap
 from ltsim.model.construction import ideal, misalignment
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
+from ltsim.recording.exchange import write
 from ltsim.recording.native import read_recording, write_recording
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
 from ltsim.recording.setup import Target
+from ltsim.recording.slips import UNIT_SLIPS
 from ltsim.simulate.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
 from ltsim.simulate.truth import Truth
 from ltsim.uncertainty.inputs import Inputs
@@ -218,3 +221,27 @@ def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
     normal = np.array(recording.target_setup("T12").nest_normal)
     assert source.kind == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
     np.testing.assert_allclose(1e3 * source.response[:, 0], 0.01 * normal, atol=1e-3)
+
+
+def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
+    recording, truth = lt.simulate(scenario(), seed=3)
+    row = recording.labels["reflector"].index("small")
+    readings = recording.readings.copy()
+    readings[[row]] = next(slip for slip in UNIT_SLIPS if slip.name == "gon").written(readings[[row]])
+    mended, _, (finding,) = explain_gross(adjust(controlled(recording.with_readings(readings), truth)))
+    assert finding.effect == "wrong-unit" and finding.rows.tolist() == [row]
+    np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
+
+
+def test_a_format_that_knows_no_normals_refuses_them(tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scenario(), seed=3)
+    with pytest.raises(RecordError, match="gama-local does not know; write the recording as native"):
+        write(recording, tmp_path / "out.gkf", "gama-local")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_reference_without_radii_is_said_to_change_nothing(tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scenario(reflectors="none", stations__S3__reflector="none"), seed=3)
+    write_recording(recording, tmp_path / "rec")
+    (note,) = read_recording(tmp_path / "rec").notes
+    assert note.startswith("reference_radius_mm changes nothing")

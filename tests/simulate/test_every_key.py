@@ -31,6 +31,7 @@ RICH: dict[str, Any] = {
 }
 """A scenario in which each key has something to act on."""
 OTHER: dict[str, Any] = {
+    "reference_radius_mm": 19.05,
     "workshop.pressure_hpa": 900.0,
     "instrument.preset": "modern",
     "instrument.limits.elevation_min_deg": -20.0,
