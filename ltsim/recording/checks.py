@@ -11,7 +11,7 @@ from ltsim.recording.recording import Recording
 
 
 def idle_settings(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: marks that nothing else names, datum points that nothing reaches, and so on."""
+    """Notes on settings without effect: marks and datum points that nothing reaches, a lone reference radius."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:

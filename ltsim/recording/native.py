@@ -37,8 +37,8 @@ OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
 REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
 KNOWN = (*REQUIRED, "repeat", "time_s")
-TEXTS = (MODE_COLUMN, KIND_COLUMN, REFLECTOR_COLUMN)
 WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+TEXTS = (*WORDS, REFLECTOR_COLUMN)
 BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),

@@ -48,7 +48,7 @@ def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | i
     known = np.isfinite(sightings.nest_normal[sightings.target, 0])
     lengths = np.zeros(len(names))
     for name in used:
-        ball, mine = reflectors[name], np.array([n == name for n in names])
+        ball, mine = reflectors[name], np.array(names) == name
         error = (ball.sigma_radius_mm or 0.0) * float(stream(seed, *key, "reflector", name).standard_normal())
         lengths[mine] = (ball.radius_mm + error - reference) * MILLIMETRE
         lost = np.flatnonzero(mine & ~known)
