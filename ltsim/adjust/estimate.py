@@ -22,13 +22,16 @@ from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError, NetworkError
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State
+from ltsim.model.measurement import MeasurementModel, State, ball_lift
 from ltsim.recording.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import in_one_thread
 
 TURNED = 1e-7
 """[rad] A network turned by more is linearised anew."""
+
+SIDEWAYS = 1e-6
+"""[share of its length, per radian] A ball's way from its target that turns by less does not turn."""
 
 
 @in_one_thread
@@ -83,7 +86,8 @@ def adjust(
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest, or a station measures the target that it stands on.
+        When the readings do not tie a station to the rest, a station measures the target that it stands on, or balls
+        of several radii stand off along normals in whose frame nothing holds the network.
     ModelError
         When `datum` names a target that does not exist, or too few.
     """
@@ -106,6 +110,7 @@ def adjust(
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
     whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to, prior=prior)
+    _check_normals(whole)
     start = replace(start, position=whole.marks.on_marks(start.position, start.points))
     whole = without_loose(whole, start)
     problem, solution = find(whole, start)
@@ -135,6 +140,19 @@ def _check_marks(recording: Recording) -> None:
         raise NetworkError(
             f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
             "state its instrument height or take the row out"
+        )
+
+
+def _check_normals(problem: NetworkProblem) -> None:
+    """NetworkError where a motion that nothing observes would turn balls of other radii about their targets."""
+    off = ball_lift(problem.model.recording)
+    if off is None:
+        return
+    turned = np.cross(problem.free[3:].T[:, None], off[None])
+    if np.any(np.abs(turned) > SIDEWAYS * np.abs(off).max()):
+        raise NetworkError(
+            "balls of several radii stand off along the normals of their nests, and nothing holds this network in the "
+            "frame of these: state three known points (known_mm), or levels where all such normals are vertical"
         )
 
 

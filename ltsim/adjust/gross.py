@@ -100,12 +100,13 @@ def mistakes(adjustment: Adjustment) -> list[Mend]:
 
 
 def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) in the network frame that readings (k, 3) in place of those of some rows (k,) describe."""
+    """Points (k, 3) in the network frame that readings (k, 3) in place of those of some rows (k,) say of targets."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local = adjustment.construction.point(readings, adjustment.state.instrument[instrument])
     turned = np.einsum("nij,nj->ni", adjustment.state.rotation[station], local)
     placed: Floats = turned + adjustment.state.position[station]
-    return placed
+    lift = adjustment.problem.model.geometry(adjustment.state).lift
+    return placed if lift is None else placed - lift[rows]
 
 
 def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:

@@ -24,6 +24,7 @@ from ltsim.calibrate.result import (
 )
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import SourceEntry
 
 METHODS: dict[str, Norm] = {"distance": "squares", "distance-l1": "absolute"}
@@ -63,10 +64,11 @@ def calibrate_distance(
     Raises
     ------
     NetworkError
-        When stations share too few targets.
+        When stations share too few targets, or measured balls of several radii.
     ConvergenceError
         When the final adjustment does not converge.
     """
+    require_one_radius(recording, f"the method {method}")
     built = construction or stated_construction(recording)
     known = (choice or Choice()).applied(recording, built)
     prior, held = known.sigma, known.held

@@ -14,10 +14,12 @@ from ltsim.adjust.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibrate.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose
 from ltsim.chances import AGREES
+from ltsim.effects.motions import exact_target_change
 from ltsim.errors import NetworkError
 from ltsim.evaluate.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
+from ltsim.model.measurement import ball_lift
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, undetermined
@@ -199,6 +201,7 @@ def criteria_of(
 ) -> Criteria | None:
     """The paper's criteria without the pointings that were left out; None where stations cannot be compared."""
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
+    recording = _one_ball(recording, adjustment)
     try:
         if not construction.size:
             return evaluate(recording, use=use)
@@ -206,6 +209,15 @@ def criteria_of(
         return evaluate(recording, construction, applied, use=use)
     except NetworkError:
         return None
+
+
+def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
+    """The recording as the reference ball would have given it."""
+    off = ball_lift(recording)
+    if off is None:
+        return recording
+    readings = recording.readings + exact_target_change(adjustment.sightings, -off)
+    return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 
 def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:

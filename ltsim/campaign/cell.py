@@ -49,6 +49,8 @@ def truth_of(
     if len(read) > 1:
         raise SetupError("instruments: observables differ between the trackers; trials want the same of all")
     work = fieldwork(scenario, seed, *key, plan=plan)
+    if work.sightings.lift is not None and np.any(work.sightings.lift):
+        raise SetupError("reflectors: trials in batch measure with one ball; give all balls of the scenario one radius")
     if like is not None and _same_names(work, like):
         state, noise = _start_frame(work, like.mean), stated_noise(scenario, work.sightings)
         return replace(like, recording=_like(work, like), state=state, sightings=work.sightings, noise=noise)

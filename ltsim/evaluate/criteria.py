@@ -21,6 +21,7 @@ from ltsim.evaluate.clouds import in_first_frame, measured_points, station_means
 from ltsim.model.construction import Construction
 from ltsim.notebook import Columns, Shown
 from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import require_one_radius
 from ltsim.units import MICROMETRE
 
 MOST_PLACES = 20_000_000
@@ -240,8 +241,10 @@ def evaluate(
     Raises
     ------
     NetworkError
-        When fewer than two stations share targets, or the network is too large to compare every station's cloud.
+        When fewer than two stations share targets, the network is too large to compare every station's cloud, or balls
+        of several radii stood at different places.
     """
+    require_one_radius(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
     if stations * targets > MOST_PLACES:
         raise NetworkError(

@@ -14,6 +14,7 @@ from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import Construction
 from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
@@ -111,7 +112,18 @@ def lift_of(recording: Recording) -> Floats | None:
     instrument, target = recording.heights()
     usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(usual)[recording.station])
-    return height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
+    lift = height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
+    off = ball_lift(recording)
+    return off if lift is None else lift if off is None else lift + off
+
+
+def ball_lift(recording: Recording) -> Floats | None:
+    """The part (n, 3) [m] that balls of other radii than the reference have in it, along the normals of their nests.
+
+    These are those of the set-up: `adjust` refuses a network that is not held in that frame.
+    """
+    excess = excess_radii(recording)
+    return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from ltsim.recording.recording import Recording
 
 
 def idle_settings(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: marks that nothing else names, datum points that nothing reaches."""
+    """Notes on settings without effect: marks and datum points that nothing reaches, a lone reference radius."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -26,6 +26,8 @@ def idle_settings(recording: Recording) -> tuple[str, ...]:
             notes.append(
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )
+    if setup.reference_radius_mm is not None and not setup.reflectors:
+        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives a ball its radius")
     return tuple(notes)
 
 

@@ -25,7 +25,8 @@ from ltsim.recording.files import (
 )
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.plausibility import check_degrees
-from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, SIGMA_COLUMNS, Recording
+from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, REFLECTOR_COLUMN, SIGMA_COLUMNS, Recording
+from ltsim.recording.reflectors import balls_of, excess_radii
 from ltsim.recording.result_table import guarded, plain
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
@@ -37,6 +38,7 @@ REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distan
 MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
 KNOWN = (*REQUIRED, "repeat", "time_s")
 WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+TEXTS = (*WORDS, REFLECTOR_COLUMN)
 BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
@@ -136,6 +138,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     )
     if not growing:
         _check_gauge(recording, folder / SETUP)
+    _check_balls(recording, folder)
     return recording.replace(notes=idle_settings(recording))
 
 
@@ -211,7 +214,7 @@ def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Float
             continue
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
-        if (numeric or name in BOUNDS) and name not in WORDS:
+        if (numeric or name in BOUNDS) and name not in TEXTS:
             covariates[name] = _floats(column, name, file)
             continue
         for i, text in enumerate(column):
@@ -234,6 +237,17 @@ def _check_gauge(recording: Recording, file: Path) -> None:
                 message = f"the target '{shown(name)}' was never measured{hint}"
                 raise RecordError(message, file=file, column=f"gauge.distance {i + 1}")
     KnownLengths.of(recording, file)
+
+
+def _check_balls(recording: Recording, folder: Path) -> None:
+    """Where balls have radii, every pointing names one of them, and its nest has a normal if it needs one."""
+    excess_radii(recording, folder / SETUP)
+    names = balls_of(recording)
+    if recording.setup.reflectors and "" in names:
+        row = names.index("")
+        target = recording.targets[recording.target[row]]
+        message = f"no ball is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
+        raise RecordError(message, file=folder / OBSERVATIONS, row=row + 1, column=REFLECTOR_COLUMN)
 
 
 def write_recording(recording: Recording, path: Path) -> None:

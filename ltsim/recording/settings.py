@@ -117,6 +117,7 @@ def _check_names(setup: Setup, file: object) -> None:
         ("station", setup.stations),
         ("target", setup.targets),
         ("instrument", setup.instruments),
+        ("reflector", setup.reflectors),
     ):
         for name in names:
             check_name(name, kind, file=file)
@@ -193,6 +194,8 @@ def setup_to_toml(setup: Setup) -> str:
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
     if setup.started:
         table["started"] = setup.started
+    if setup.reference_radius_mm is not None:
+        table["reference_radius_mm"] = setup.reference_radius_mm
     if setup.report is not None:
         table["report"] = setup.report.model_dump(exclude_none=True)
     if not setup.instruments or setup.instrument != Instrument():
@@ -202,7 +205,7 @@ def setup_to_toml(setup: Setup) -> str:
     if setup.gauge is not None:
         lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
         table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}
-    for kind in ("stations", "targets"):
+    for kind in ("stations", "targets", "reflectors"):
         entries: dict[str, BaseModel] = getattr(setup, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
     return to_toml(table)
@@ -228,7 +231,7 @@ def _table_lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
         heading = ".".join(_key(part) for part in here)
         if isinstance(value, dict):
             inner = _table_lines(value, here)
-            is_group = len(path) == 0 and key in ("stations", "targets", "instruments")
+            is_group = len(path) == 0 and key in ("stations", "targets", "instruments", "reflectors")
             bare = any(not isinstance(v, dict) for v in value.values()) or not (value or is_group)
             lines += (["", f"[{heading}]"] if bare else []) + inner
         else:

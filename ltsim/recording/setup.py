@@ -243,7 +243,7 @@ class Target(Section):
     nest_normal: Direction | None = None
     """Where the open face of a fixed reflector looks, on the floor plan."""
     reflector: str | None = None
-    """Name of the ball; targets that share one share its errors."""
+    """Name of the ball, where a pointing names no other; targets that share one share its errors."""
     reaimed: bool = True
     """Turned toward the station before each pointing."""
     known_mm: Vector | None = None
@@ -262,6 +262,16 @@ class Target(Section):
     """Along which axes it does."""
     height_mm: Height = 0.0
     """Height of the reflector above the mark that the name stands for."""
+
+
+class Reflector(Section):
+    """One ball, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
+
+    radius_mm: Positive
+    """Height of its centre over the surface or the seat of the nest that it stands in: its radius on a plane."""
+    sigma_radius_mm: NonNegative | None = None
+    """Standard deviation of the radius, an error that all its pointings share: a source of `ltsim uncertainty`;
+    the adjustment takes the radius for exact."""
 
 
 class About(Section):
@@ -298,6 +308,12 @@ class Setup(Section):
     """What is known about set-ups, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
     """What is known about reflectors, tables `[targets.NAME]`."""
+    reflectors: dict[str, Reflector] = Field(default_factory=dict)
+    """Balls with radii of their own, tables `[reflectors.NAME]`; the difference to the reference lies along the nest's
+    normal. Without any, all balls are taken for one."""
+    reference_radius_mm: NonNegative | None = None
+    """A target is the centre of a ball of this radius in its nest, 0 for the seat itself, whatever ball was in it; the
+    radius of the balls in use where they have one. It stands above the first table."""
 
     def instrument_of(self, station: str) -> Instrument:
         """Give the instrument that stood at `station`."""

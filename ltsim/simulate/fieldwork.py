@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
+from ltsim.simulate.balls import true_lift
 from ltsim.simulate.physics import construction_of, effects_of
 from ltsim.simulate.scenario import Scenario
 from ltsim.simulate.workshop import Layout, planned, visibility_of
@@ -53,7 +54,8 @@ def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | Non
     Raises
     ------
     SetupError
-        When a station sees nothing, a file of an obstacle is damaged, or an effect does not exist.
+        When a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or a ball
+        stands off along a normal that is not known.
     """
     layout = placed(scenario, seed, *key, plan=plan)
     table = visibility_of(scenario, layout)
@@ -62,6 +64,7 @@ def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | Non
             reason = table.words()[s][0]
             raise SetupError(f"stations.{name}: sees no reflector ({layout.targets[0]} is {reason}); move it")
     sightings = _sightings(scenario, layout, table.visible, seed, *key)
+    sightings = replace(sightings, lift=true_lift(scenario, sightings, seed, *key))
     return Fieldwork(
         scenario=scenario,
         layout=layout,

@@ -12,7 +12,7 @@ from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml
-from ltsim.recording.setup import Material, Section, Vector
+from ltsim.recording.setup import Material, NonNegative, Reflector, Section, Vector
 from ltsim.recording.specification import sheet_names, stated_by
 from ltsim.simulate.builtin import builtin_names, builtin_path
 from ltsim.simulate.sections import (
@@ -55,6 +55,11 @@ class Scenario(Section, Shown):
     """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
     smr: Smr = Smr()
     """The reflectors."""
+    reflectors: dict[str, Reflector] = Field(default_factory=dict)
+    """Balls with radii of their own, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
+    the nest's normal, and true radii are drawn with the places."""
+    reference_radius_mm: NonNegative | None = None
+    """Planned places are centres of a ball of this radius, 0 for the seats; as in `setup.toml`, which takes it over."""
     cmm: Cmm = Cmm()
     """The coordinate measuring machine that calibrated the gauge."""
     work: Work = Work()
@@ -299,6 +304,8 @@ def _listed(names: Iterable[str], most: int = 12) -> str:
 def scenario_to_toml(scenario: Scenario) -> str:
     """The text of a file that `load_scenario` turns into the same scenario, every setting spelled out."""
     table: dict[str, Any] = {"format": scenario.format, "title": scenario.title}
+    if scenario.reference_radius_mm is not None:
+        table["reference_radius_mm"] = scenario.reference_radius_mm
     for name in ("workshop", "placing", "instrument", "smr", "cmm", "work"):
         table[name] = getattr(scenario, name).model_dump(by_alias=True, exclude_none=True)
     if scenario.instruments:
@@ -306,7 +313,7 @@ def scenario_to_toml(scenario: Scenario) -> str:
         table["instruments"] = {name: i.model_dump(by_alias=True, exclude_none=True) for name, i in named}
     if scenario.gauge is not None:
         table["gauge"] = scenario.gauge.model_dump(by_alias=True, exclude_none=True)
-    for kind in ("materials", "stations", "targets"):
+    for kind in ("reflectors", "materials", "stations", "targets"):
         entries: dict[str, Section] = getattr(scenario, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
     for kind in ("lengths", "effects"):

@@ -200,7 +200,7 @@ class Smr(Section):
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest angle of incidence that returns the beam."""
     reflector: str | None = None
-    """Name of the ball, where all targets share one."""
+    """Name of the ball, where station and target name no other."""
     incidence_error: bool = False
     """The reflectors have the error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
@@ -326,6 +326,8 @@ class Station(Section):
     instrument: str | None = None
     """Name of the tracker that stands here, a table `[instruments.NAME]`; that of `[instrument]` where it is not
     given."""
+    reflector: str | None = None
+    """Name of the ball that is carried to all targets from here; where it is not given, each target's own."""
 
 
 class Target(Section):

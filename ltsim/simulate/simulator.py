@@ -17,8 +17,9 @@ from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.randomness import stream
 from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recording.setup import Instrument, Limits, Setup, Station, Target
+from ltsim.simulate.balls import balls_of
 from ltsim.simulate.fieldwork import Fieldwork, fieldwork
 from ltsim.simulate.gauge import nominal_points
 from ltsim.simulate.lengths import with_lengths, with_stated
@@ -139,7 +140,16 @@ def _without_lengths(work: Fieldwork, readings: Floats) -> Recording:
         time=s.time,
         readings=readings,
         covariates=s.covariates,
+        labels=_balls(work),
     )
+
+
+def _balls(work: Fieldwork) -> dict[str, tuple[str, ...]]:
+    """The column of balls, where they have radii or a station carries its own."""
+    scenario = work.scenario
+    if not scenario.reflectors and not any(station.reflector for station in scenario.stations.values()):
+        return {}
+    return {REFLECTOR_COLUMN: balls_of(scenario, work.sightings)}
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
@@ -174,6 +184,8 @@ def _setup(work: Fieldwork) -> Setup:
         instruments={name: _data_sheet(tracker) for name, tracker in scenario.instruments.items()},
         stations=stations,
         targets=_targets(work),
+        reflectors=scenario.reflectors,
+        reference_radius_mm=scenario.reference_radius_mm,
     )
 
 

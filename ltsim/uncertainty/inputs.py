@@ -15,12 +15,13 @@ import numpy as np
 from ltsim.adjust import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import find_effect
-from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.effect import Effect, NoiseEffect, by_displacement
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.reflectors import balls_of
 from ltsim.uncertainty.spec import Tasks, TypeB
-from ltsim.units import FACTOR
+from ltsim.units import FACTOR, MILLIMETRE
 
 SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
 """Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""
@@ -84,6 +85,7 @@ class Inputs:
         at = np.array([recording.targets.index(name) for name in names])
         reach = reach_of(found, at)
         observed = [replace(s, response=_compact(s.response)) for s in observed_sources(found, reach)]
+        observed += ball_sources(found, reach)
         further = [_type_b(found, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
         return cls(found, names, found.state.points[at], reach, (*observed, *further))
 
@@ -130,6 +132,20 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
         found.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), own)
     shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
     return [*found, *(Source(name, "B", response[:, None]) for name, response in shared)]
+
+
+def ball_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+    """The radius of each ball whose standard deviation is stated: one error of all its pointings, along the normals."""
+    problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(balls_of(adjustment.recording))
+    rows, columns = np.nonzero(problem.use)
+    normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
+    found = []
+    for name, ball in adjustment.recording.setup.reflectors.items():
+        off = normal * ((names == name) * (ball.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
+        if np.any(off):
+            change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
+            found.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
+    return found
 
 
 def _compact(response: Floats) -> Floats:

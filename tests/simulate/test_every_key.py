@@ -31,6 +31,7 @@ RICH: dict[str, Any] = {
 }
 """A scenario in which each key has something to act on."""
 OTHER: dict[str, Any] = {
+    "reference_radius_mm": 19.05,
     "workshop.pressure_hpa": 900.0,
     "instrument.preset": "modern",
     "instrument.limits.elevation_min_deg": -20.0,
@@ -39,6 +40,7 @@ OTHER: dict[str, Any] = {
     "instrument.limits.range_max_mm": 6000.0,
     "smr.reflector": "ball",
     "smr.acceptance_deg": 15.0,
+    "stations.S2.reflector": "ball",
     "gauge.nest_normal": [1, 1, 1],
     "gauge.sigma_um": 3.0,
     "gauge.measured_at_c": 22.0,

@@ -14,6 +14,7 @@ from ltsim.recording.files import write_text
 from ltsim.recording.formats.gama import CC, FIXED_MM
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import excess_radii
 from ltsim.recording.setup import Target, Vector, symmetric
 from ltsim.units import GON, MILLIMETRE
 
@@ -28,8 +29,12 @@ def write(recording: Recording, path: Path) -> None:
     Raises
     ------
     RecordError
-        For a set-up that is not levelled: gama-local knows levelled instruments only.
+        For a set-up that is not levelled: gama-local knows levelled instruments only. For balls of several radii: it
+        knows heights of a target, no normals.
     """
+    if excess_radii(recording) is not None:
+        message = "balls of several radii stood off along normals of nests, which gama-local does not know"
+        raise RecordError(f"{message}; write the recording as native", file=path)
     for name in recording.stations:
         if not recording.station_setup(name).levelled:
             message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
