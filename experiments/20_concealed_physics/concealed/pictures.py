@@ -59,7 +59,8 @@ def _power(axes: Axes, summary: dict[str, Any]) -> None:
     ticks = sorted({int(k.split("_")[1]) for k in summary if k.startswith(kinds)})
     axes.set_xticks(ticks, [str(t) for t in ticks])
     axes.minorticks_off()
-    axes.legend(loc="lower right", frameon=False)
+    if ticks:
+        axes.legend(loc="lower right", frameon=False)
 
 
 def _clean(axes: Axes, p_values: Sequence[float]) -> None:
