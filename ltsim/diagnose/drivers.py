@@ -126,8 +126,8 @@ class Driver:
                 return waves_of(self.constant * sightings.quantities[self.covariates[0]], self.size // 2)
             case "field":
                 place = np.stack([sightings.quantities[name] for name in self.covariates], axis=1)
-                names = self.around or sightings.target_names
-                near = np.isin(sightings.target, [sightings.target_names.index(name) for name in names])
+                ids = [i for name in self.around for i in sightings.target_ids[name]]
+                near = np.isin(sightings.target, ids) if ids else slice(None)
                 place = place - place[near].mean(axis=0)
                 place = place / max(float(place[near].std()), 1e-300)
                 bent = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)]

@@ -43,11 +43,8 @@ other second effect."""
 
 def log_average(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
-    top = np.max(values, axis=axis, keepdims=True, initial=-np.inf)
-    top = np.where(np.isfinite(top), top, 0.0)
-    with np.errstate(divide="ignore"):
-        total: Floats = np.log(np.sum(np.exp(values - top), axis=axis)) + np.squeeze(top, axis=axis)
-    return total
+    found: Floats = np.logaddexp.reduce(values, axis=axis)
+    return found
 
 
 def shares(logs: Floats) -> Floats:
