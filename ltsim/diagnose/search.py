@@ -41,7 +41,7 @@ FEW = 3
 """The same in a large network, where each costs a solution of the whole."""
 MOST_STEPS = 6
 KEPT = 16
-"""Projected signatures that are kept."""
+"""Signatures, and projected ones, that are kept."""
 
 
 class Screen(NamedTuple):
@@ -203,7 +203,7 @@ class Searcher:
         new = {key: self._signature(one) for key, one in ((repr(e), e) for e in effects) if key not in self._grams}
         if not new:
             return
-        self._whole = new
+        self._whole = dict([*self._whole.items(), *new.items()][-max(KEPT, len(new)) :])
         left = self.space.project(np.hstack(list(new.values())))
         edges = np.cumsum([signature.shape[1] for signature in new.values()])[:-1]
         for key, part in zip(new, np.split(left, edges, axis=1), strict=True):
