@@ -162,7 +162,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
     """What an effect is confined to; the observable that carries it where a law's carrier does not say."""
     observables, stations, instruments = tuple(effect.observables), effect.stations, tuple[str, ...]()
     if isinstance(effect, Law):
-        instruments, stations = effect.instruments, () if effect.instruments else stations
+        instruments, stations = effect.instruments, () if effect.instruments or effect.each else stations
         if effect.carrier.kind in ("instrument", "air", "reflector") and not effect.carrier.observables:
             observables = carried or observables
     return _place(
@@ -177,7 +177,8 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    return f"{what} differs" if law.driver.kind == "constant" else f"{what} follows {driver}"
+    own = ", in its own way at each set-up" if law.each else ""
+    return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
 
 def _place(**confined: tuple[str, ...]) -> Where:

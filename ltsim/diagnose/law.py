@@ -285,12 +285,13 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
 
 
 def _simple_words(name: str, function: str, k: float, *, clock: bool) -> str:
-    value = value_of(name, k, clock=clock)
     match function:
         case "power":
-            return {1.0: name, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
+            plain = "the parity of the order (every other pointing)" if name == "parity" else name
+            return {1.0: plain, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
         case "sin" | "cos" | "tan":
             return f"{function}({'' if k == 1 else f'{k:.4g} '}{name})"
+    value = value_of(name, k, clock=clock)
     return {
         "abs": f"|{name}|",
         "decay": f"exp(-{name} / {value})",
@@ -327,9 +328,7 @@ def card_of(law: Tunable) -> str:
     if driver.kind == "constant" and carrier == "distance" and len(law.stations) == 1 and not law.targets:
         return "range-step"  # from the start of the visit on
     if driver.kind == "simple" and driver.function in DECAYING:
-        for carriers, covariates, name in NAMED:
-            if carrier in carriers and driver.covariates[0] in covariates:
-                return name
+        return next((n for what, on, n in NAMED if carrier in what and driver.covariates[0] in on), "unknown")
     return "unknown"
 
 
