@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
+import scipy.linalg
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
@@ -115,5 +116,6 @@ def orthonormal(left: Floats, norms: Floats) -> Floats:
     Directions are compared with the lengths `norms` (q,) of the whole signatures, so no unit and no absolute tolerance
     enters.
     """
-    u, s, _ = np.linalg.svd(left / np.where(norms > 0, norms, 1.0), full_matrices=False)
-    return u[:, s**2 > VISIBLE]
+    turned, corner = np.linalg.qr(left / np.where(norms > 0, norms, 1.0))
+    u, s, _ = scipy.linalg.svd(corner, lapack_driver="gesvd")  # the faster one fails on some sound matrices
+    return turned @ u[:, : len(s)][:, s**2 > VISIBLE]
