@@ -20,6 +20,7 @@ from ltsim.diagnose.drivers import (
     FINE,
     LOW,
     MODES,
+    MOST_VISITS,
     WAVE_STEP,
     Driver,
     pieces,
@@ -184,7 +185,7 @@ class Law(Tunable):
         once = self.driver.kind in ("product", "visits") or self.carrier.kind not in OF_A_SET_UP
         if confined or once or len(stations) < 2:
             return None
-        return replace(self, stations=stations, each=True) if len(stations) <= MOST_SET_UPS else None
+        return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
 
     def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
         """Where a law does most: at which set-up, in which direction (c,), coefficients (c, k) and their covariance."""
@@ -207,8 +208,6 @@ ATOMS = 41
 """Values of a covariate between which steps and ramps are tried."""
 OF_A_SET_UP = ("reading", "instrument", "stand")
 """Kinds of carriers that may do the same at every set-up, each in its own way."""
-MOST_SET_UPS = 12
-"""Up to so many: a law for each has as many times its coefficients."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;

@@ -10,7 +10,6 @@ Two forms are read:
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.files import check_name, decoded, number, read_lines, shown
+from ltsim.recording.files import check_name, decoded, number, shown, table_rows
 from ltsim.recording.formats.xml import parse, tag
 from ltsim.units import MILLIMETRE
 
@@ -128,51 +127,44 @@ def _from_gama(path: Path) -> Coordinates:
 def _from_table(path: Path) -> Coordinates:
     header, rows = _table(path)
     axes = "".join(axis for axis in AXES if f"{axis}_mm" in header)
-    columns = {name: header.index(name) for name in ("target", *(f"{axis}_mm" for axis in axes))}
-    names = tuple(check_name(row[columns["target"]], "target", file=path, row=i) for i, row in enumerate(rows, 1))
+    names = tuple(check_name(cells["target"], "target", file=path, row=line) for line, cells in rows)
     points = np.zeros((len(rows), 3))
-    for i, row in enumerate(rows):
+    for point, (line, cells) in zip(points, rows, strict=True):
         for axis in axes:
-            cell = row[columns[f"{axis}_mm"]]
-            points[i, AXES.index(axis)] = number(cell, file=path, row=i + 1, column=f"{axis}_mm") * MILLIMETRE
+            column = f"{axis}_mm"
+            point[AXES.index(axis)] = number(cells[column], file=path, row=line, column=column) * MILLIMETRE
     beside = path.with_suffix(".covariance.csv")
     if beside.is_file():
         covariance = _matrix(beside, [f"{name}.{axis}" for name in names for axis in axes])
         return Coordinates(path.stem, names, axes, points, covariance * MILLIMETRE**2)
-    missing = [f"sigma_{axis}_mm" for axis in axes if f"sigma_{axis}_mm" not in header]
+    stated = [f"sigma_{axis}_mm" for axis in axes]
+    missing = [column for column in stated if column not in header]
     if missing:
         raise RecordError(f"states no precision: neither {beside.name} nor the column {missing[0]} is there", file=path)
-    at = [header.index(f"sigma_{axis}_mm") for axis in axes]
-    sigma = [number(row[k], file=path, row=i, column=header[k]) for i, row in enumerate(rows, 1) for k in at]
+    sigma = [number(cells[column], file=path, row=line, column=column) for line, cells in rows for column in stated]
     note = (
         f"{path.name} states no covariance between points ({beside.name}): what all have in common counts as their own"
     )
     return Coordinates(path.stem, names, axes, points, np.diag(np.square(sigma)) * MILLIMETRE**2, (note,))
 
 
-def _table(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of a CSV file, all of one length."""
-    lines = [
-        [cell.strip() for cell in row] for row in csv.reader(read_lines(path)) if any(cell.strip() for cell in row)
-    ]
-    if len(lines) < 2:
+def _table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """Header and rows, each with its line, of a table with at least one row."""
+    header, rows = table_rows(path)
+    if not rows:
         raise RecordError("holds a header only", file=path)
-    for i, row in enumerate(lines[1:], 1):
-        if len(row) != len(lines[0]):
-            raise RecordError(f"{len(row)} fields, expected {len(lines[0])} as in the header", file=path, row=i)
-    return lines[0], lines[1:]
+    return header, rows
 
 
 def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
     """The entries of a covariance, its coordinates by name in any order."""
     header, rows = _table(path)
-    names = header[1:]
+    first, *names = header
     missing = [name for name in wanted if name not in names]
-    if missing or [row[0] for row in rows] != names:
+    if missing or [cells[first] for _, cells in rows] != names:
         what = f"the coordinate {shown(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
-    values = [[number(cell, file=path, row=i, column=header[0]) for cell in row[1:]] for i, row in enumerate(rows, 1)]
-    matrix = np.array(values)
+    matrix = np.array([[number(cells[n], file=path, row=line, column=n) for n in names] for line, cells in rows])
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)

@@ -110,6 +110,11 @@ class Congruence(Shown):
         return f"{len(told)} of {len(self.displacements)} points moved: {names}{more}"
 
 
+def rows_of(points: Sequence[int] | Ints, axes: int) -> Ints:
+    """Rows (a k,) of some points (k,) among coordinates along a axes, point by point."""
+    return (axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(axes)).ravel()
+
+
 @dataclass(frozen=True)
 class Gap:
     """Differences d (T a,) of common points after alignment along `axes` (a,), their covariance, free motions (T a, f).
@@ -129,18 +134,13 @@ class Gap:
 
     def columns(self, points: Sequence[int] | Ints) -> Floats:
         """Unit displacements (T a, a k) of some points."""
-        return np.eye(len(self.gap))[:, self.rows(points)]
-
-    def rows(self, points: Sequence[int] | Ints) -> Ints:
-        """Rows (a k,) of some points."""
-        a = len(self.axes)
-        return (a * np.asarray(points, dtype=np.int64)[:, None] + np.arange(a)).ravel()
+        return np.eye(len(self.gap))[:, rows_of(points, len(self.axes))]
 
     def own(self, point: int) -> float:
         """Chi-square of one point's difference by itself; NaN where the frame is free."""
         if self.free.shape[1]:
             return np.nan
-        at = self.rows([point])
+        at = rows_of([point], len(self.axes))
         return float(self.gap[at] @ np.linalg.solve(self.covariance[np.ix_(at, at)], self.gap[at]))
 
     @cached_property
@@ -153,7 +153,7 @@ class Gap:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def cost(self, columns: Floats | None = None) -> float:
-        """Weighted sum of squares of what free motions and further columns (3 T, q) do not explain."""
+        """Weighted sum of squares of what free motions and further columns (T a, q) do not explain."""
         left = self._root @ self.gap
         design = self._root @ (self.free if columns is None else np.hstack([self.free, columns]))
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))

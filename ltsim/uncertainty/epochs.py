@@ -21,7 +21,7 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.lengths import COEFFICIENT
 from ltsim.recording.setup import Gauge
-from ltsim.uncertainty.congruence import Congruence, Gap, judged
+from ltsim.uncertainty.congruence import Congruence, Gap, judged, rows_of
 from ltsim.uncertainty.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
 
 SPACE = np.arange(3)
@@ -50,15 +50,12 @@ def compare(
     """
     lost = {*first.lost_targets, *second.lost_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    for name in stable or ():
-        if name not in common:
-            raise unknown_name("common point", name, common)
+    known = _frame(common, stable)
     if len(common) < 4:
         raise NetworkError(f"the recordings share {len(common)} points; at least 4 are needed to see one of them move")
     if stable is not None and len(stable) < 3:
         raise ModelError(f"{len(stable)} stable points hold no frame; name at least 3")
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
-    known = np.array([stable is None or name in stable for name in common])
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
     return judged(_aligned(one, other, scaled, known), common, known & (stable is not None), scaled, level)
@@ -87,9 +84,7 @@ def compare_coordinates(
             f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
         )
     common = [name for name in first.names if name in second.names]
-    for name in stable or ():
-        if name not in common:
-            raise unknown_name("common point", name, common)
+    known = _frame(common, stable)
     held = len(first.axes) if free or scaled else 0
     if len(common) < held + 1:
         raise NetworkError(
@@ -97,16 +92,23 @@ def compare_coordinates(
         )
     if stable is not None and len(stable) < held:
         raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
-    known = np.array([stable is None or name in stable for name in common])
     one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
     return judged(_aligned(one, other, scaled, known, first.along), common, known & (stable is not None), scaled, level)
 
 
+def _frame(common: Sequence[str], stable: Sequence[str] | None) -> Bools:
+    """(T,): which common points may hold the frame: all, or those said to be stable."""
+    for name in stable or ():
+        if name not in common:
+            raise unknown_name("common point", name, common)
+    return np.array([stable is None or name in stable for name in common])
+
+
 @dataclass(frozen=True)
 class _Epoch:
-    """Points (T, 3) of one epoch, their joint covariance (3 T, 3 T), and the rigid motions (6, f) that are open.
+    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and the rigid motions (6, f) that are open.
 
-    `by_given` (3 T, g) is how the points follow what the epochs may have in common, in standard deviations.
+    `by_given` (T a, g) is how the points follow what the epochs may have in common, in standard deviations.
     """
 
     points: Floats
@@ -125,8 +127,7 @@ class _Epoch:
     def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> _Epoch:
         """Points of a list."""
         at = np.array([found.names.index(name) for name in common])
-        a = len(found.axes)
-        rows = (a * at[:, None] + np.arange(a)).ravel()
+        rows = rows_of(at, len(found.axes))
         open_ = np.eye(6) if free else np.zeros((6, 0))
         return cls(found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), open_)
 
