@@ -78,6 +78,8 @@ def explain_gross(adjustment: Adjustment) -> tuple[Recording, Bools, list[GrossF
 def mistakes(adjustment: Adjustment) -> list[Mend]:
     """Mistakes that explain pointings which an adjustment screened out: mended, they land on their target."""
     recording, left = adjustment.recording, adjustment.gross.copy()
+    if not left.any():
+        return []
     found = _swaps(adjustment, left)
     for finding, *_ in found:
         left[finding.rows] = False
