@@ -11,12 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .hall import Hall
+from .hall import WARMTH, Hall
 from .tracker import CONSTANTS, Array, Change
 
 MICRO = 1e-6
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 """Upwards, and away from the wall."""
+CLOCK = ("time", "order")
+TURN = ("move", "approach", "before")
+WARM = (WARMTH, "temperature", "time")
+"""Words for what follows the clock, the last turn of the head, and the warmth of the hall."""
 Draw = np.random.Generator
 CARRIERS = {
     "distance": ("distance", "range"),

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from .cause import (
+    CLOCK,
     MICRO,
     OUT,
+    TURN,
     UP,
+    WARM,
     Cause,
     Draw,
     Law,
@@ -20,12 +23,8 @@ from .cause import (
     vary,
     windows,
 )
-from .hall import SIZE, WARMTH, Hall
+from .hall import SIZE, Hall
 from .tracker import Array, Change, within_a_turn
-
-CLOCK = ("time", "order")
-TURN = ("move", "approach", "before")
-WARM = (WARMTH, "temperature", "time")
 
 
 def laser_sweeps_its_modes(h: Hall, rng: Draw) -> Cause:
