@@ -115,10 +115,11 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str) -> None:
     assert min(fits) < 2e-3
 
 
-def test_its_least_squares_agrees_with_the_adjustment() -> None:
+@pytest.mark.parametrize("laws", list(made.SETS))
+def test_its_least_squares_agrees_with_the_adjustment(laws: str) -> None:
     """A silent hall with a cause: the chi-square that is left is the strength."""
-    case = next(k for k in range(9) if made.make("unknown", 200, k, stream(33, k), stream(34, k)).truth["stations"] < 6)
-    there = made.make("unknown", 200, case, stream(33, case), stream(34, case))
+    halls_made = (made.make("unknown", 200, k, stream(33, k), stream(34, k), laws) for k in range(9))
+    there = next(hall for hall in halls_made if hall.truth["stations"] < 6 and hall.change.any())
     silent = there.silent
     left = [
         lt.calibrate(silent.with_readings(silent.readings + share * there.change)).adjustment.chi2
@@ -152,10 +153,19 @@ def test_every_law_acts_and_says_how_it_is_told(laws: dict[str, Any]) -> None:
     assert not missing
 
 
-@pytest.mark.parametrize(("name", "laws"), [("eleventh", "sixth"), ("thirteenth", "seventh")])
-def test_the_plan_asks_every_law_at_two_strengths(name: str, laws: str, root: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "laws", "strengths"),
+    [
+        ("eleventh", "sixth", (200, 600)),
+        ("thirteenth", "seventh", (200, 600)),
+        ("fourteenth", "eighth", (90, 200, 600)),
+    ],
+)
+def test_the_plan_asks_every_law_at_its_strengths(
+    name: str, laws: str, strengths: tuple[int, ...], root: Path, tmp_path: Path
+) -> None:
     cases = plan.read_plan(root / "experiments" / "20_concealed_physics" / f"{name}.toml")
-    for strength in (200, 600):
+    for strength in strengths:
         assert sorted(c.number for c in cases if (c.kind, c.strength) == ("unknown", strength)) == list(range(24))
     assert all(c.independent and c.laws == laws for c in cases)
     case = next(c for c in cases if (c.kind, c.strength, c.number) == ("unknown", 200, 0))
