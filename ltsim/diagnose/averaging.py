@@ -2,7 +2,12 @@
 
 Each explanation shifts the adjusted coordinates; sizes are shrunk by their prior, and what cannot be told apart is
 averaged by its probability, no effect at all among it (Bayesian model averaging; Hoeting et al. 1999, Statistical
-Science 14). The covariance adds what the explanations disagree by.
+Science 14). The curve of a law that nobody knows is not quite right, and differences of evidence smaller than that may
+show tell nothing between laws. The covariance adds what the explanations disagree by.
+
+The change is taken as far as it is safe: with s what it takes off the ordinary coordinates, these err by s and an error
+e of the new ones, which s tells nothing of; taking off t s makes the sum of their squares grow by
+t^2 s's - 2 t (s's + s'e), normally distributed.
 """
 
 from __future__ import annotations
@@ -11,7 +16,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtri
 
+from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, shares, wide_posterior
@@ -22,30 +29,63 @@ from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.shapes import all_shapes
 from ltsim.effects.effect import NoiseEffect
+from ltsim.geometry.rigid import less_rigid
 
+WORSE, HARM = 0.05, 0.03
+"""The chance of coordinates that err by more than such a share more than the ordinary ones is at most so large."""
 MOST_OPEN = 12
 LEAST = 0.003
 """Explanations less probable than this do not count."""
 
 
-def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
-    """The targets of a refit, moved by what other explanations of each finding would move them, times their chance."""
-    adjusted = fitted.adjustment
-    points, covariance = adjusted.state.points.copy(), adjusted.target_covariance.copy()
+def averaged_targets(
+    baseline: Adjustment, searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit
+) -> Targets:
+    """The targets of a refit, moved by what other explanations of each finding would move them, times their chance.
+
+    They stay as near to the ordinary ones of `baseline` as is safe.
+    """
+    points, open_ = fitted.adjustment.state.points.copy(), []
     for i, ranking in enumerate(rankings):
         others = searcher.without(found, i)
-        weights, shifts = _open(searcher, others, found.members[i], ranking)
+        weights, shifts = _open(searcher, others, found.members[i], ranking, 1.0 + found.misfit)
         mean = np.einsum("k,kti->ti", weights, shifts)
         refitted = replace(found.members[i], effect=fitted.effects[i])
         points += mean - shift_of(searcher, others, refitted, wide=True)
-        apart = shifts - mean
-        covariance += np.einsum("k,kti,ktj->tij", weights, apart, apart)
-    return Targets(points, covariance)
+        open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
+    apart = np.concatenate([*open_, np.zeros((0, *points.shape))])
+    change = points - baseline.state.points
+    share = _safe_share(fitted.adjustment, change, apart)
+    kept = (1.0 - share) * change
+    covariance = fitted.adjustment.target_covariance + np.einsum("kti,ktj->tij", apart, apart)
+    return Targets(points - kept, covariance + kept[:, :, None] * kept[:, None, :])
 
 
-def _open(searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Ranking) -> tuple[Floats, Floats]:
-    """Probabilities (k,) of explanations, the chosen one first, and the shift (k, T, 3) of the targets by each."""
-    none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)])).tolist()
+def _safe_share(adjusted: Adjustment, change: Floats, apart: Floats) -> float:
+    """The largest share of a change (T, 3) [m] of the targets that is safe, explanations being so far `apart`."""
+    problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
+    shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
+    along = np.zeros(adjusted.solution.system.design.shape[1])
+    along[problem.unknowns.target.ravel()] = shift
+    disagreed = np.nan_to_num(apart).reshape(len(apart), len(shift)) @ shift
+    spread = float(along @ adjusted.factor.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
+    size, noise = float(shift @ shift), float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)))
+    if size == 0.0:
+        return 1.0
+    # The largest t of t^2 s's + 2 t b <= (grown - 1) (s's + e'e), where b is as bad as the chance allows.
+    bad = -float(ndtri(HARM)) * np.sqrt(spread) - size
+    grown = ((1.0 + WORSE) ** 2 - 1.0) * (size + noise + float(np.nansum(apart**2)))
+    return min(1.0, float(np.sqrt(bad**2 + size * grown) - bad) / size)
+
+
+def _open(
+    searcher: Searcher, others: Found, chosen: Hypothesis, ranking: Ranking, blur: float
+) -> tuple[Floats, Floats]:
+    """Probabilities (k,) of explanations, the chosen one first, and the shift (k, T, 3) of the targets by each.
+
+    Evidence tells explanations apart by its parts of `blur`.
+    """
+    none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / blur).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
     entries = [(h, p) for h, p in likely if not isinstance(h.effect, NoiseEffect | NoisePattern)]
     entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]

@@ -60,7 +60,7 @@ class Case:
             cards = self.searcher.cards.reweighted(self.searcher.space, space)
             del self.searcher
         self.searcher = Searcher(space, self.seed, cards=cards)
-        self.bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+        self.bank = NoiseBank.of(space, noise_hypotheses(space.sightings, self.recording.instruments))
 
     def add_noise(self, further: NoiseHypothesis) -> None:
         """Take in a further change of the noise; one of the same kind at the same place is made larger."""

@@ -35,6 +35,7 @@ WORDS = {
     "station-time": "time",
     "repeat": "time",
     "parity": "approach",
+    "seating-parity": "approach",
     "bearing": "azimuth",
     "circle": "azimuth",
     "vertical-circle": "elevation",
@@ -285,7 +286,9 @@ def covariates_of(sightings: Sightings) -> list[str]:
 
 def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     """Drivers of every carrier: constants, signs, clocks that decay, smooth in every covariate."""
-    tried = ("face", "approach-azimuth", "approach-elevation", "parity", "repeat")
+    tried = ["face", "approach-azimuth", "approach-elevation", "parity", "repeat"]
+    one, other = (sightings.quantities[name] for name in ("parity", "seating-parity"))
+    tried += ["seating-parity"] if abs(one @ other) < len(one) else []
     signs = [s for s in tried if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
     visits = len(np.unique(sightings.station))
@@ -307,10 +310,10 @@ _AXES = ("azimuth", "elevation")
 _HEAD = (*_AXES, *_CIRCLES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
 _CLOCKS = ("time", "station-time", "lapse")
 DRIVES: dict[str, tuple[str, ...]] = {
-    "instrument": (*_CLOCKS, *_HEAD, "parity", "repeat", "distance", "height", "move-distance", "last-distance"),
+    "instrument": (*_CLOCKS, *_HEAD, "parity", "seating-parity", "repeat", "distance", "height", "move-distance", "last-distance"),
     "stand": (*_CLOCKS, *_AXES, "bearing"),
-    "target": ("time",),
-    "reflector": ("time", *_BALL),
+    "target": ("time", "parity", "seating-parity", "repeat"),
+    "reflector": ("time", "lapse", "parity", "seating-parity", "repeat", *_BALL),
     "air": ("time", "station-time"),
 }
 """What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
@@ -351,9 +354,13 @@ def rates(sightings: Sightings, name: str, most: float) -> Floats:
     return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > 0 else np.zeros(0)
 
 
-def waves(sightings: Sightings) -> Iterator[Driver]:
-    """Waves in clock, range, angles and place."""
+def waves(sightings: Sightings, *, visits: bool = False) -> Iterator[Driver]:
+    """Waves in clock, range, angles and place; of one of the `visits`, in its clock."""
     most = min(len(sightings) / 8, MOST_CYCLES)
+    if visits:
+        for rate in rates(sightings, "station-time", most / len(sightings.station_names)):
+            yield Driver("wave", ("station-time",), constant=float(rate))
+        return
     for name in ("time", "distance", "azimuth", "elevation", "x", "y", "z", "station-time"):
         for rate in rates(sightings, name, most):
             yield Driver("wave", (name,), constant=float(rate))

@@ -160,14 +160,15 @@ def equivalents(probability: Mapping[str, float], name: str) -> tuple[Equivalent
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
     """What an effect is confined to; the observable that carries it where a law's carrier does not say."""
-    observables, stations, instruments = tuple(effect.observables), effect.stations, tuple[str, ...]()
+    observables, stations = tuple(effect.observables), effect.stations
+    instruments = effect.instruments if isinstance(effect, Law | NoisePattern) else ()
     if isinstance(effect, Law):
-        instruments, stations = effect.instruments, () if effect.instruments or effect.each else stations
+        stations = () if effect.each else stations
         if effect.carrier.kind in ("instrument", "air", "reflector") and not effect.carrier.observables:
             observables = carried or observables
     return _place(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
-        stations=stations,
+        stations=() if instruments else stations,
         targets=effect.targets,
         instruments=instruments,
         covariates=words_of(effect.covariates),

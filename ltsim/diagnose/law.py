@@ -138,7 +138,7 @@ class Law(Tunable):
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             found["fine"] = [replace(self, driver=finer)]
-        if driver.kind == "wave" and driver.covariates[0] in ("time", "station-time"):
+        if driver.kind == "wave":
             found["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
         return {
             kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
@@ -283,10 +283,16 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     return _simple_words(name, driver.function, driver.constant, clock=clock)
 
 
+PARITIES = {
+    "parity": "the parity of the order (every other pointing)",
+    "seating-parity": "the parity of the seatings (every other target)",
+}
+
+
 def _simple_words(name: str, function: str, k: float, *, clock: bool) -> str:
     match function:
         case "power":
-            plain = "the parity of the order (every other pointing)" if name == "parity" else name
+            plain = PARITIES.get(name, name)
             return {1.0: plain, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
         case "sin" | "cos" | "tan":
             return f"{function}({'' if k == 1 else f'{k:.4g} '}{name})"

@@ -19,7 +19,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.drivers import MEMORY, further
 from ltsim.diagnose.evidence import PRIOR, log_means, shares
-from ltsim.diagnose.places import branches
+from ltsim.diagnose.places import Place, branches, trackers_of
 from ltsim.diagnose.schema import Equivalent
 from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
@@ -39,6 +39,8 @@ class NoisePattern(NoiseSignature):
     observables: tuple[str, ...] = OBSERVABLES
     covariates: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
+    stations: tuple[str, ...] = ()
+    instruments: tuple[str, ...] = ()
     falling: bool = False
     repeating: bool = False
 
@@ -84,13 +86,15 @@ class NoiseHypothesis:
         return self.effect.name != NoisePattern.name
 
 
-def _patterns(sightings: Sightings) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
+def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
     known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
-    for acts, name, falling in product(single, [*known, *further(sightings)], (False, True)):
-        yield acts[0], NoisePattern(acts, (name,), falling=falling), (2.0, 6.0, 20.0)
+    places = [NoisePattern(), *(NoisePattern(stations=p.stations, instruments=p.instruments) for p in trackers)]
+    for at, acts, name, falling in product(places, single, [*known, *further(sightings)], (False, True)):
+        pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
+        yield acts[0], pattern, (2.0, 6.0, 20.0)
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
     for acts in (*single, OBSERVABLES):
@@ -104,12 +108,12 @@ MOST_TARGETS = 60
 """Targets up to whose number each is tried on its own, and those that belong together."""
 
 
-def noise_hypotheses(sightings: Sightings) -> list[NoiseHypothesis]:
-    """Every change of the noise that is tried, with a grid of sizes."""
+def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
+    """Every change of the noise that is tried, with a grid of sizes; that of each of several `instruments` too."""
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect)]
     known = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     found = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in known for values in sizes]
-    for family, pattern, sizes in _patterns(sightings):
+    for family, pattern, sizes in _patterns(sightings, trackers_of(sightings, instruments)):
         found += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return found
 

@@ -30,7 +30,7 @@ from ltsim.diagnose.drivers import (
     waves,
 )
 from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
-from ltsim.diagnose.places import Place, branches, corners_of, each, stations_of, together
+from ltsim.diagnose.places import Place, branches, corners_of, each, together, trackers_of
 from ltsim.diagnose.probe import Probe
 
 CHUNK = 1000
@@ -154,6 +154,8 @@ class Panel:
         return shaped.reshape(count, d, ways * k, ways * k)
 
 
+FEW_RATES = 18
+"""Rates of waves, the slowest ones, that a group of targets is tried with."""
 MOST_HITS = 6
 """Hypotheses a place that are looked at again."""
 
@@ -163,6 +165,8 @@ SHARES = {
     "instrument": 0.10,  # the same at all set-ups of one instrument
     "product": 0.12,  # a reading that follows two drivers
     "wave": 0.08,  # a reading that swings
+    "swing": 0.02,  # one set-up that swings in time
+    "swing of a group": 0.02,  # targets that belong together that do
     "sway": 0.02,  # anything else that swings in time
     "structure": 0.04,  # targets that move together, more the farther across the room
     "target": 0.04,  # one target
@@ -193,8 +197,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         stations = tuple(Place((name,), (), rows) for name, rows in each(s.station_names, s.station))
     if 1 < len(s.target_names) <= MOST_PLACES:
         targets = tuple(Place((), (name,), rows) for name, rows in each(s.target_names, s.target))
-    trackers = list(each(space.adjustment.recording.instruments, s.instrument))
-    instruments = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in trackers[1:] and trackers)
+    instruments = trackers_of(s, space.adjustment.recording.instruments)
     some = 12 <= len(s.target_names) <= 100
     groups, corners = (tuple(together(s, sets(s))) if some else () for sets in (branches, corners_of))
     general = general_drivers(s)
@@ -211,6 +214,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         ("instrument", general, instruments, AT_INSTRUMENTS),
         ("product", list(products(s)), everywhere, {"reading": 1.0}),
         ("wave", list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),
+        ("swing", list(waves(s, visits=True)), stations, {"stand": 0.5, "reading": 0.5}),
+        ("swing of a group", swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),
         ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
         ("structure", bent, everywhere, {"target": 1.0}),
         ("target", [*plain, *clock], targets, AT_TARGETS),

@@ -40,6 +40,12 @@ def stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
     return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
 
 
+def trackers_of(s: Sightings, names: Sequence[str]) -> tuple[Place, ...]:
+    """The set-ups of each of several instruments."""
+    places = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in each(names, s.instrument))
+    return places if len(places) > 1 else ()
+
+
 def branches(s: Sightings) -> set[tuple[int, ...]]:
     """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
 

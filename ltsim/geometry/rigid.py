@@ -17,9 +17,13 @@ def rigid_motion(points: Floats, centre: Floats | None = None) -> Floats:
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
 
 
-def less_rigid(displacement: Floats, points: Floats) -> Floats:
-    """Displacements (3 k, c) of points (k, 3) less what a shift and a turn of all of them makes of each column."""
-    basis = np.linalg.qr(rigid_motion(points))[0]
+def less_rigid(displacement: Floats, points: Floats, free: Floats | None = None) -> Floats:
+    """Displacements (3 k, c) of points (k, 3) less what a shift and a turn of all of them makes of each column.
+
+    Of the six motions only those along the columns of `free` (6, f) are taken out, where these are given.
+    """
+    motion = rigid_motion(points)
+    basis = np.linalg.qr(motion if free is None else motion @ free)[0]
     return displacement - basis @ (basis.T @ displacement)
 
 

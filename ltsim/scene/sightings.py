@@ -191,6 +191,16 @@ class Sightings:
         return sign
 
     @cached_property
+    def seating(self) -> Ints:
+        """(n,) int: how often the reflector was set elsewhere since the set-up began; faces and repeats do not count."""
+        rows = self.order[np.argsort(self.station[self.order], kind="stable")]
+        begins = np.diff(self.station[rows], prepend=-1) != 0
+        moved = np.cumsum((np.diff(self.target[rows], prepend=-1) != 0) | begins)
+        count = np.empty(len(rows), dtype=np.int64)
+        count[rows] = moved - np.maximum.accumulate(np.where(begins, moved, 0))
+        return count
+
+    @cached_property
     def quantities(self) -> dict[str, Floats]:
         """Everything a reading may depend on, (n,) each [SI, or the unit of the recording's own column].
 
@@ -217,6 +227,7 @@ class Sightings:
             "face": self.face_sign,
             "bearing": np.arctan2(self.unit_vectors[0][:, 1], self.unit_vectors[0][:, 0]),
             "parity": 1.0 - 2.0 * (np.argsort(self.order) % 2),
+            "seating-parity": 1.0 - 2.0 * (self.seating % 2),
             "repeat": self.repeat.astype(np.float64),
             "approach-azimuth": self.approach[:, 0],
             "approach-elevation": self.approach[:, 1],
