@@ -159,9 +159,14 @@ class Sightings:
         return np.argsort(self.time, kind="stable")
 
     @cached_property
+    def _by_set_up(self) -> Ints:
+        """(n,) int: row indices, one station after the other, each in the order of the work."""
+        return self.order[np.argsort(self.station[self.order], kind="stable")]
+
+    @cached_property
     def previous(self) -> Ints:
         """(n,) int: row of the same station's pointing before this one, -1 for its first."""
-        rows = self.order[np.argsort(self.station[self.order], kind="stable")]
+        rows = self._by_set_up
         before = np.full(len(self), -1)
         same = np.diff(self.station[rows]) == 0
         before[rows[1:][same]] = rows[:-1][same]
@@ -192,11 +197,11 @@ class Sightings:
 
     @cached_property
     def seating(self) -> Ints:
-        """(n,) int: how often the reflector was set elsewhere since the set-up began; faces and repeats do not count."""
-        rows = self.order[np.argsort(self.station[self.order], kind="stable")]
+        """(n,) int: how often the reflector was set elsewhere since the set-up began."""
+        rows = self._by_set_up
         begins = np.diff(self.station[rows], prepend=-1) != 0
         moved = np.cumsum((np.diff(self.target[rows], prepend=-1) != 0) | begins)
-        count = np.empty(len(rows), dtype=np.int64)
+        count = np.empty_like(rows)
         count[rows] = moved - np.maximum.accumulate(np.where(begins, moved, 0))
         return count
 
