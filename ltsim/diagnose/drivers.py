@@ -309,11 +309,12 @@ FEW_VISITS, MOST_VISITS = 3, 12
 _AXES = ("azimuth", "elevation")
 _HEAD = (*_AXES, *_CIRCLES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
 _CLOCKS = ("time", "station-time", "lapse")
+_TURNS = ("parity", "seating-parity", "repeat")
 DRIVES: dict[str, tuple[str, ...]] = {
-    "instrument": (*_CLOCKS, *_HEAD, "parity", "seating-parity", "repeat", "distance", "height", "move-distance", "last-distance"),
+    "instrument": (*_CLOCKS, *_HEAD, *_TURNS, "distance", "height", "move-distance", "last-distance"),
     "stand": (*_CLOCKS, *_AXES, "bearing"),
-    "target": ("time", "parity", "seating-parity", "repeat"),
-    "reflector": ("time", "lapse", "parity", "seating-parity", "repeat", *_BALL),
+    "target": ("time", *_TURNS),
+    "reflector": ("time", "lapse", *_TURNS, *_BALL),
     "air": ("time", "station-time"),
 }
 """What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
