@@ -5,9 +5,9 @@ averaged by its probability, no effect at all among it (Bayesian model averaging
 Science 14). The curve of a law that nobody knows is not quite right, and differences of evidence smaller than that may
 show tell nothing between laws. The covariance adds what the explanations disagree by.
 
-The change is taken as far as it is safe: with s what it takes off the ordinary coordinates, these err by s and an error
-e of the new ones, which s tells nothing of; taking off t s makes the sum of their squares grow by
-t^2 s's - 2 t (s's + s'e), normally distributed.
+What laws that nobody knows do to the targets is taken off as far as it is safe: with s what they do, coordinates without
+it err by s and an error e, of which s tells nothing; taking off t s makes the sum of squares grow by t^2 s's -
+2 t (s's + s'e), normally distributed.
 """
 
 from __future__ import annotations
@@ -32,37 +32,32 @@ from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rigid import less_rigid
 
 WORSE, HARM = 0.05, 0.03
-"""The chance of coordinates that err by more than such a share more than the ordinary ones is at most so large."""
+"""Coordinates shall err by more than such a share more than without a law with at most such a chance."""
 MOST_OPEN = 12
 LEAST = 0.003
 """Explanations less probable than this do not count."""
 
 
-def averaged_targets(
-    baseline: Adjustment, searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit
-) -> Targets:
-    """The targets of a refit, moved by what other explanations of each finding would move them, times their chance.
-
-    They stay as near to the ordinary ones of `baseline` as is safe.
-    """
-    points, open_ = fitted.adjustment.state.points.copy(), []
+def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
+    """The targets of a refit, moved by what other explanations of each finding would move them, times their chance."""
+    points = fitted.adjustment.state.points.copy()
+    by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(found, i)
         weights, shifts = _open(searcher, others, found.members[i], ranking, 1.0 + found.misfit)
         mean = np.einsum("k,kti->ti", weights, shifts)
         refitted = replace(found.members[i], effect=fitted.effects[i])
         points += mean - shift_of(searcher, others, refitted, wide=True)
+        by_laws += mean if not refitted.known else 0.0
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
-    apart = np.concatenate([*open_, np.zeros((0, *points.shape))])
-    change = points - baseline.state.points
-    share = _safe_share(fitted.adjustment, change, apart)
-    kept = (1.0 - share) * change
+    apart = np.concatenate(open_)
+    kept = (1.0 - _safe_share(fitted.adjustment, by_laws, apart)) * by_laws
     covariance = fitted.adjustment.target_covariance + np.einsum("kti,ktj->tij", apart, apart)
     return Targets(points - kept, covariance + kept[:, :, None] * kept[:, None, :])
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, apart: Floats) -> float:
-    """The largest share of a change (T, 3) [m] of the targets that is safe, explanations being so far `apart`."""
+    """The largest share of a change (T, 3) [m] of the targets that is safe; explanations are (k, T, 3) apart."""
     problem, points = adjusted.problem, np.nan_to_num(adjusted.state.points)
     shift = less_rigid(np.nan_to_num(change).reshape(-1, 1), points - points.mean(axis=0), problem.free)[:, 0]
     along = np.zeros(adjusted.solution.system.design.shape[1])

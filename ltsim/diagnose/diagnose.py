@@ -183,7 +183,7 @@ def _told(
         undetectable=undetectable,
         detectable=detectable,
         instruments=instrument_entries(settled),
-        targets=averaged_targets(baseline, case.searcher, found, rankings, explained.refit),
+        targets=averaged_targets(case.searcher, found, rankings, explained.refit),
         baseline=baseline,
         adjusted=adjusted,
     )
