@@ -5,9 +5,9 @@ averaged by its probability, no effect at all among it (Bayesian model averaging
 Science 14). The curve of a law that nobody knows is not quite right, and differences of evidence smaller than that may
 show tell nothing between laws. The covariance adds what the explanations disagree by.
 
-What laws that nobody knows do to the targets is taken off as far as it is safe: with s what they do, coordinates without
-it err by s and an error e, of which s tells nothing; taking off t s makes the sum of squares grow by t^2 s's -
-2 t (s's + s'e), normally distributed.
+What laws that nobody knows do to the targets is taken off as far as it is safe: with s what they do, coordinates
+without it err by s and an error e, of which s tells nothing; taking off t s makes the sum of squares grow by
+t^2 s's - 2 t (s's + s'e), normally distributed.
 """
 
 from __future__ import annotations
