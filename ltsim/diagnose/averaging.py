@@ -64,12 +64,22 @@ def _safe_share(adjusted: Adjustment, change: Floats, apart: Floats) -> float:
     along[problem.unknowns.target.ravel()] = shift
     disagreed = np.nan_to_num(apart).reshape(len(apart), len(shift)) @ shift
     spread = float(along @ adjusted.factor.covariance_columns(along[:, None])[:, 0] + disagreed @ disagreed)
-    size, noise = float(shift @ shift), float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)))
+    noise = float(np.nansum(np.einsum("tii->t", adjusted.target_covariance)) + np.nansum(apart**2))
+    return safe_share(float(shift @ shift), spread, noise)
+
+
+def safe_share(size: float, spread: float, noise: float) -> float:
+    """The largest share t of s to take off: t^2 s's - 2 t (s's + s'e) <= ((1 + WORSE)^2 - 1) (s's + e'e) but for `HARM`.
+
+    Parameters
+    ----------
+    size, spread, noise : float
+        s's, the variance of s'e, the expectation of e'e.
+    """
     if size == 0.0:
         return 1.0
-    # The largest t of t^2 s's + 2 t b <= (grown - 1) (s's + e'e), where b is as bad as the chance allows.
     bad = -float(ndtri(HARM)) * np.sqrt(spread) - size
-    grown = ((1.0 + WORSE) ** 2 - 1.0) * (size + noise + float(np.nansum(apart**2)))
+    grown = ((1.0 + WORSE) ** 2 - 1.0) * (size + noise)
     return min(1.0, float(np.sqrt(bad**2 + size * grown) - bad) / size)
 
 

@@ -139,6 +139,29 @@ def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_
     assert errors[1] < 0.8 * errors[0]
 
 
+def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
+    """Every other target is measured with a larger ball, in two faces: no parity of the pointings tells that."""
+    recording, state = workshop(16, faces=2)
+    sightings = sightings_of(recording, state)
+    out = (sightings.seating % 2)[:, None] * np.nan_to_num(sightings.nest_normal[sightings.target])
+    found = diagnose(strengthened(recording, state, by_displacement(sightings, out[:, :, None])[:, :, 0])[0])
+    assert [f.carrier for f in found.findings] == ["height of targets in their nests"]
+    assert found.findings[0].driver == "the parity of the seatings (every other target)"
+
+
+def test_a_stand_that_is_pumped_up_again_and_again_swings():
+    recording, state = workshop(17)
+    sightings = sightings_of(recording, state)
+    visit = float(np.ptp(sightings.time[sightings.station == 1]))
+    sinks = (sightings.station == 1) * np.mod(sightings.station_time / (visit / 4), 1.0)
+    change = by_displacement(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
+    found = diagnose(strengthened(recording, state, change)[0])
+    first = found.findings[0]
+    assert first.effect == "unknown"
+    assert first.where.stations == (recording.stations[1],)
+    assert "stand" in first.carrier and ("cycle" in first.driver or "wave" in first.driver)
+
+
 def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
     rotation, translation = align(points, truth)
     return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))

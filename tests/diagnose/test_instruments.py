@@ -68,3 +68,16 @@ def test_combinations_are_known_where_single_constants_are_not():
         weights[adjustment.construction.names.index(name)] = weight
     direct = float(np.sqrt(weights @ adjustment.instrument_covariance @ weights)) / 1e-6
     assert direct == pytest.approx(known[0].sigma, rel=0.5)
+
+
+def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
+    recording = trackers(0.0)
+    far = recording.readings[:, 0] / recording.readings[:, 0].max()
+    scatter = 3.0 * (recording.instrument == 1) * far**2 * recording.sigma()[:, 0]
+    readings = recording.readings.copy()
+    readings[:, 0] += scatter * stream(9, "scatter").standard_normal(len(recording))
+    found = diagnose(recording.with_readings(readings))
+    (first,) = found.findings
+    assert (first.carrier, first.where.observables) == ("noise", ("distance",))
+    assert first.where.instruments == ("B",)
+    assert "of instrument B" in first.sentence

@@ -40,6 +40,20 @@ def test_the_first_pointing_of_a_station_comes_from_nowhere(sightings):
     assert (sightings.time[sightings.previous[~first]] < sightings.time[~first]).all()
 
 
+def test_a_reflector_that_stays_is_not_set_anew(sightings):
+    """Faces and repeats of a target in a row are one seating; every set-up begins at nought."""
+    first = sightings.order[sightings.station[sightings.order] == 0]
+    target = sightings.target.copy()
+    target[first[2:4]] = target[first[1]]
+    again = replace(sightings, target=target)
+    for station in range(len(sightings.station_names)):
+        rows = sightings.order[sightings.station[sightings.order] == station]
+        elsewhere = np.diff(target[rows]) != 0
+        assert again.seating[rows[0]] == 0
+        assert (np.diff(again.seating[rows]) == elsewhere).all()
+    assert again.seating[first[3]] == 1
+
+
 def test_an_axis_that_stands_still_was_moved_earlier(sightings):
     """Twice the same target: the second pointing comes from the side of the first."""
     rows = sightings.order[sightings.station[sightings.order] == 0]
