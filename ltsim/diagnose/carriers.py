@@ -14,7 +14,11 @@ from functools import partial
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.effects import BASELINE
 from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.effects.effect import Term
+from ltsim.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.effects.motions import station_design
 from ltsim.effects.signature import by_displacement, on_readings
 from ltsim.effects.smr_centring import reflector_axes
@@ -62,13 +66,29 @@ _SLOTS = {
     "beam-tilt": Carrier("beam tilt", "urad", ANGLE, ("azimuth",)),
 }
 """Slots of the kinematic chain."""
-SLOT_OF = {carrier.name: slot for slot, carrier in _SLOTS.items()} | {"distance": "range"}
-"""The slot that a carrier varies."""
+_CIRCLES = {
+    Carrier(f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, ways=("cosine", "sine")): effect
+    for effect in (AzimuthEccentricity(), ElevationEccentricity())
+}
+"""Circles that turn off their centre."""
 _READINGS = tuple(
     Carrier(name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading")
     for name in OBSERVABLES
 )
 _SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
+
+
+def constants_in(slot: str) -> tuple[str, ...]:
+    """The constants of the ordinary calibration that are a slot of the chain."""
+    return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == Term(slot))
+
+
+VARIED = (
+    {carrier.name: constants_in(slot) for slot, carrier in _SLOTS.items()}
+    | {carrier.name: tuple(p.name for p in effect.parameters) for carrier, effect in _CIRCLES.items()}
+    | {"distance": constants_in("range"), _SCALE.name: ("range-scale",)}
+)
+"""The constants of the ordinary calibration that a carrier varies."""
 _LEAN = Carrier("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
 _STAND = Carrier("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
 _TARGETS = Carrier("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
@@ -105,6 +125,7 @@ def _registry() -> dict[str, tuple[Carrier, Derivative]]:
     found: list[tuple[Carrier, Derivative]] = [
         *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
         *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
+        *((carrier, effect.design) for carrier, effect in _CIRCLES.items()),
         (_SCALE, _scale),
         (_LEAN, lambda s: station_design(s)[:, :, 3:5]),
         (_STAND, lambda s: station_design(s)[:, :, :3]),

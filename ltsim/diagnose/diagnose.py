@@ -14,7 +14,7 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.calibrate.known import Known
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
-from ltsim.diagnose.carriers import SLOT_OF
+from ltsim.diagnose.carriers import VARIED, constants_in
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
@@ -29,8 +29,6 @@ from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Finding, Fit
 from ltsim.diagnose.sets import Found
 from ltsim.diagnose.words import summarise
-from ltsim.effects import BASELINE
-from ltsim.effects.effect import SlotEffect, Term
 from ltsim.effects.signature import Tunable
 from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
@@ -91,10 +89,9 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, histor
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     """Whether a constant of an instrument is what an effect varies: then it has no value to contradict another."""
-    ordinary = [e for e in BASELINE if isinstance(e, SlotEffect)]
-    slots = {p.name: t.slot for e in ordinary for p, t in zip(e.parameters, e.terms, strict=True) if t == Term(t.slot)}
-    varied = {SLOT_OF.get(e.carrier.name) if isinstance(e, Law) else getattr(e, "slot", None) for e in effects}
-    return slots.get(constant, "") in varied
+    laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
+    drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
+    return any(constant in varied for varied in (*laws, *drifts))
 
 
 def _explain(case: Case, detection: Detection) -> Found:

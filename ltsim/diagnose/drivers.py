@@ -25,7 +25,7 @@ EDGE = 1.25
 """Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
 """Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; of a circle, a radian."""
-MEMORY = ("approach-", "move-", "last-", "lapse")
+MEMORY = ("approach-", "move-", "last-", "wound-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {
     "horizontal": "distance",
@@ -265,10 +265,11 @@ def smooth(name: str, modes: int = MODES) -> Driver:
     return Driver("smooth", (name,), constant=modes)
 
 
+_AXES = ("azimuth", "elevation")
 _OWN = ("azimuth", "elevation", "distance", "time", "station-time", "height", "bearing")
 _CIRCLES = ("circle", "vertical-circle")
 _BALL = ("incidence", "nest-direction")
-_BEFORE = (*(f"{when}-{axis}" for when in ("move", "last") for axis in ("azimuth", "elevation", "distance")), "lapse")
+_BEFORE = ("wound-azimuth", "lapse", *(f"{when}-{n}" for when in ("move", "last") for n in (*_AXES, "distance")))
 
 
 def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
@@ -306,19 +307,19 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
 
 FEW_VISITS, MOST_VISITS = 3, 12
 """Set-ups beyond and up to which something may be another at each; of few, it is another at one or two of them."""
-_AXES = ("azimuth", "elevation")
-_HEAD = (*_AXES, *_CIRCLES, "face", *(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES))
+_MOVES = tuple(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES)
+_HEAD = (*_AXES, *_CIRCLES, "face", "wound-azimuth", *_MOVES)
 _CLOCKS = ("time", "station-time", "lapse")
 _TURNS = ("parity", "seating-parity", "repeat")
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*_CLOCKS, *_HEAD, *_TURNS, "distance", "height", "move-distance", "last-distance"),
-    "stand": (*_CLOCKS, *_AXES, "bearing"),
+    "stand": (*_CLOCKS, *_AXES, "bearing", "distance"),
     "target": ("time", *_TURNS),
     "reflector": ("time", "lapse", *_TURNS, *_BALL),
     "air": ("time", "station-time"),
 }
 """What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
-stand does, for a head is never quite in balance."""
+stand does, for a head is never quite in balance, and the floor gives under whoever holds the reflector."""
 
 
 def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:

@@ -59,7 +59,8 @@ def apart(one: Tunable, other: Tunable) -> bool:
 class Shaped(NamedTuple):
     """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
 
-    The weight is the evidence and the room that the constants stand for; the time of a change is one of them.
+    The weight is the evidence and the room that the constants stand for; the time of a change is one of them, and lies
+    anywhere between two pointings.
     """
 
     effect: Tunable
@@ -67,6 +68,15 @@ class Shaped(NamedTuple):
     constants: dict[str, float]
     mean: Floats
     variance: Floats
+    gap: float
+    """[s] Between the pointings before and after a change."""
+
+
+def _gaps(effects: Sequence[Tunable]) -> dict[float, float]:
+    """The gap [s] between pointings in which each time of a change lies, by the middles of its neighbours."""
+    times = np.unique([float(vars(one).get("time", np.nan)) for one in effects])
+    times = times[np.isfinite(times)]
+    return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
 
 
 def all_shapes(
@@ -84,6 +94,7 @@ def all_shapes(
     count = 33 if len(shapes) == 1 and not near else 15
     axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
     sizes = np.array([p.prior_sigma for p in effect.parameters])
+    gaps = _gaps([effect, *near])
     found = []
     for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
         constants = {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}
@@ -92,8 +103,9 @@ def all_shapes(
         mean, covariance, evidence = wide_posterior(*moments, sizes)
         evidence = searcher.evidence(shaped, base) if plausible else evidence
         constants |= {"time": float(vars(one)["time"])} if "time" in vars(effect) else {}
-        weight = evidence + float(np.sum(np.log([width for _, width in point])))
-        found.append(Shaped(shaped, weight, constants, mean, np.diag(covariance)))
+        gap = gaps.get(constants.get("time", np.nan), 0.0)
+        weight = evidence + float(np.sum(np.log([width for _, width in point]))) + (np.log(gap) if gap else 0.0)
+        found.append(Shaped(shaped, weight, constants, mean, np.diag(covariance), gap))
     return found
 
 
@@ -109,7 +121,7 @@ def shape_posterior(searcher: Searcher, effect: Tunable, base: Found, told: Sequ
         return {}
     weight = shares(np.array([one.log_weight for one in shapes]))
     values = np.array([[*one.mean, *one.constants.values()] for one in shapes])
-    within = np.array([[*one.variance, *(0.0 for _ in one.constants)] for one in shapes])
+    within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
     mean = weight @ values
     sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
     units = {"time": "s"} | {s.name: s.unit for s in type(effect).shape} | {p.name: p.unit for p in effect.parameters}

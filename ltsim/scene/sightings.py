@@ -183,6 +183,16 @@ class Sightings:
         return move
 
     @cached_property
+    def wound(self) -> Floats:
+        """(n,) [rad]: by how much the head has turned since the set-up began, whole turns of its cables counted."""
+        rows = self._by_set_up
+        turned = np.cumsum(self.move[rows, 1])
+        first = self.previous[rows] < 0
+        wound = np.empty_like(turned)
+        wound[rows] = turned - turned[np.maximum.accumulate(np.where(first, np.arange(len(rows)), 0))]
+        return wound
+
+    @cached_property
     def approach(self) -> Floats:
         """(n, 2): sign of the last move of the raw azimuth and elevation, 0 for a station's first pointing.
 
@@ -239,6 +249,7 @@ class Sightings:
             "move-distance": self.move[:, 0],
             "move-azimuth": self.move[:, 1],
             "move-elevation": self.move[:, 2],
+            "wound-azimuth": self.wound,
             "last-distance": last[:, 0],
             "last-azimuth": last[:, 1],
             "last-elevation": last[:, 2],
