@@ -44,7 +44,7 @@ class Carrier:
     observables : tuple of str
         What it mainly shows in; empty for all.
     kind : str
-        reading, instrument, stand, target, air or reflector.
+        reading, instrument, circle, stand, target, air or reflector.
     ways : tuple of str
         Its components in words; one of no name where it has no direction.
     """
@@ -67,7 +67,9 @@ _SLOTS = {
 }
 """Slots of the kinematic chain."""
 _CIRCLES = {
-    Carrier(f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, ways=("cosine", "sine")): effect
+    Carrier(
+        f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, "circle", ("cosine", "sine")
+    ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
 """Circles that turn off their centre."""

@@ -313,6 +313,7 @@ _CLOCKS = ("time", "station-time", "lapse")
 _TURNS = ("parity", "seating-parity", "repeat")
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*_CLOCKS, *_HEAD, *_TURNS, "distance", "height", "move-distance", "last-distance"),
+    "circle": (*_CLOCKS, *_TURNS),
     "stand": (*_CLOCKS, *_AXES, "bearing", "distance"),
     "target": ("time", *_TURNS),
     "reflector": ("time", "lapse", *_TURNS, *_BALL),

@@ -206,7 +206,7 @@ class Law(Tunable):
 
 ATOMS = 41
 """Values of a covariate between which steps and ramps are tried."""
-OF_A_SET_UP = ("reading", "instrument", "stand")
+OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
 """Kinds of carriers that may do the same at every set-up, each in its own way."""
 ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
 MOVED, NEAR = 4, 6

@@ -175,12 +175,20 @@ SHARES = {
     "corner": 0.02,  # a target and those around it
 }
 """How the prior of laws without a card is shared."""
-KINDS = {"reading": 0.5, "instrument": 0.2, "stand": 0.2, "target": 0.04, "reflector": 0.02, "air": 0.04}
+KINDS = {
+    "reading": 0.5,
+    "instrument": 0.17,
+    "circle": 0.03,
+    "stand": 0.2,
+    "target": 0.04,
+    "reflector": 0.02,
+    "air": 0.04,
+}
 """Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all
 targets seem to move alike it is the stands."""
-AT_SET_UPS = {"reading": 0.4, "instrument": 0.1, "stand": 0.46, "air": 0.04}
+AT_SET_UPS = {"reading": 0.4, "instrument": 0.09, "circle": 0.01, "stand": 0.46, "air": 0.04}
 """The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
-AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.3, "stand": 0.15, "air": 0.05}
+AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.25, "circle": 0.05, "stand": 0.15, "air": 0.05}
 """The same for what happens to one of several instruments."""
 AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
