@@ -69,7 +69,9 @@ def _safe_share(adjusted: Adjustment, change: Floats, apart: Floats) -> float:
 
 
 def safe_share(size: float, spread: float, noise: float) -> float:
-    """The largest share t of s to take off: t^2 s's - 2 t (s's + s'e) <= ((1 + WORSE)^2 - 1) (s's + e'e) but for `HARM`.
+    """The largest share t of s to take off, with which t^2 s's - 2 t (s's + s'e) is small but for a chance of `HARM`.
+
+    Small is ((1 + WORSE)^2 - 1) (s's + e'e), e'e at its expectation.
 
     Parameters
     ----------
