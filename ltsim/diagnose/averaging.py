@@ -22,7 +22,6 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, shares, wide_posterior
-from ltsim.diagnose.law import Law
 from ltsim.diagnose.noise import NoisePattern
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.search import Searcher
@@ -30,6 +29,7 @@ from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.shapes import all_shapes
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rigid import less_rigid
+from ltsim.laws.law import Law
 
 WORSE, HARM = 0.05, 0.03
 """Coordinates shall err by more than such a share more than without a law with at most such a chance."""

@@ -14,7 +14,6 @@ from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.calibrate.known import Known
 from ltsim.diagnose.averaging import averaged_targets
 from ltsim.diagnose.blind import Sight, sight_of
-from ltsim.diagnose.carriers import VARIED, constants_in
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
@@ -23,13 +22,14 @@ from ltsim.diagnose.findings import Explained, equivalents, gross_finding, instr
 from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
 from ltsim.diagnose.instruments import contradictions, instrument_entries
-from ltsim.diagnose.law import Law
 from ltsim.diagnose.noise import NoiseHypothesis, most_likely
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Finding, Fit
 from ltsim.diagnose.sets import Found
 from ltsim.diagnose.words import summarise
 from ltsim.effects.signature import Tunable
+from ltsim.laws.carriers import VARIED, constants_in
+from ltsim.laws.law import Law
 from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.solve.threads import in_one_thread

@@ -12,19 +12,21 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.gross import GrossFinding
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.drivers import words_of
 from ltsim.diagnose.evidence import carried_by
 from ltsim.diagnose.instruments import Contradiction
-from ltsim.diagnose.law import Law, curve_of, describe
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
 from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.sets import Found, Ranking
+from ltsim.diagnose.told import curve_of
 from ltsim.diagnose.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
 from ltsim.effects.signature import Tunable
+from ltsim.laws.drivers import words_of
+from ltsim.laws.law import Law
+from ltsim.laws.words import describe
 from ltsim.recording.recording import OBSERVABLES
 
 MOST_EQUIVALENTS = 3

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.diagnose.evidence import evidence_of, evidence_with, log_average
-from ltsim.diagnose.law import Law, card_of
 from ltsim.diagnose.sets import Found, Hypothesis
+from ltsim.laws.law import Law
+from ltsim.laws.names import card_of
 
 if TYPE_CHECKING:
     from ltsim.diagnose.search import Searcher

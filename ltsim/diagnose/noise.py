@@ -17,14 +17,14 @@ import scipy.sparse as sp
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnose.drivers import MEMORY, further
 from ltsim.diagnose.evidence import PRIOR, log_means, shares
-from ltsim.diagnose.places import Place, branches, trackers_of
 from ltsim.diagnose.schema import Equivalent
 from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature, Parameter
+from ltsim.laws.drivers import MEMORY, further
+from ltsim.laws.places import Place, branches, trackers_of
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 

@@ -14,8 +14,10 @@ import numpy as np
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
-from ltsim.diagnose.carriers import Carrier, carrier_designs
-from ltsim.diagnose.drivers import (
+from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
+from ltsim.diagnose.probe import Probe
+from ltsim.laws.carriers import Carrier, carrier_designs
+from ltsim.laws.drivers import (
     CONSTANT,
     LOW,
     MODES,
@@ -29,9 +31,7 @@ from ltsim.diagnose.drivers import (
     smooth,
     waves,
 )
-from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
-from ltsim.diagnose.places import Place, branches, corners_of, each, together, trackers_of
-from ltsim.diagnose.probe import Probe
+from ltsim.laws.places import Place, branches, corners_of, each, together, trackers_of
 
 CHUNK = 1000
 """Pointings whose products are held at once."""

@@ -12,24 +12,27 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
-from ltsim.diagnose.carriers import CARRIERS
 from ltsim.diagnose.evidence import PRIOR, evidence_of, log_average, posterior
 from ltsim.diagnose.forms import exactly
-from ltsim.diagnose.law import Law, card_of, told_of
 from ltsim.diagnose.panels import Hit, Panel, panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.schema import Estimate
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
 from ltsim.diagnose.shapes import apart, between, shape_posterior
+from ltsim.diagnose.told import told_of
 from ltsim.effects.signature import ShapeParameter, Tunable
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.law import Law
+from ltsim.laws.names import card_of
 
+T = TypeVar("T", bound=Tunable)
 MOST_MEMBERS = 5
 FLEXIBLE = 10
 """Coefficients of the curve of one quantity; more can imitate several effects."""
@@ -166,7 +169,7 @@ class Searcher:
         share = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(share, u), 1e-300)))
 
-    def uphill(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
+    def uphill(self, effect: T, base: Found) -> tuple[T, float]:
         """Uphill over what an effect offers near itself; the evidence is the mean over the last neighbourhood."""
         value, mean = self.evidence(effect, base), -np.inf
         for _ in range(MOST_STEPS):

@@ -5,10 +5,10 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
-from ltsim.diagnose.carriers import CARRIERS
-from ltsim.diagnose.drivers import Driver, simple
 from ltsim.diagnose.held_out import held_out_rms, pairs
-from ltsim.diagnose.law import Law
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.drivers import Driver, simple
+from ltsim.laws.law import Law
 from ltsim.model.construction import misalignment
 from tests.networks import drawn, network
 

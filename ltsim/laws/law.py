@@ -1,7 +1,6 @@
 """A law: a carrier that follows a driver at a place, as an effect like any other; and the shortest formulas for it.
 
-Laws are tested, refitted and drawn like the effects of the catalogue. Where the catalogue has a card for what a law
-does (a vertical index that follows the clock is `index-drift`), it bears that name.
+Laws are tested, refitted and drawn like the effects of the catalogue.
 """
 
 from __future__ import annotations
@@ -13,9 +12,11 @@ from itertools import product
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.diagnose.carriers import CARRIERS, Carrier
-from ltsim.diagnose.drivers import (
+from ltsim.effects.signature import Parameter, Tunable
+from ltsim.laws.carriers import CARRIERS, Carrier
+from ltsim.laws.drivers import (
     CIRCULAR,
+    CLOCKS,
     CONSTANT,
     FINE,
     LOW,
@@ -26,10 +27,7 @@ from ltsim.diagnose.drivers import (
     pieces,
     simple,
     smooth,
-    waves_of,
 )
-from ltsim.diagnose.schema import Curve, Estimate
-from ltsim.effects.signature import Parameter, Tunable
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -134,7 +132,7 @@ class Law(Tunable):
 
     def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
         """What a law may be a rough sight of, each with its scales: the curve, short formulas, a finer curve."""
-        driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings), "fine": [self][:0]}
+        driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings)}
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             found["fine"] = [replace(self, driver=finer)]
@@ -172,7 +170,7 @@ class Law(Tunable):
         index, driver = CARRIERS["vertical index"][0], self.driver
         names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
         one_face = not np.ptp(sightings.face)
-        if self.carrier.name == "elevation" and one_face and names <= {*_CLOCK, *sightings.covariates}:
+        if self.carrier.name == "elevation" and one_face and names <= {*CLOCKS, *sightings.covariates}:
             return replace(self, carrier=replace(index, size=self.carrier.size))
         if self.carrier.name == "elevation" and driver.kind == "simple" and driver.covariates == ("face",):
             return replace(self, carrier=replace(index, size=self.carrier.size), driver=CONSTANT)
@@ -235,170 +233,3 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Dr
     for function, constants in tried:
         for constant in constants:
             yield simple(name, function, float(constant))
-
-
-ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
-UNITS = dict.fromkeys(("time", "station-time", "lapse"), "s") | dict.fromkeys(
-    ("distance", "horizontal", "height", "move-distance", "last-distance", "x", "y", "z"), "m"
-)
-
-
-def value_of(name: str, value: float, *, clock: bool = True) -> str:
-    """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
-    if name.endswith((*ANGLES, "incidence")):
-        return f"{np.degrees(value):.3g} deg"
-    if UNITS.get(name) == "s" and not clock:
-        return f"{value:.3g} rows"
-    if UNITS.get(name) == "s":
-        return f"{value / 60:.3g} min" if abs(value) >= 120 else f"{value:.3g} s"
-    if UNITS.get(name) == "m":
-        return f"{1e3 * value:.4g} mm" if abs(value) < 1 else f"{value:.3g} m"
-    return f"{value:.4g}"
-
-
-def _wave_words(driver: Driver, clock: bool) -> str:
-    name, rate = driver.covariates[0], driver.constant
-    if name.endswith(ANGLES):
-        return f"a {driver.kind} in {name}, {rate:.4g} {'period' if rate == 1.0 else 'periods'} a turn"
-    return f"a {driver.kind} in {name} with a period of {value_of(name, 2 * np.pi / rate, clock=clock)}"
-
-
-def describe(driver: Driver, *, clock: bool = True) -> str:
-    """A driver in words: ``tan(elevation)``, ``a smooth function of time``."""
-    name = driver.covariates[0] if driver.covariates else ""
-    match driver.kind:
-        case "constant":
-            return "constant"
-        case "smooth":
-            return f"a smooth function of {name}"
-        case "field":
-            return "the place in the room"
-        case "visits":
-            return "the station, another at each"
-        case "wave" | "cycle":
-            return _wave_words(driver, clock)
-        case "product" | "pieces":
-            between = " times " if driver.kind == "product" else ", "
-            return between.join(describe(f, clock=clock) for f in driver.factors)
-    return _simple_words(name, driver.function, driver.constant, clock=clock)
-
-
-PARITIES = {
-    "parity": "the parity of the order (every other pointing)",
-    "seating-parity": "the parity of the seatings (every other target)",
-}
-
-
-def _simple_words(name: str, function: str, k: float, *, clock: bool) -> str:
-    match function:
-        case "power":
-            plain = PARITIES.get(name, name)
-            return {1.0: plain, -1.0: f"1/{name}"}.get(k, f"{name}^{k:g}")
-        case "sin" | "cos" | "tan":
-            return f"{function}({'' if k == 1 else f'{k:.4g} '}{name})"
-    value = value_of(name, k, clock=clock)
-    return {
-        "abs": f"|{name}|",
-        "decay": f"exp(-{name} / {value})",
-        "relaxing": f"1 / (1 + {name} / {value})",
-        "saturated": f"saturation({name}, half at {value})",
-        "step": f"step({name} above {value})",
-        "ramp": f"ramp({name} from {value})",
-    }[function]
-
-
-_CLOCK = ("time", "station-time")
-NAMED: tuple[tuple[tuple[str, ...], tuple[str, ...], str], ...] = (
-    (("vertical index",), _CLOCK, "index-drift"),
-    (("azimuth",), _CLOCK, "azimuth-drift"),
-    (("range scale",), _CLOCK, "refractivity-drift"),
-    (("distance", "reflector axially"), ("incidence",), "smr-incidence"),
-)
-"""Carriers and the covariate they follow smoothly, that the catalogue has a card for."""
-CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Carriers that a wave of a circle's graduation has."""
-GRADUATED = 20.0
-"""Periods a turn from which a wave of a circle is one of its graduation, and no harmonic of its eccentricity."""
-DECAYING = ("decay", "power")
-
-
-def card_of(law: Tunable) -> str:
-    """The name that the catalogue has for a law; `unknown` where it has none."""
-    assert isinstance(law, Law)
-    driver, carrier = law.driver, law.carrier.name
-    if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > GRADUATED:
-        return "encoder-interpolation"
-    if driver.kind == "wave" and carrier == "distance" and driver.covariates == ("distance",):
-        return "range-cyclic"
-    if driver.kind == "constant" and carrier == "distance" and len(law.stations) == 1 and not law.targets:
-        return "range-step"  # from the start of the visit on
-    if driver.kind == "simple" and driver.function in DECAYING:
-        return next((n for what, on, n in NAMED if carrier in what and driver.covariates[0] in on), "unknown")
-    return "unknown"
-
-
-def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Estimate, ...]:
-    """What a person asks of a law: amplitude and phase of a wave, the size of a constant, how far a curve swings.
-
-    Of what moves in space each component, at the set-up where it moves farthest.
-    """
-    law, way, means, spread = law.along(mean, covariance, sightings)
-    factor, unit, ways = law.parameters[0].factor, law.carrier.unit, law.carrier.ways
-    if law.driver.kind == "constant":
-        return tuple(
-            _estimate(f"{law.carrier.name} {w}".strip(), means[i, 0], spread[i, 0, i, 0], factor, unit)
-            for i, w in enumerate(ways)
-        )
-    if law.driver.kind == "wave" and len(ways) == 1:
-        mean, covariance = means[0], spread[0, :, 0]
-        size = float(np.hypot(*mean))
-        along = mean / max(size, 1e-300)
-        across = np.array([-along[1], along[0]])
-        phase = float(np.degrees(np.arctan2(mean[1], mean[0])))
-        turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
-        amplitude = _estimate("amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along), factor, unit)
-        return amplitude, Estimate(name="phase", value=phase, sigma=min(turn, 180.0), unit="deg")
-    columns = law.driver.columns(sightings)[law.mask(sightings) > 0]
-    values = columns @ means.T @ way
-    gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
-    return tuple(
-        _estimate(f"swing {w}".strip(), float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap), factor, unit)
-        for i, w in enumerate(ways)
-    )
-
-
-def _estimate(name: str, value: float, variance: float, factor: float, unit: str) -> Estimate:
-    sigma = float(np.sqrt(max(variance, 0.0)))
-    return Estimate(name=name, value=float(value) / factor, sigma=sigma / factor, unit=unit)
-
-
-CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
-"""Points at which a curve is written down, those of each cycle of a wave, and at most."""
-
-
-def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
-    """What the carrier does over the law's covariate where and how it does most; None where it follows several."""
-    driver = law.driver
-    if len(driver.covariates) != 1:
-        return None
-    law, way, means, spread = law.along(mean, covariance, sightings)
-    mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
-    x = sightings.quantities[driver.covariates[0]][law.mask(sightings) > 0]
-    if driver.kind in ("wave", "cycle"):
-        cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
-        at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
-        columns = waves_of(driver.constant * at, driver.size // 2)
-    else:
-        order = np.argsort(x, kind="stable")
-        chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
-        at, columns = x[chosen], driver.columns(sightings)[law.mask(sightings) > 0][chosen]
-    factor = law.parameters[0].factor
-    sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
-    values = columns @ mean
-    return Curve(
-        covariate=driver.covariates[0],
-        unit=law.carrier.unit,
-        at=tuple(at.tolist()),
-        value=tuple((values / factor).tolist()),
-        sigma=tuple((sigma / factor).tolist()),
-    )

@@ -18,6 +18,7 @@ import numpy as np
 from ltsim.arrays import Bools, Floats
 from ltsim.scene.sightings import Sightings
 
+CLOCKS = ("time", "station-time")
 CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
 MODES, LOW, FINE = 9, 4, 32
 """Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
@@ -28,7 +29,6 @@ SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
 MEMORY = ("approach-", "move-", "last-", "wound-", "lapse")
 """What names of covariates begin with that tell of the pointing before."""
 WORDS = {
-    "horizontal": "distance",
     "x": "place",
     "y": "place",
     "z": "place",
@@ -294,30 +294,27 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
     visits = len(np.unique(sightings.station))
     found += [Driver("visits", constant=visits)] if FEW_VISITS < visits <= MOST_VISITS else []
-    for name in ("time", "station-time"):
+    for name in CLOCKS:
         span = float(np.ptp(sightings.quantities[name]))
         found += [simple(name, "decay", float(t)) for t in span * np.array([0.03, 0.1, 0.3, 1.0]) if span > 0]
     for name in ("move-azimuth", "move-elevation", "move-distance"):
         if np.ptp(sightings.quantities[name]) > 0:
             found.append(simple(name, "abs"))
-    for name in covariates_of(sightings):
-        found += [smooth(name, modes)]
-    return found
+    return [*found, *(smooth(name, modes) for name in covariates_of(sightings))]
 
 
 FEW_VISITS, MOST_VISITS = 3, 12
 """Set-ups beyond and up to which something may be another at each; of few, it is another at one or two of them."""
 _MOVES = tuple(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES)
 _HEAD = (*_AXES, *_CIRCLES, "face", "wound-azimuth", *_MOVES)
-_CLOCKS = ("time", "station-time", "lapse")
 _TURNS = ("parity", "seating-parity", "repeat")
 DRIVES: dict[str, tuple[str, ...]] = {
-    "instrument": (*_CLOCKS, *_HEAD, *_TURNS, "distance", "height", "move-distance", "last-distance"),
-    "circle": (*_CLOCKS, *_TURNS),
-    "stand": (*_CLOCKS, *_AXES, "bearing", "distance"),
+    "instrument": (*CLOCKS, "lapse", *_HEAD, *_TURNS, "distance", "height", "move-distance", "last-distance"),
+    "circle": (*CLOCKS, "lapse", *_TURNS),
+    "stand": (*CLOCKS, "lapse", *_AXES, "bearing", "distance"),
     "target": ("time", *_TURNS),
     "reflector": ("time", "lapse", *_TURNS, *_BALL),
-    "air": ("time", "station-time"),
+    "air": CLOCKS,
 }
 """What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
 stand does, for a head is never quite in balance, and the floor gives under whoever holds the reflector."""

@@ -1,0 +1,152 @@
+"""Carriers, drivers, places, and the laws that are made of them."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ltsim.adjust import adjust
+from ltsim.effects.motions import station_design
+from ltsim.laws.carriers import CARRIERS, carrier_designs
+from ltsim.laws.drivers import Driver, general_drivers, moves, products, simple, smooth, waves
+from ltsim.laws.law import Law
+from ltsim.laws.names import card_of
+from ltsim.laws.places import LEAST_GROUP, branches
+from ltsim.laws.sizes import sizes_of
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def sightings() -> Sightings:
+    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
+    return adjust(recording, misalignment()).sightings
+
+
+def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings):
+    words = {
+        "time",
+        "azimuth",
+        "elevation",
+        "distance",
+        "incidence",
+        "height",
+        "place",
+        "temperature",
+        "approach",
+        "face",
+    }
+    drivers = [*general_drivers(sightings), *products(sightings), *list(waves(sightings))[::50]]
+    for driver in drivers:
+        columns = driver.columns(sightings)
+        assert columns.shape == (len(sightings), driver.size)
+        assert np.isfinite(columns).all()
+        assert set(driver.told) <= words | set(sightings.covariates)
+        spread = np.sqrt(((columns * driver.spreads[0]) ** 2).sum(axis=1).mean())
+        assert 0.2 < spread < 2.0, driver
+
+
+def test_carriers_are_derivatives_of_the_readings(sightings):
+    designs = carrier_designs(sightings)
+    assert "vertical index" in designs  # two faces tell it from the elevation
+    assert set(designs) <= set(CARRIERS)
+    for name, (carrier, design) in designs.items():
+        assert design.shape == (len(sightings), 3, len(carrier.ways))
+        assert np.isfinite(design).all(), name
+        if len(carrier.observables) == 1:
+            column = ("distance", "azimuth", "elevation").index(carrier.observables[0])
+            assert (design[:, column] ** 2).sum() > 0.6 * (design**2).sum(), name
+
+
+def test_laws_are_effects_like_any_other(sightings):
+    law = Law(("S2",), (), CARRIERS["vertical index"][0], smooth("station-time"))
+    assert pickle.loads(pickle.dumps(law)) == law
+    design = law.design(sightings)
+    assert design.shape == (len(sightings), 3, len(law.parameters))
+    assert not design[sightings.station != 1].any()
+    short = law.formulas(sightings)
+    assert {d.driver.function for d in short} >= {"power", "decay"}
+    assert card_of(Law((), (), law.carrier, simple("station-time", "decay", 900.0))) == "index-drift"
+    wave = Law((), (), CARRIERS["elevation"][0], Driver("wave", ("elevation",), constant=107.35))
+    assert card_of(wave) == "encoder-interpolation"
+    assert card_of(law) == "unknown"
+
+
+def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):
+    reading = Law(carrier=CARRIERS["elevation"][0], driver=simple("face", "power"))
+    one, _ = network(faces=1, seed=1)
+    alone = adjust(one, misalignment()).sightings
+    cases = [
+        (reading, sightings, "vertical index"),
+        (replace(reading, driver=smooth("time")), sightings, "elevation"),
+        (replace(reading, driver=smooth("time")), alone, "vertical index"),
+        (replace(reading, driver=smooth("elevation")), alone, "elevation"),
+        (replace(reading, carrier=CARRIERS["azimuth"][0]), sightings, "azimuth"),
+    ]
+    for law, sightings, carrier in cases:
+        told = law.as_constant(sightings)
+        assert told.carrier.name == carrier
+        assert np.abs(np.abs(told.design(sightings)) - np.abs(law.design(sightings))).max() < 1e-12
+
+
+def test_a_wave_is_told_by_amplitude_and_phase(sightings):
+    wave = Law((), (), CARRIERS["distance"][0], Driver("wave", ("azimuth",), constant=3.0))
+    amplitude, phase = sizes_of(wave, sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))
+    assert amplitude.value == pytest.approx(5.0 * np.sqrt(2.0))
+    assert amplitude.sigma == pytest.approx(0.1 * np.sqrt(2.0))
+    assert (phase.value, phase.unit) == (pytest.approx(53.13, abs=0.01), "deg")
+
+
+def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings):
+    law = Law(("S2",), (), CARRIERS["lean of the stand"][0], simple("station-time", "power"))
+    way = 5e-6 * np.array([0.6, 0.8])
+    column = law.driver.columns(sightings)[:, 0] * (sightings.station == 1)
+    expected = (station_design(sightings)[:, :, 3:5] @ way) * column[:, None]
+    np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
+    told = sizes_of(law, sightings, way, 1e-16 * np.eye(2))
+    assert [e.name for e in told] == ["swing about x", "swing about y"]
+    assert told[1].value / told[0].value == pytest.approx(0.8 / 0.6)
+    assert set(law.observables) == set(OBSERVABLES)
+
+
+def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_together(sightings):
+    alone = Law(("S2",), (), CARRIERS["vertical index"][0], simple("station-time", "power"))
+    together = alone.at_each(sightings)
+    assert together is not None
+    parts = [replace(alone, stations=(name,)).design(sightings) for name in sightings.station_names]
+    np.testing.assert_array_equal(together.design(sightings), np.concatenate(parts, axis=2))
+    mean = np.where(np.arange(len(parts)) == 3, -4e-6, 1e-6)
+    (swing,) = sizes_of(together, sightings, mean, 1e-16 * np.eye(len(mean)))
+    (own,) = sizes_of(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
+    assert swing == own  # where it does most
+
+
+def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
+    assert not moves("target", smooth("azimuth"), sightings)
+    assert moves("target", smooth("time"), sightings)
+    assert moves("reading", smooth("azimuth"), sightings)
+
+
+def test_targets_on_one_surface_belong_together():
+    rng = stream(5, "places")
+    points = rng.uniform(0.0, 10.0, (12, 3))
+    look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
+    found = branches(SimpleNamespace(points=points, nest_normal=look))
+    assert {tuple(range(6)), tuple(range(6, 12))} <= found
+    assert all(LEAST_GROUP <= len(group) <= 12 - LEAST_GROUP for group in found)
+
+
+def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
+    loaded = replace(sightings, covariates={"load": np.maximum(np.sin(sightings.time / 900.0), 0.0)})
+    load = simple("load", "power").columns(loaded, moving=True)
+    assert load[loaded.covariates["load"] == 0.0].max() == 0.0
+    time = simple("time", "decay", 600.0).columns(loaded, moving=True)
+    assert time[np.argmin(loaded.time)] == 0.0
+    assert abs(smooth("time").columns(loaded, moving=True).mean(axis=0)).max() < 1e-12
