@@ -154,19 +154,21 @@ def test_every_law_acts_and_says_how_it_is_told(laws: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "laws", "strengths"),
+    ("name", "laws", "times"),
     [
-        ("eleventh", "sixth", (200, 600)),
-        ("thirteenth", "seventh", (200, 600)),
-        ("fourteenth", "eighth", (90, 200, 600)),
+        ("eleventh", "sixth", {200: 1, 600: 1}),
+        ("thirteenth", "seventh", {200: 1, 600: 1}),
+        ("fourteenth", "eighth", {90: 1, 200: 1, 600: 1}),
+        ("fifteenth", "ninth", {90: 1, 200: 2, 600: 2}),
     ],
 )
 def test_the_plan_asks_every_law_at_its_strengths(
-    name: str, laws: str, strengths: tuple[int, ...], root: Path, tmp_path: Path
+    name: str, laws: str, times: dict[int, int], root: Path, tmp_path: Path
 ) -> None:
     cases = plan.read_plan(root / "experiments" / "20_concealed_physics" / f"{name}.toml")
-    for strength in strengths:
-        assert sorted(c.number for c in cases if (c.kind, c.strength) == ("unknown", strength)) == list(range(24))
+    for strength, count in times.items():
+        numbers = sorted(c.number for c in cases if (c.kind, c.strength) == ("unknown", strength))
+        assert numbers == list(range(24 * count))
     assert all(c.independent and c.laws == laws for c in cases)
     case = next(c for c in cases if (c.kind, c.strength, c.number) == ("unknown", 200, 0))
     conceal.conceal(case, tmp_path / "recordings", tmp_path / "sealed")
