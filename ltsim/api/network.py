@@ -21,6 +21,7 @@ from ltsim.calibrate.known import Known
 from ltsim.calibrate.result import gross_rows
 from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
 from ltsim.evaluate import Criteria, evaluate as criteria_of, read_nominal, verify as verified
+from ltsim.laws.words import read_law
 from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
@@ -117,7 +118,8 @@ def calibrate(
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : sequence of str
         Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`: stations, targets, and constants as
-        `law=visit` in the effect's units. What is not said, the readings choose. Method `network` only.
+        `law=visit` in the effect's units; what is not said, the readings choose. Or laws in the words of a diagnosis,
+        `CARRIER ~ DRIVER` or `CARRIER ~ DRIVER:WHERE,...`. Method `network` only.
     advise : bool
         Say which further measurements would determine what is not determined.
 
@@ -165,10 +167,11 @@ def calibrate(
 
 
 def _wanted(text: str, recording: Recording) -> Wanted:
-    """An effect as a person asks for it: `NAME`, or `NAME:WHERE,...` with stations, targets and constants."""
+    """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     from ltsim.simulate.physics import effect_from  # only this option needs it
 
     name, _, rest = text.partition(":")
+    carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
     constants: dict[str, Any] = {}
     for item in filter(None, (part.strip() for part in rest.split(","))):
@@ -183,6 +186,10 @@ def _wanted(text: str, recording: Recording) -> Wanted:
         else:
             known = ", ".join(recording.stations)
             raise ModelError(f"'{text}': '{item}' is no station ({known}), no target, and no CONSTANT=VALUE")
+    if is_law and constants:
+        raise ModelError(f"'{text}': a law has no constants but those in its words")
+    if is_law:
+        return Wanted(read_law(carrier.strip(), driver.strip(), recording, **places))
     stated = {kind for kind, named in places.items() if named} | set(constants)
     return Wanted(effect_from(name.strip(), places, constants), frozenset(stated))
 

@@ -1,4 +1,4 @@
-"""Effects of the catalogue that a person asks for, estimated beside the calibration.
+"""Effects of the catalogue, and laws, that a person asks for, estimated beside the calibration.
 
 Of what is not stated, place and constants, those are taken that explain most of the residuals; the chance of as large
 a fall of chi-square counts all that were tried.
@@ -6,7 +6,7 @@ a fall of chi-square counts all that were tried.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -18,7 +18,11 @@ from ltsim.adjust.reliability import surprise
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.chances import p_is
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.effects.signature import Signature, Tunable
 from ltsim.errors import ModelError
+from ltsim.laws.law import Law
+from ltsim.laws.sizes import sizes_of
+from ltsim.laws.words import describe
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.units import FACTOR
@@ -30,9 +34,9 @@ STEP = 0.02
 
 @dataclass(frozen=True)
 class Wanted:
-    """An effect to estimate; fields that are not `stated` are chosen by the readings."""
+    """An effect to estimate, or a law; fields of an effect that are not `stated` are chosen by the readings."""
 
-    effect: Effect
+    effect: Tunable
     stated: frozenset[str] = frozenset()
 
     def check(self, recording: Recording, construction: Construction) -> None:
@@ -50,8 +54,10 @@ class Wanted:
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
-    def tries(self, adjustment: Adjustment) -> list[Effect]:
+    def tries(self, adjustment: Adjustment) -> Sequence[Tunable]:
         """Every instance with what is stated."""
+        if not isinstance(self.effect, Effect):
+            return [self.effect]
         same = [
             c
             for c in self.effect.candidates(adjustment.sightings)
@@ -113,7 +119,7 @@ def _more(parameter: FittedParameter) -> str:
     return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
 
 
-def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Effect, int, Mapping[str, float | None]]:
+def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Tunable, int, Mapping[str, float | None]]:
     """The instance that fits best, how many were tried, and the constants that it feels, with the sigma [SI] found."""
     space, tries = ResidualSpace.of(adjustment), wanted.tries(adjustment)
 
@@ -127,7 +133,7 @@ def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Effect, int, Mapping
         if shape.name in wanted.stated or shape.steps < 2 or not isinstance(now, float):
             continue
 
-        def worse(value: float, key: str = shape.name, effect: Effect = best) -> float:
+        def worse(value: float, key: str = shape.name, effect: Tunable = best) -> float:
             return -_drop(space, effect.reshaped(**{key: value}))[0]
 
         found = float(optimize.minimize_scalar(worse, bounds=shape.bracket(now), method="bounded").x)
@@ -139,7 +145,7 @@ def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Effect, int, Mapping
     return best, len(tries), sigmas
 
 
-def _felt(space: ResidualSpace, effect: Effect, key: str) -> bool:
+def _felt(space: ResidualSpace, effect: Tunable, key: str) -> bool:
     """Whether a constant, not zero, changes the effect's readings."""
     now = getattr(effect, key)
     if now == 0.0:
@@ -148,7 +154,7 @@ def _felt(space: ResidualSpace, effect: Effect, key: str) -> bool:
     return not np.array_equal(space.signature(effect), space.signature(other))
 
 
-def _drop(space: ResidualSpace, effect: Effect) -> tuple[float, int]:
+def _drop(space: ResidualSpace, effect: Tunable) -> tuple[float, int]:
     """By how much chi-square falls to first order, and the number of parameters that leave something."""
     rows = space.signature(effect)
     basis = orthonormal(space.project(rows), np.linalg.norm(rows, axis=0))
@@ -156,15 +162,18 @@ def _drop(space: ResidualSpace, effect: Effect) -> tuple[float, int]:
     return float(told @ told), basis.shape[1]
 
 
-def freedom_of(adjustment: Adjustment, effect: Effect) -> int:
+def freedom_of(adjustment: Adjustment, effect: Tunable) -> int:
     """Number of an effect's parameters that a recording can tell from all that is adjusted."""
     return _drop(ResidualSpace.of(adjustment), effect)[1]
 
 
 def fitted(
-    before: Adjustment, after: Adjustment, effect: Effect, tried: int, sigmas: Mapping[str, float | None]
+    before: Adjustment, after: Adjustment, effect: Tunable, tried: int, sigmas: Mapping[str, float | None]
 ) -> FittedEffect:
     """What is told of the last of an adjustment's effects."""
+    drop, freedom = max(before.chi2 - after.chi2, 0.0), freedom_of(before, effect)
+    if isinstance(effect, Law):
+        return FittedEffect(name_of(effect, after), effect.place, _sizes(effect, after), drop, freedom, tried)
     count = len(effect.parameters)
     values = after.state.extra[-count:]
     spread = np.sqrt(np.maximum(np.diag(after.extra_covariance)[-count:], 0.0))
@@ -182,5 +191,20 @@ def fitted(
             spread_of, unit = sigmas[shape.name], FACTOR[shape.unit]
             sigma = None if spread_of is None else spread_of / unit
             rows.append(FittedParameter(shape.name, getattr(effect, shape.name) / unit, sigma, shape.unit))
-    drop = max(before.chi2 - after.chi2, 0.0)
-    return FittedEffect(effect.name, effect.place, tuple(rows), drop, freedom_of(before, effect), tried)
+    return FittedEffect(effect.name, effect.place, tuple(rows), drop, freedom, tried)
+
+
+def name_of(effect: Signature, adjustment: Adjustment) -> str:
+    """The name of an effect; that of a law are its words."""
+    if not isinstance(effect, Law):
+        return effect.name
+    return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}"
+
+
+def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameter, ...]:
+    """What is told of a law among an adjustment's effects."""
+    before = adjustment.effects[: adjustment.effects.index(law)]
+    first = sum(len(effect.parameters) for effect in before)
+    own = slice(first, first + len(law.parameters))
+    sizes = sizes_of(law, adjustment.sightings, adjustment.state.extra[own], adjustment.extra_covariance[own, own])
+    return tuple(FittedParameter(*size) for size in sizes)

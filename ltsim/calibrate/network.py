@@ -13,7 +13,7 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.adjust.doubt import require_result
 from ltsim.adjust.prior import ParameterPrior
-from ltsim.calibrate.beside import FittedEffect, Wanted, choose, fitted, freedom_of
+from ltsim.calibrate.beside import FittedEffect, Wanted, choose, fitted, freedom_of, name_of
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.choice import WIDE, Choice
 from ltsim.calibrate.conflict import disagreement
@@ -71,7 +71,7 @@ def calibrate_network(
     weigh : bool
         Find out what of the estimates is worth applying (`calibrate.worth`).
     beside : sequence of Wanted
-        Effects of the catalogue to estimate too.
+        Effects of the catalogue, and laws, to estimate too.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def calibrate_network(
     for wanted in beside:
         best, tried, sigmas = choose(found, wanted)
         if not freedom_of(found, best):
-            fits.append(FittedEffect(best.name, wanted.effect.place, (), 0.0, 0, tried))
+            fits.append(FittedEffect(name_of(best, found), wanted.effect.place, (), 0.0, 0, tried))
             continue
         effects.append(best)
         after = adjusted(effects)

@@ -218,10 +218,10 @@ class CorrectionEntry(Entry):
 
 
 class FittedParameterEntry(Entry):
-    """A parameter of an effect, or a constant that the readings chose."""
+    """A parameter of an effect, a constant that the readings chose, or the size of a law."""
 
     name: str
-    """As `ltsim effects` lists it."""
+    """As `ltsim effects` lists it; of a law as in a diagnosis: amplitude and phase, or swing."""
     value: Finite | str
     """In its unit; a word for a constant that is one."""
     sigma: Sigma = None
@@ -231,10 +231,10 @@ class FittedParameterEntry(Entry):
 
 
 class FittedEffectEntry(Entry):
-    """An effect that was estimated beside the calibration, on request."""
+    """An effect, or a law, that was estimated beside the calibration, on request."""
 
     effect: str
-    """As `ltsim effects` lists it."""
+    """As `ltsim effects` lists it; a law as a diagnosis tells it: carrier ~ driver."""
     where: str = ""
     """Stations and targets to which it is confined; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()

@@ -92,7 +92,7 @@ WithEffects = Annotated[
         "--with",
         metavar="EFFECT[:WHERE,...]",
         help="An effect of the catalogue to estimate too, at stations or targets, with constants as law=visit; what is "
-        "not said, the readings choose; can be repeated.",
+        "not said, the readings choose. Or a law as a diagnosis tells it, 'vertical index ~ time:S3'. Can be repeated.",
     ),
 ]
 

@@ -35,7 +35,7 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]
-        at, columns = x[chosen], driver.columns(sightings)[law.mask(sightings) > 0][chosen]
+        at, columns = x[chosen], law.columns(sightings)[law.mask(sightings) > 0][chosen]
     factor = law.parameters[0].factor
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, covariance, columns), 0.0))
     values = columns @ mean

@@ -318,6 +318,8 @@ DRIVES: dict[str, tuple[str, ...]] = {
 }
 """What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
 stand does, for a head is never quite in balance, and the floor gives under whoever holds the reflector."""
+FOLLOWED = (*dict.fromkeys(name for names in DRIVES.values() for name in names), "x", "y", "z")
+"""Everything that a reading can follow beside columns of the recording."""
 
 
 def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:

@@ -39,7 +39,7 @@ def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
         turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
         amplitude = _size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
         return amplitude, Size("phase", phase, min(turn, 180.0), "deg")
-    columns = law.driver.columns(sightings)[law.mask(sightings) > 0]
+    columns = law.columns(sightings)[law.mask(sightings) > 0]
     values = columns @ means.T @ way
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
     return tuple(

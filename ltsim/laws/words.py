@@ -1,10 +1,18 @@
-"""Drivers in words: ``tan(elevation)``, ``exp(-station-time / 8 min)``, ``a smooth function of time``."""
+"""Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is said can be read again."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
-from ltsim.laws.drivers import CLOCKS, Driver
+from ltsim.errors import ModelError
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.drivers import CLOCKS, FOLLOWED, LOW, MODES, Driver, pieces
+from ltsim.laws.law import Law
+from ltsim.recording.recording import Recording
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
@@ -30,7 +38,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "cos", None): "cos({k} {x})",
     ("simple", "tan", 1.0): "tan({x})",
     ("simple", "tan", None): "tan({k} {x})",
-    ("simple", "abs", None): "|{x}|",
+    ("simple", "abs", 1.0): "|{x}|",
     ("simple", "decay", None): "exp(-{x} / {value})",
     ("simple", "relaxing", None): "1 / (1 + {x} / {value})",
     ("simple", "saturated", None): "saturation({x}, half at {value})",
@@ -42,20 +50,27 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
+LEAST = {"min": 2.0, "m": 1.0}
+"""Values from which a unit is used that has a smaller one beside it."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
 def value_of(name: str, value: float, *, clock: bool = True) -> str:
     """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
+    units = _units(name, clock)
+    *larger, last = units
+    unit = next((u for u in larger if abs(value) >= LEAST[u] * units[u]), last)
+    digits = 4 if unit in ("mm", "") else 3
+    return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
+
+
+def _units(name: str, clock: bool) -> dict[str, float]:
+    """Units in which a covariate is told [SI], the larger one first."""
     if name.endswith((*ANGLES, "incidence")):
-        return f"{np.degrees(value):.3g} deg"
-    if name in SECONDS and not clock:
-        return f"{value:.3g} rows"
+        return {"deg": np.pi / 180.0}
     if name in SECONDS:
-        return f"{value / 60:.3g} min" if abs(value) >= 120 else f"{value:.3g} s"
-    if name in METRES:
-        return f"{1e3 * value:.4g} mm" if abs(value) < 1 else f"{value:.3g} m"
-    return f"{value:.4g}"
+        return {"min": 60.0, "s": 1.0} if clock else {"rows": 1.0}
+    return {"m": 1.0, "mm": 1e-3} if name in METRES else {"": 1.0}
 
 
 def describe(driver: Driver, *, clock: bool = True) -> str:
@@ -68,3 +83,74 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
     value = value_of(name, 2 * np.pi / k if how == "period" else k, clock=clock)
     return phrase.format(x=PARITIES.get(name, name), k=f"{k:.4g}", value=value)
+
+
+EXAMPLES = (
+    "constant",
+    "time^2",
+    "sin(2 elevation)",
+    "exp(-time / 8 min)",
+    "step(time above 47 min)",
+    "a wave in x with a period of 400 mm",
+    "a smooth function of circle",
+    "face times distance",
+)
+"""What a driver may look like."""
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
+_STEPS = re.compile(r", (?=step\(|ramp\()")
+
+
+def read_law(
+    carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
+) -> Law:
+    """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
+    if carrier not in CARRIERS:
+        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(CARRIERS)}")
+    driver = read_driver(words, recording)
+    if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
+        factors = (replace(f, around=targets, constant=1.0) if f.kind == "field" else f for f in driver.factors)
+        driver = replace(driver, factors=tuple(factors))
+    return Law(stations, targets, CARRIERS[carrier][0], driver)
+
+
+def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
+    """The driver that some words describe, `describe` backwards; a smooth one has so many modes; raises ModelError."""
+    factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
+    if len(factors) > 1:
+        return Driver("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
+    if len(steps) > 1:
+        return pieces([read_driver(step, recording) for step in steps])
+    known = (*FOLLOWED, *recording.circumstances)
+    names = {"": ""} | {PARITIES.get(name, name): name for name in known}
+    for (kind, how, constant), phrase in PHRASES.items():
+        pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
+        if not (found := re.fullmatch(pattern, words)):
+            continue
+        said: dict[str, str] = found.groupdict()
+        name = names.get(said.get("x", ""))
+        if name is None or (how == "turn" and not name.endswith(ANGLES)):
+            continue
+        k = constant or {"smooth": modes, "field": 2.0, "visits": len(np.unique(recording.station))}.get(kind, 0.0)
+        if "k" in said or "value" in said:
+            k = _constant(words, name, said, recording.has_clock)
+            if k <= 0.0 and how not in ("step", "ramp", "power"):
+                raise ModelError(f"'{words}': expected a number above zero")
+        along = ("x", "y", "z") if kind == "field" else (name,) if name else ()
+        return Driver(kind, along, how if kind == "simple" else "", 2 * np.pi / k if how == "period" else k)
+    raise ModelError(
+        f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
+        f"{', '.join(known)}"
+    )
+
+
+def _constant(words: str, name: str, said: Mapping[str, str], clock: bool) -> float:
+    """The number in some words [SI]."""
+    if "k" in said:
+        return float(said["k"])
+    units, unit = _units(name, clock), said["unit"]
+    if unit not in units:
+        raise ModelError(
+            f"'{words}': expected a value of {name} {' or '.join(f'in {u}' if u else 'alone' for u in units)}"
+        )
+    return float(said["value"]) * units[unit]

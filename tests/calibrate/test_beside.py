@@ -52,6 +52,33 @@ def test_it_is_kept_in_the_file(drifting: Recording, tmp_path: Path) -> None:
     assert (wavelength.name, wavelength.unit) == ("wavelength", "mm") and wavelength.sigma is not None
 
 
+def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_path: Path) -> None:
+    plain, named = (
+        lt.calibrate(drifting, advise=False),
+        lt.calibrate(drifting, with_effects=["index-drift:S3,law=visit"]),
+    )
+    found = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
+    (law,), (effect,) = found.effects, named.effects
+    assert (law.effect, law.where, law.freedom, law.tried) == ("vertical index ~ station-time", "S3", 1, 1)
+    (swing,), rate = law.parameters, effect.parameters[0]
+    hours = drifting.time[drifting.station == 2].max() / 3600 - drifting.time[drifting.station == 2].min() / 3600
+    assert swing.name == "swing" and swing.unit == "urad" and swing.sigma is not None and rate.sigma is not None
+    assert abs(swing.value) == pytest.approx(abs(rate.value) * hours, rel=1e-3)
+    assert swing.sigma == pytest.approx(rate.sigma * hours, rel=1e-3)
+    assert law.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
+    write_calibration(found, tmp_path / "cal")
+    assert read_calibration(tmp_path / "cal").effects == found.effects
+
+
+def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> None:
+    wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "place of targets ~ time:T02"]
+    _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
+    (swing,) = curve.parameters
+    assert swing.sigma is not None and isinstance(swing.value, float)
+    assert swing.value > 4 * swing.sigma and curve.freedom > 3
+    assert [p.name for p in moved.parameters] == ["swing along x", "swing along y", "swing along z"]
+
+
 def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
     unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
     assert unaimed.effects[0].freedom == 0
@@ -68,6 +95,10 @@ def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording
         ("index-drift:law=sometimes", "expected one of"),
         ("index-drift:pace=3", "no constant"),
         ("no-such-effect", "no effect"),
+        ("beam ~ time", "carriers are distance, azimuth"),
+        ("beam tilt ~ time:S9", "no station"),
+        ("beam tilt ~ time:pace=3", "no constants but"),
+        ("beam tilt ~ pressure^2", "expected words such as .* station-time"),
     ],
 )
 def test_what_cannot_be_fitted_is_said_in_a_sentence(drifting: Recording, wanted: str, said: str) -> None:

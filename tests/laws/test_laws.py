@@ -150,3 +150,12 @@ def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
     time = simple("time", "decay", 600.0).columns(loaded, moving=True)
     assert time[np.argmin(loaded.time)] == 0.0
     assert abs(smooth("time").columns(loaded, moving=True).mean(axis=0)).max() < 1e-12
+
+
+def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
+    decay = Law(targets=("T02",), carrier=CARRIERS["place of targets"][0], driver=simple("time", "decay", 600.0))
+    mean = np.array([0.0, 0.0, 3e-5])
+    there = decay.mask(sightings) > 0
+    moved = decay.columns(sightings)[there, 0] * mean[2]
+    *_, along_z = sizes_of(decay, sightings, mean, 1e-12 * np.eye(3))
+    assert along_z.value == pytest.approx(1e6 * np.ptp(moved)) or along_z.value == pytest.approx(-1e6 * np.ptp(moved))
