@@ -1,21 +1,17 @@
-"""Nonlinear refit of a network with the effects found, their shapes included."""
+"""Nonlinear refit of a network with some effects, the constants of their shapes included."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from ltsim.adjust import Adjustment, adjust
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.diagnose.evidence import WIDE
-from ltsim.diagnose.schema import Estimate
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats, Ints
 from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.model.construction import Construction
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
+from ltsim.model.measurement import State
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
@@ -104,38 +100,42 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[S
     return found
 
 
+class Estimated(NamedTuple):
+    """A parameter or a shape constant of an effect with its standard deviation [SI]."""
+
+    parameter: Parameter | ShapeParameter
+    value: float
+    sigma: float
+
+
 @dataclass(frozen=True)
 class Refit:
-    """A refitted network and the effects with their final shapes and estimates."""
+    """A refitted network, the effects with their final shapes, and what is known of each.
+
+    Nothing is told of effects beside which the adjustment did not converge, nor of constants that were not estimated.
+    """
 
     adjustment: Adjustment
     effects: tuple[Tunable, ...]
-    estimates: tuple[tuple[Estimate, ...], ...]
-
-    def values(self, member: int) -> Floats:
-        """Parameters [SI] of one effect."""
-        return _split(self.effects, self.adjustment.state.extra)[member]
+    told: tuple[tuple[Estimated, ...], ...]
 
 
-def refit(
-    recording: Recording,
-    construction: Construction,
-    effects: Sequence[Tunable],
-    *,
-    start: State,
-    sigma: Floats,
-    use: Bools,
-) -> Refit:
+def refit(adjusted: Callable[..., Adjustment], effects: Sequence[Tunable], *, start: State) -> Refit:
     """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
 
-    Parameters are held to `WIDE` times their plausible size: some combinations of them may leave no residual.
+    Parameters
+    ----------
+    adjusted : callable
+        The adjustment with `effects` from a `start`, both by name.
+    effects : sequence of Tunable
+        Their constants near the optimum.
+    start : State
+        Of the network; parameters of effects in it do not count.
     """
-    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=WIDE)
-    current = list(effects)
-    plain = replace(start, extra=np.zeros(0))
+    current, plain = list(effects), replace(start, extra=np.zeros(0))
     found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
-        sightings = MeasurementModel(recording, construction).sightings(plain)
+        sightings = found.problem.model.sightings(plain)
         current = [FirstOrder.of(effect, sightings) for effect in current]
         found = adjusted(effects=current, start=plain)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
@@ -159,7 +159,7 @@ def refit(
             break
         best = (found, list(current))
     named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
-    return Refit(found, named, _estimates(found, joint, current, directions))
+    return Refit(found, named, _told(found, joint, current, directions))
 
 
 def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
@@ -173,24 +173,24 @@ def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], ch
     return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
-def _estimates(
+def _told(
     found: Adjustment,
     joint: Adjustment,
     effects: Sequence[Tunable],
     directions: list[list[ShapeDirection]],
-) -> tuple[tuple[Estimate, ...], ...]:
+) -> tuple[tuple[Estimated, ...], ...]:
     """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""
     shaped = joint.solution.converged and len(joint.effects) > len(effects)
     carrier = joint if shaped else found
-    if not carrier.solution.converged:
+    if not (effects and carrier.solution.converged):
         return tuple(() for _ in effects)
     sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
     of_shapes = iter(sigma[len(effects) :])
     rows = []
     for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
-        row = [Estimate.of(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
+        row = [Estimated(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
         for direction in directions[i] if shaped else ():
             now = float(getattr(effect, direction.constant.name))
-            row.append(Estimate.of(direction.constant, now, float(next(of_shapes)[0]) * abs(now)))
+            row.append(Estimated(direction.constant, now, float(next(of_shapes)[0]) * abs(now)))
         rows.append(tuple(row))
     return tuple(rows)
