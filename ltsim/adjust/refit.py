@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -86,13 +86,13 @@ class FirstOrder(Tunable):
         return self.base.gauge_design(first, second, points)
 
 
-def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[ShapeDirection]:
-    """Shape constants of an effect that the readings feel and that vary smoothly."""
+def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
+    """Shape constants of an effect that the readings feel and that vary smoothly, less those that are `fixed`."""
     found = []
     size = float(np.abs(effect.design(sightings) @ values).max())
     for shape in type(effect).shape:
         now = getattr(effect, shape.name)
-        if not isinstance(now, float) or now == 0.0 or shape.steps < 2:
+        if shape.name in fixed or not isinstance(now, float) or now == 0.0 or shape.steps < 2:
             continue
         direction = ShapeDirection(effect, tuple(values), shape)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
@@ -101,18 +101,19 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[S
 
 
 class Estimated(NamedTuple):
-    """A parameter or a shape constant of an effect with its standard deviation [SI]."""
+    """A parameter or a shape constant of an effect [SI]."""
 
     parameter: Parameter | ShapeParameter
     value: float
     sigma: float
+    """Standard deviation; infinite for a constant beside which the adjustment did not converge."""
 
 
 @dataclass(frozen=True)
 class Refit:
     """A refitted network, the effects with their final shapes, and what is known of each.
 
-    Nothing is told of effects beside which the adjustment did not converge, nor of constants that were not estimated.
+    Nothing is told of effects beside which the adjustment did not converge, nor of constants that no reading feels.
     """
 
     adjustment: Adjustment
@@ -120,7 +121,13 @@ class Refit:
     told: tuple[tuple[Estimated, ...], ...]
 
 
-def refit(adjusted: Callable[..., Adjustment], effects: Sequence[Tunable], *, start: State) -> Refit:
+def refit(
+    adjusted: Callable[..., Adjustment],
+    effects: Sequence[Tunable],
+    *,
+    start: State,
+    fixed: Sequence[Collection[str]] = (),
+) -> Refit:
     """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
 
     Parameters
@@ -131,7 +138,10 @@ def refit(adjusted: Callable[..., Adjustment], effects: Sequence[Tunable], *, st
         Their constants near the optimum.
     start : State
         Of the network; parameters of effects in it do not count.
+    fixed : sequence of collections of str, optional
+        Names of each effect's constants that stay as they are and are not told.
     """
+    stay = fixed or [()] * len(effects)
     current, plain = list(effects), replace(start, extra=np.zeros(0))
     found = adjusted(effects=current, start=plain)
     if not found.solution.converged:
@@ -142,7 +152,7 @@ def refit(adjusted: Callable[..., Adjustment], effects: Sequence[Tunable], *, st
     joint, best = found, (found, list(current))
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
         values = _split(current, found.state.extra)
-        directions = [_directions(e, v, found.sightings) for e, v in zip(current, values, strict=True)]
+        directions = [_directions(e, v, found.sightings, out) for e, v, out in zip(current, values, stay, strict=True)]
         flat = [d for group in directions for d in group]
         if not flat:
             break
@@ -189,8 +199,9 @@ def _told(
     rows = []
     for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
         row = [Estimated(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
-        for direction in directions[i] if shaped else ():
+        for direction in directions[i]:
             now = float(getattr(effect, direction.constant.name))
-            row.append(Estimated(direction.constant, now, float(next(of_shapes)[0]) * abs(now)))
+            relative = float(next(of_shapes)[0]) if shaped else np.inf
+            row.append(Estimated(direction.constant, now, relative * abs(now)))
         rows.append(tuple(row))
     return tuple(rows)

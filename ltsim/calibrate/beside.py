@@ -1,31 +1,33 @@
 """Effects of the catalogue that a person asks for, estimated beside the calibration.
 
-Of what is not stated, place and constants, those are taken that explain most of the residuals; the chance of as large
-a fall of chi-square counts all that were tried.
+Of what is not stated, place and constants, those are taken that explain most of the residuals, and the constants are
+adjusted with everything else; the chance of as large a fall of chi-square counts all that were tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from ltsim.adjust import Adjustment
+from ltsim.adjust.refit import Estimated, Refit, refit
 from ltsim.adjust.reliability import surprise
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
 from ltsim.chances import p_is
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.effects.signature import Parameter, ShapeParameter, Tunable
 from ltsim.errors import ModelError
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.units import FACTOR
 
 PLACES = ("stations", "targets")
-STEP = 0.02
-"""Change of a constant, relative to it, from which the curvature of its fit is taken."""
+PASSES = 3
+"""Readings in use and noise are found anew with the constants that were found so many times."""
 
 
 @dataclass(frozen=True)
@@ -113,39 +115,40 @@ def _more(parameter: FittedParameter) -> str:
     return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
 
 
-def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Effect, int, Mapping[str, float | None]]:
-    """The instance that fits best, how many were tried, and the constants that it feels, with the sigma [SI] found."""
-    space, tries = ResidualSpace.of(adjustment), wanted.tries(adjustment)
+def estimated_beside(
+    adjusted: Callable[[Sequence[Tunable]], Adjustment], always: Sequence[Tunable], beside: Sequence[Wanted]
+) -> tuple[Adjustment, tuple[FittedEffect, ...]]:
+    """The adjustment with effects, one after another chosen beside those before; what is told of each.
 
-    best = max(tries, key=lambda effect: float(surprise(*_drop(space, effect))))
-    sigmas: dict[str, float | None] = {}
-    for shape in best.shape:
-        now = getattr(best, shape.name)
-        if not _felt(space, best, shape.name):
-            continue
-        sigmas[shape.name] = None
-        if shape.name in wanted.stated or shape.steps < 2 or not isinstance(now, float):
-            continue
-
-        def worse(value: float, key: str = shape.name, effect: Effect = best) -> float:
-            return -_drop(space, effect.reshaped(**{key: value}))[0]
-
-        found = float(optimize.minimize_scalar(worse, bounds=shape.bracket(now), method="bounded").x)
-        best = best.reshaped(**{shape.name: found if worse(found) < worse(now) else now})
-        at, step = getattr(best, shape.name), STEP * abs(getattr(best, shape.name))
-        curvature = (worse(at + step) - 2 * worse(at) + worse(at - step)) / step**2
-        if curvature > 0:
-            sigmas[shape.name] = float(np.sqrt(2 / curvature))
-    return best, len(tries), sigmas
+    Effects `always` estimated come first, and nothing is told of them.
+    """
+    found, fits = adjusted(always), list[FittedEffect]()
+    fit, stated = Refit(found, tuple(always), ()), [frozenset[str]()] * len(always)
+    for wanted in beside:
+        tries, space = wanted.tries(found), ResidualSpace.of(found)
+        best = max(tries, key=lambda effect: float(surprise(*_drop(space, effect))))
+        freedom, before = _drop(space, best)[1], found.chi2
+        if freedom:
+            stated.append(wanted.stated)
+            found, fit = _settled(adjusted, [*fit.effects, best], stated)
+        place = best.place if freedom else wanted.effect.place
+        fits.append(FittedEffect(best.name, place, (), max(before - found.chi2, 0.0), freedom, len(tries)))
+    first = len(always)
+    rows = map(_rows, fit.effects[first:], fit.told[first:], stated[first:])
+    return found, tuple(replace(one, parameters=next(rows)) if one.freedom else one for one in fits)
 
 
-def _felt(space: ResidualSpace, effect: Effect, key: str) -> bool:
-    """Whether a constant, not zero, changes the effect's readings."""
-    now = getattr(effect, key)
-    if now == 0.0:
-        return False
-    other = effect.reshaped(**{key: now * (1 + STEP) if isinstance(now, float) else now + 1})
-    return not np.array_equal(space.signature(effect), space.signature(other))
+def _settled(
+    adjusted: Callable[[Sequence[Tunable]], Adjustment], effects: Sequence[Tunable], stated: Sequence[frozenset[str]]
+) -> tuple[Adjustment, Refit]:
+    """The adjustment with effects at their best constants, and the refit beside its readings and weights."""
+    for _ in range(PASSES):
+        found = adjusted(effects)
+        fit = refit(found.with_effects, effects, start=found.state, fixed=stated)
+        if fit.effects == tuple(effects):
+            break
+        effects = fit.effects
+    return found, fit
 
 
 def _drop(space: ResidualSpace, effect: Effect) -> tuple[float, int]:
@@ -156,31 +159,20 @@ def _drop(space: ResidualSpace, effect: Effect) -> tuple[float, int]:
     return float(told @ told), basis.shape[1]
 
 
-def freedom_of(adjustment: Adjustment, effect: Effect) -> int:
-    """Number of an effect's parameters that a recording can tell from all that is adjusted."""
-    return _drop(ResidualSpace.of(adjustment), effect)[1]
-
-
-def fitted(
-    before: Adjustment, after: Adjustment, effect: Effect, tried: int, sigmas: Mapping[str, float | None]
-) -> FittedEffect:
-    """What is told of the last of an adjustment's effects."""
-    count = len(effect.parameters)
-    values = after.state.extra[-count:]
-    spread = np.sqrt(np.maximum(np.diag(after.extra_covariance)[-count:], 0.0))
-    rows = [
-        FittedParameter(p.name, float(v / p.factor), float(s / p.factor), p.unit)
-        for p, v, s in zip(effect.parameters, values, spread, strict=True)
+def _rows(effect: Tunable, told: Sequence[Estimated], stated: frozenset[str]) -> tuple[FittedParameter, ...]:
+    """What is told of an effect: its parameters, its kind, the constants that are stated, and those that were found."""
+    numbers = [_row(*one) for one in told]
+    words = [
+        FittedParameter(key, value if isinstance(value, str) else float(value), None, "")
+        for key, value in vars(effect).items()
+        if isinstance(value, str) or type(value) is int  # the order of a harmonic
     ]
-    for key, value in vars(effect).items():
-        if isinstance(value, str):
-            rows.append(FittedParameter(key, value, None, ""))
-        elif type(value) is int:  # the order of a harmonic
-            rows.append(FittedParameter(key, float(value), None, ""))
-    for shape in effect.shape:
-        if shape.name in sigmas:
-            spread_of, unit = sigmas[shape.name], FACTOR[shape.unit]
-            sigma = None if spread_of is None else spread_of / unit
-            rows.append(FittedParameter(shape.name, getattr(effect, shape.name) / unit, sigma, shape.unit))
-    drop = max(before.chi2 - after.chi2, 0.0)
-    return FittedEffect(effect.name, effect.place, tuple(rows), drop, freedom_of(before, effect), tried)
+    given = [_row(s, getattr(effect, s.name), np.inf) for s in effect.shape if s.name in stated]
+    count = len(effect.parameters)
+    return (*numbers[:count], *words, *given, *numbers[count:])
+
+
+def _row(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameter:
+    """A number in its unit."""
+    unit = FACTOR[parameter.unit]
+    return FittedParameter(parameter.name, value / unit, sigma / unit if np.isfinite(sigma) else None, parameter.unit)

@@ -61,7 +61,8 @@ class Explained:
         gain = others.residual**2 - found.residual**2
         spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
-        told = searcher.estimates(hypothesis, others, [Estimate.of(*one) for one in self.refit.told[member]])
+        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        told = searcher.estimates(hypothesis, others, refitted)
         told = told if clock else tuple(without_clock(e) for e in told)
         more: dict[str, Any] = {}
         sentence = ""
