@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -137,19 +138,18 @@ def refit(
     effects : sequence of Tunable
         Their constants near the optimum.
     start : State
-        Of the network; parameters of effects in it do not count.
+        Of the network.
     fixed : sequence of collections of str, optional
         Names of each effect's constants that stay as they are and are not told.
     """
     stay = fixed or [()] * len(effects)
-    current, plain = list(effects), replace(start, extra=np.zeros(0))
-    found = adjusted(effects=current, start=plain)
+    current = list(effects)
+    found = joint = adjusted(effects=current, start=start)
     if not found.solution.converged:
-        sightings = found.problem.model.sightings(plain)
+        sightings = found.problem.model.sightings(start)
         current = [FirstOrder.of(effect, sightings) for effect in current]
-        found = adjusted(effects=current, start=plain)
+        found = joint = adjusted(effects=current, start=start)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
-    joint, best = found, (found, list(current))
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
         values = _split(current, found.state.extra)
         directions = [_directions(e, v, found.sightings, out) for e, v, out in zip(current, values, stay, strict=True)]
@@ -162,12 +162,11 @@ def refit(
         changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
         if np.all(np.abs(changes) < 1e-3):
             break
-        current = _reshaped(current, directions, changes)
-        found = adjusted(effects=current, start=found.state)
-        if not found.solution.converged or found.chi2 > best[0].chi2 + 1e-3:
-            found, current = best
+        moved = _reshaped(current, directions, changes)
+        tried = adjusted(effects=moved, start=found.state)
+        if not tried.solution.converged or tried.chi2 > found.chi2 + 1e-3:
             break
-        best = (found, list(current))
+        current, found = moved, tried
     named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
     return Refit(found, named, _told(found, joint, current, directions))
 
@@ -195,13 +194,12 @@ def _told(
     if not (effects and carrier.solution.converged):
         return tuple(() for _ in effects)
     sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
-    of_shapes = iter(sigma[len(effects) :])
+    relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
     rows = []
     for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
         row = [Estimated(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
         for direction in directions[i]:
             now = float(getattr(effect, direction.constant.name))
-            relative = float(next(of_shapes)[0]) if shaped else np.inf
-            row.append(Estimated(direction.constant, now, relative * abs(now)))
+            row.append(Estimated(direction.constant, now, float(next(relative)[0]) * abs(now)))
         rows.append(tuple(row))
     return tuple(rows)
