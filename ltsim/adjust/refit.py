@@ -16,7 +16,6 @@ from ltsim.model.measurement import State
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
-SHAPE_STEP = 1e-3
 FELT = 1e-3
 """A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
 
@@ -31,6 +30,7 @@ class ShapeDirection(Signature):
     base: Tunable
     values: tuple[float, ...]
     constant: ShapeParameter
+    step: float
 
     name = "shape"
     parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
@@ -40,9 +40,9 @@ class ShapeDirection(Signature):
         now, values = self.now, np.array(self.values)
         up, down = (
             self.base.reshaped(**{self.constant.name: now * (1 + s)}).design(sightings) @ values
-            for s in (SHAPE_STEP, -SHAPE_STEP)
+            for s in (self.step, -self.step)
         )
-        change: Floats = ((up - down) / (2 * SHAPE_STEP))[:, :, None]
+        change: Floats = ((up - down) / (2 * self.step))[:, :, None]
         return change
 
     @property
@@ -87,7 +87,9 @@ class FirstOrder(Tunable):
         return self.base.gauge_design(first, second, points)
 
 
-def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
+def _directions(
+    effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str], step: float
+) -> list[ShapeDirection]:
     """Shape constants of an effect that the readings feel and that vary smoothly, less those that are `fixed`."""
     found = []
     size = float(np.abs(effect.design(sightings) @ values).max())
@@ -95,7 +97,7 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Co
         now = getattr(effect, shape.name)
         if shape.name in fixed or not isinstance(now, float) or now == 0.0 or shape.steps < 2:
             continue
-        direction = ShapeDirection(effect, tuple(values), shape)
+        direction = ShapeDirection(effect, tuple(values), shape, step)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
             found.append(direction)
     return found
@@ -128,6 +130,8 @@ def refit(
     *,
     start: State,
     fixed: Sequence[Collection[str]] = (),
+    linear: float = 1e-3,
+    halvings: int = 0,
 ) -> Refit:
     """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
 
@@ -136,11 +140,14 @@ def refit(
     adjusted : callable
         The adjustment with `effects` from a `start`, both by name.
     effects : sequence of Tunable
-        Their constants near the optimum.
     start : State
         Of the network.
     fixed : sequence of collections of str, optional
         Names of each effect's constants that stay as they are and are not told.
+    linear : float
+        Relative change of a constant over which readings change linearly; smaller ones are not made.
+    halvings : int
+        How often a step that fits worse is halved, for constants that begin far off.
     """
     stay = fixed or [()] * len(effects)
     current = list(effects)
@@ -152,7 +159,8 @@ def refit(
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
         values = _split(current, found.state.extra)
-        directions = [_directions(e, v, found.sightings, out) for e, v, out in zip(current, values, stay, strict=True)]
+        each = zip(current, values, stay, strict=True)
+        directions = [_directions(effect, own, found.sightings, out, linear) for effect, own, out in each]
         flat = [d for group in directions for d in group]
         if not flat:
             break
@@ -160,11 +168,14 @@ def refit(
         if not joint.solution.converged:
             break
         changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
-        if np.all(np.abs(changes) < 1e-3):
+        if np.all(np.abs(changes) < linear):
             break
-        moved = _reshaped(current, directions, changes)
-        tried = adjusted(effects=moved, start=found.state)
-        if not tried.solution.converged or tried.chi2 > found.chi2 + 1e-3:
+        for share in 0.5 ** np.arange(1 + halvings):
+            moved = _reshaped(current, directions, share * changes)
+            tried = adjusted(effects=moved, start=found.state)
+            if tried.solution.converged and tried.chi2 <= found.chi2 + 1e-3:
+                break
+        else:
             break
         current, found = moved, tried
     named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)

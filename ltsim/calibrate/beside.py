@@ -26,6 +26,8 @@ from ltsim.recording.recording import Recording
 from ltsim.units import FACTOR
 
 PLACES = ("stations", "targets")
+LINEAR, HALVINGS = 1e-5, 4
+"""How constants are refitted from a coarse grid: a range of 20 m has a thousand of the shortest waves."""
 PASSES = 3
 """Readings in use and noise are found anew with the constants that were found so many times."""
 
@@ -144,7 +146,8 @@ def _settled(
     """The adjustment with effects at their best constants, and the refit beside its readings and weights."""
     for _ in range(PASSES):
         found = adjusted(effects)
-        fit = refit(found.with_effects, effects, start=found.state, fixed=stated)
+        near = found.with_effects
+        fit = refit(near, effects, start=found.state, fixed=stated, linear=LINEAR, halvings=HALVINGS)
         if fit.effects == tuple(effects):
             break
         effects = fit.effects

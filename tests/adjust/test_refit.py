@@ -44,6 +44,29 @@ def test_a_refit_without_noise_ends_at_the_truth() -> None:
     assert told["wavelength"].value == pytest.approx(0.75, rel=1e-3)
 
 
+def test_the_shortest_waves_are_found_from_an_eighth_of_a_period_off() -> None:
+    true = RangeCyclic(wavelength=0.02)
+    start = adjust(with_effect(true, [10e-6, 0.0], noise=0.0), misalignment())
+    guess = [true.reshaped(wavelength=0.02 * (1 + 5e-4))]
+    found = refit(start.with_effects, guess, start=start.state, linear=1e-5, halvings=4)
+    assert found.adjustment.chi2 < 0.1
+    *_, wavelength = found.told[0]
+    assert wavelength.value == pytest.approx(0.02, rel=1e-5)
+    assert 1e-6 < wavelength.sigma / wavelength.value < 1e-4
+
+
+def test_constants_that_stay_are_not_told_and_the_noise_found_is_kept() -> None:
+    true = StationSettling(("S3",), time_constant=480.0)
+    recording = with_effect(true, [30e-6, -20e-6, 40e-6], noise=2.0)
+    start = adjust(recording, misalignment(), effects=[true], variance_components="observable")
+    found = refit(start.with_effects, [true], start=start.state, fixed=[{"time_constant"}])
+    assert found.effects == (true,) and found.adjustment.chi2 == pytest.approx(start.chi2)
+    assert [one.parameter for one in found.told[0]] == list(true.parameters)
+    assert [one.value for one in found.told[0]] == pytest.approx(start.state.extra, rel=1e-6)
+    sigma = start.extra_covariance.diagonal() ** 0.5
+    assert [one.sigma for one in found.told[0]] == pytest.approx(sigma, rel=1e-6)
+
+
 def test_constants_at_which_the_network_does_not_settle_are_not_taken() -> None:
     """A refit ends at the last constants with which the adjustment converged, however low a capped one came."""
     bad = 0
