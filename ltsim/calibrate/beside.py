@@ -7,17 +7,16 @@ adjusted with everything else; the chance of as large a fall of chi-square count
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy import special
 
 from ltsim.adjust import Adjustment
 from ltsim.adjust.refit import Estimated, Refit, refit
 from ltsim.adjust.reliability import surprise
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
-from ltsim.chances import p_is
+from ltsim.calibrate.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.signature import Parameter, ShapeParameter, Tunable
 from ltsim.errors import ModelError
@@ -68,63 +67,14 @@ class Wanted:
         return [self.effect.reshaped(**dict(shape)) for shape in grids]
 
 
-@dataclass(frozen=True)
-class FittedParameter:
-    """A parameter, or a constant that the readings chose, in the unit a person reads; no sigma for what was stated."""
-
-    name: str
-    value: float | str
-    sigma: float | None
-    unit: str
-
-
-@dataclass(frozen=True)
-class FittedEffect:
-    """An effect that was estimated."""
-
-    effect: str
-    where: str
-    """Its name, and the places to which it is confined."""
-    parameters: tuple[FittedParameter, ...]
-    """With its constants behind."""
-    chi2_drop: float
-    """By how much chi-square falls; `freedom` is the number of parameters that the recording can tell from the rest."""
-    freedom: int
-    tried: int
-    """Instances of which this one fits best."""
-
-    @property
-    def p_value(self) -> float:
-        """Chance of such a fall without the effect, over all that were tried."""
-        return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
-
-    @property
-    def sentence(self) -> str:
-        """All of it for a person."""
-        name = f"{self.effect} at {self.where}" if self.where else self.effect
-        if not self.freedom:
-            return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
-        shown = ", ".join(
-            f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {p.value:.4g}{_more(p)}"
-            for p in self.parameters
-        )
-        tried = f", the best of {self.tried}" if self.tried > 1 else ""
-        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
-
-
-def _more(parameter: FittedParameter) -> str:
-    """Uncertainty and unit."""
-    return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
-
-
 def estimated_beside(
     adjusted: Callable[[Sequence[Tunable]], Adjustment], always: Sequence[Tunable], beside: Sequence[Wanted]
-) -> tuple[Adjustment, tuple[FittedEffect, ...]]:
+) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """The adjustment with effects, one after another chosen beside those before; what is told of each.
 
     Effects `always` estimated come first, and nothing is told of them.
     """
-    found, fits = adjusted(always), list[FittedEffect]()
+    found, fits = adjusted(always), list[FittedEffectEntry]()
     fit, stated = Refit(found, tuple(always), ()), [frozenset[str]()] * len(always)
     for wanted in beside:
         tries, space = wanted.tries(found), ResidualSpace.of(found)
@@ -134,10 +84,12 @@ def estimated_beside(
             stated.append(wanted.stated)
             found, fit = _settled(adjusted, [*fit.effects, best], stated)
         place = best.place if freedom else wanted.effect.place
-        fits.append(FittedEffect(best.name, place, (), max(before - found.chi2, 0.0), freedom, len(tries)))
+        drop = max(before - found.chi2, 0.0)
+        told = FittedEffectEntry(effect=best.name, where=place, chi2_drop=drop, freedom=freedom, tried=len(tries))
+        fits.append(told)
     first = len(always)
     rows = map(_rows, fit.effects[first:], fit.told[first:], stated[first:])
-    return found, tuple(replace(one, parameters=next(rows)) if one.freedom else one for one in fits)
+    return found, tuple(one.model_copy(update={"parameters": next(rows)}) if one.freedom else one for one in fits)
 
 
 def _settled(
@@ -162,11 +114,11 @@ def _drop(space: ResidualSpace, effect: Effect) -> tuple[float, int]:
     return float(told @ told), basis.shape[1]
 
 
-def _rows(effect: Tunable, told: Sequence[Estimated], stated: frozenset[str]) -> tuple[FittedParameter, ...]:
+def _rows(effect: Tunable, told: Sequence[Estimated], stated: frozenset[str]) -> tuple[FittedParameterEntry, ...]:
     """What is told of an effect: its parameters, its kind, the constants that are stated, and those that were found."""
     numbers = [_row(*one) for one in told]
     words = [
-        FittedParameter(key, value if isinstance(value, str) else float(value), None, "")
+        FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
         for key, value in vars(effect).items()
         if isinstance(value, str) or type(value) is int  # the order of a harmonic
     ]
@@ -175,7 +127,8 @@ def _rows(effect: Tunable, told: Sequence[Estimated], stated: frozenset[str]) ->
     return (*numbers[:count], *words, *given, *numbers[count:])
 
 
-def _row(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameter:
+def _row(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
     """A number in its unit."""
     unit = FACTOR[parameter.unit]
-    return FittedParameter(parameter.name, value / unit, sigma / unit if np.isfinite(sigma) else None, parameter.unit)
+    spread = float(sigma / unit) if np.isfinite(sigma) else None
+    return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)
