@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State
@@ -108,3 +109,12 @@ def drawn(construction: Construction, seed: int) -> Floats:
     """Instrument parameters drawn from their priors."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
     return sigma * stream(seed, "instrument").standard_normal(construction.size)
+
+
+def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed: int = 11) -> Recording:
+    """A recording, its noise times `noise`, of a tracker without errors and with an effect of known size [SI]."""
+    recording, truth = network(faces=2)
+    model = MeasurementModel(recording, misalignment(), (effect,))
+    exact = model.predict(replace(truth.state, extra=np.array(values)))
+    white = stream(seed, "noise").standard_normal(exact.shape)
+    return recording.with_readings(exact + noise * recording.sigma() * white)

@@ -30,8 +30,9 @@ from ltsim.notebook import Shown
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor, SingularSystemError
-from ltsim.solve.gauss_newton import Solution, planned
+from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
+from ltsim.solve.threads import in_one_thread
 
 
 @dataclass(frozen=True)
@@ -276,6 +277,15 @@ class Adjustment(Shown):
             covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
         covariance[self.problem.unseen_targets] = np.nan
         return covariance
+
+    @in_one_thread
+    def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
+        """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
+        old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
+        new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
+        problem = replace(new, gauge=old.gauge, levels=old.levels).using(old.use)
+        solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
+        return replace(self, problem=problem, solution=solution, datum=None)
 
     def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
         """The same state with covariances by inner constraints over some targets, by default all that are determined.

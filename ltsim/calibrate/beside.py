@@ -1,24 +1,24 @@
 """Effects of the catalogue, and laws, that a person asks for, estimated beside the calibration.
 
-Of what is not stated, place and constants, those are taken that explain most of the residuals; the chance of as large
-a fall of chi-square counts all that were tried.
+Of what is not stated, place and constants, those are taken that explain most of the residuals, and the constants are
+adjusted with everything else; the chance of as large a fall of chi-square counts all that were tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy import optimize, special
 
 from ltsim.adjust import Adjustment
+from ltsim.adjust.refit import Estimated, Refit, refit
 from ltsim.adjust.reliability import surprise
 from ltsim.adjust.residual_space import ResidualSpace, orthonormal
-from ltsim.chances import p_is
+from ltsim.calibrate.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.signature import Signature, Tunable
+from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
 from ltsim.errors import ModelError
 from ltsim.laws.law import Law
 from ltsim.laws.sizes import sizes_of
@@ -28,8 +28,8 @@ from ltsim.recording.recording import Recording
 from ltsim.units import FACTOR
 
 PLACES = ("stations", "targets")
-STEP = 0.02
-"""Change of a constant, relative to it, from which the curvature of its fit is taken."""
+PASSES = 3
+"""Readings in use and noise are found anew with the constants that were found so many times."""
 
 
 @dataclass(frozen=True)
@@ -70,88 +70,46 @@ class Wanted:
         return [self.effect.reshaped(**dict(shape)) for shape in grids]
 
 
-@dataclass(frozen=True)
-class FittedParameter:
-    """A parameter, or a constant that the readings chose, in the unit a person reads; no sigma for what was stated."""
+def estimated_beside(
+    adjusted: Callable[[Sequence[Tunable]], Adjustment], always: Sequence[Tunable], beside: Sequence[Wanted]
+) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
+    """The adjustment with effects, one after another chosen beside those before; what is told of each.
 
-    name: str
-    value: float | str
-    sigma: float | None
-    unit: str
-
-
-@dataclass(frozen=True)
-class FittedEffect:
-    """An effect that was estimated."""
-
-    effect: str
-    where: str
-    """Its name, and the places to which it is confined."""
-    parameters: tuple[FittedParameter, ...]
-    """With its constants behind."""
-    chi2_drop: float
-    """By how much chi-square falls; `freedom` is the number of parameters that the recording can tell from the rest."""
-    freedom: int
-    tried: int
-    """Instances of which this one fits best."""
-
-    @property
-    def p_value(self) -> float:
-        """Chance of such a fall without the effect, over all that were tried."""
-        return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
-
-    @property
-    def sentence(self) -> str:
-        """All of it for a person."""
-        name = f"{self.effect} at {self.where}" if self.where else self.effect
-        if not self.freedom:
-            return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
-        shown = ", ".join(
-            f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {p.value:.4g}{_more(p)}"
-            for p in self.parameters
-        )
-        tried = f", the best of {self.tried}" if self.tried > 1 else ""
-        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
+    Effects `always` estimated come first, and nothing is told of them.
+    """
+    found, fits = adjusted(always), list[FittedEffectEntry]()
+    fit, stated = Refit(found, tuple(always), ()), [frozenset[str]()] * len(always)
+    for wanted in beside:
+        tries, space = wanted.tries(found), ResidualSpace.of(found)
+        best = max(tries, key=lambda effect: float(surprise(*_drop(space, effect))))
+        freedom, before = _drop(space, best)[1], found.chi2
+        if freedom:
+            stated.append(wanted.stated)
+            found, fit = _settled(adjusted, [*fit.effects, best], stated)
+        place = best.place if freedom else wanted.effect.place
+        drop = max(before - found.chi2, 0.0)
+        name, tried = name_of(best, found), len(tries)
+        fits.append(FittedEffectEntry(effect=name, where=place, chi2_drop=drop, freedom=freedom, tried=tried))
+    first = len(always)
+    rows = (
+        _sizes(effect, found) if isinstance(effect, Law) else _rows(effect, told, given)
+        for effect, told, given in zip(fit.effects[first:], fit.told[first:], stated[first:], strict=True)
+    )
+    return found, tuple(one.model_copy(update={"parameters": next(rows)}) if one.freedom else one for one in fits)
 
 
-def _more(parameter: FittedParameter) -> str:
-    """Uncertainty and unit."""
-    return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
-
-
-def choose(adjustment: Adjustment, wanted: Wanted) -> tuple[Tunable, int, Mapping[str, float | None]]:
-    """The instance that fits best, how many were tried, and the constants that it feels, with the sigma [SI] found."""
-    space, tries = ResidualSpace.of(adjustment), wanted.tries(adjustment)
-
-    best = max(tries, key=lambda effect: float(surprise(*_drop(space, effect))))
-    sigmas: dict[str, float | None] = {}
-    for shape in best.shape:
-        now = getattr(best, shape.name)
-        if not _felt(space, best, shape.name):
-            continue
-        sigmas[shape.name] = None
-        if shape.name in wanted.stated or shape.steps < 2 or not isinstance(now, float):
-            continue
-
-        def worse(value: float, key: str = shape.name, effect: Tunable = best) -> float:
-            return -_drop(space, effect.reshaped(**{key: value}))[0]
-
-        found = float(optimize.minimize_scalar(worse, bounds=shape.bracket(now), method="bounded").x)
-        best = best.reshaped(**{shape.name: found if worse(found) < worse(now) else now})
-        at, step = getattr(best, shape.name), STEP * abs(getattr(best, shape.name))
-        curvature = (worse(at + step) - 2 * worse(at) + worse(at - step)) / step**2
-        if curvature > 0:
-            sigmas[shape.name] = float(np.sqrt(2 / curvature))
-    return best, len(tries), sigmas
-
-
-def _felt(space: ResidualSpace, effect: Tunable, key: str) -> bool:
-    """Whether a constant, not zero, changes the effect's readings."""
-    now = getattr(effect, key)
-    if now == 0.0:
-        return False
-    other = effect.reshaped(**{key: now * (1 + STEP) if isinstance(now, float) else now + 1})
-    return not np.array_equal(space.signature(effect), space.signature(other))
+def _settled(
+    adjusted: Callable[[Sequence[Tunable]], Adjustment], effects: Sequence[Tunable], stated: Sequence[frozenset[str]]
+) -> tuple[Adjustment, Refit]:
+    """The adjustment with effects at their best constants, and the refit beside its readings and weights."""
+    for _ in range(PASSES):
+        found = adjusted(effects)
+        near = found.with_effects
+        fit = refit(near, effects, start=found.state, fixed=stated)
+        if fit.effects == tuple(effects):
+            break
+        effects = fit.effects
+    return found, fit
 
 
 def _drop(space: ResidualSpace, effect: Tunable) -> tuple[float, int]:
@@ -162,38 +120,6 @@ def _drop(space: ResidualSpace, effect: Tunable) -> tuple[float, int]:
     return float(told @ told), basis.shape[1]
 
 
-def freedom_of(adjustment: Adjustment, effect: Tunable) -> int:
-    """Number of an effect's parameters that a recording can tell from all that is adjusted."""
-    return _drop(ResidualSpace.of(adjustment), effect)[1]
-
-
-def fitted(
-    before: Adjustment, after: Adjustment, effect: Tunable, tried: int, sigmas: Mapping[str, float | None]
-) -> FittedEffect:
-    """What is told of the last of an adjustment's effects."""
-    drop, freedom = max(before.chi2 - after.chi2, 0.0), freedom_of(before, effect)
-    if isinstance(effect, Law):
-        return FittedEffect(name_of(effect, after), effect.place, _sizes(effect, after), drop, freedom, tried)
-    count = len(effect.parameters)
-    values = after.state.extra[-count:]
-    spread = np.sqrt(np.maximum(np.diag(after.extra_covariance)[-count:], 0.0))
-    rows = [
-        FittedParameter(p.name, float(v / p.factor), float(s / p.factor), p.unit)
-        for p, v, s in zip(effect.parameters, values, spread, strict=True)
-    ]
-    for key, value in vars(effect).items():
-        if isinstance(value, str):
-            rows.append(FittedParameter(key, value, None, ""))
-        elif type(value) is int:  # the order of a harmonic
-            rows.append(FittedParameter(key, float(value), None, ""))
-    for shape in effect.shape:
-        if shape.name in sigmas:
-            spread_of, unit = sigmas[shape.name], FACTOR[shape.unit]
-            sigma = None if spread_of is None else spread_of / unit
-            rows.append(FittedParameter(shape.name, getattr(effect, shape.name) / unit, sigma, shape.unit))
-    return FittedEffect(effect.name, effect.place, tuple(rows), drop, freedom, tried)
-
-
 def name_of(effect: Signature, adjustment: Adjustment) -> str:
     """The name of an effect; that of a law are its words."""
     if not isinstance(effect, Law):
@@ -201,10 +127,30 @@ def name_of(effect: Signature, adjustment: Adjustment) -> str:
     return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}"
 
 
-def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameter, ...]:
+def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
     """What is told of a law among an adjustment's effects."""
     before = adjustment.effects[: adjustment.effects.index(law)]
     first = sum(len(effect.parameters) for effect in before)
     own = slice(first, first + len(law.parameters))
     sizes = sizes_of(law, adjustment.sightings, adjustment.state.extra[own], adjustment.extra_covariance[own, own])
-    return tuple(FittedParameter(*size) for size in sizes)
+    return tuple(FittedParameterEntry(**size._asdict()) for size in sizes)
+
+
+def _rows(effect: Tunable, told: Sequence[Estimated], stated: frozenset[str]) -> tuple[FittedParameterEntry, ...]:
+    """What is told of an effect: its parameters, its kind, the constants that are stated, and those that were found."""
+    numbers = [_row(*one) for one in told]
+    words = [
+        FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
+        for key, value in vars(effect).items()
+        if isinstance(value, str) or type(value) is int  # the order of a harmonic
+    ]
+    given = [_row(s, getattr(effect, s.name), np.inf) for s in effect.shape if s.name in stated]
+    count = len(effect.parameters)
+    return (*numbers[:count], *words, *given, *numbers[count:])
+
+
+def _row(parameter: Parameter | ShapeParameter, value: float, sigma: float) -> FittedParameterEntry:
+    """A number in its unit."""
+    unit = FACTOR[parameter.unit]
+    spread = float(sigma / unit) if np.isfinite(sigma) else None
+    return FittedParameterEntry(name=parameter.name, value=float(value / unit), sigma=spread, unit=parameter.unit)

@@ -11,9 +11,8 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.verdict import Verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibrate.beside import FittedEffect
 from ltsim.calibrate.determined import determined
-from ltsim.calibrate.schema import DeterminedEntry
+from ltsim.calibrate.schema import DeterminedEntry, FittedEffectEntry
 from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluate.criteria import Criteria
@@ -176,7 +175,7 @@ class Calibration(Shown):
     """(k, I p): combinations, in prior sigmas, that a distance method left at zero."""
     correction: Correction | None = None
     """What is taken out of readings and what that is expected to be worth; without one, the estimates themselves."""
-    effects: tuple[FittedEffect, ...] = ()
+    effects: tuple[FittedEffectEntry, ...] = ()
     """Effects of the catalogue that were estimated beside, on request."""
     notes: tuple[str, ...] = ()
     """What a reader should know of how this came about."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import numpy as np
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibrate.amplitude import Harmonic, harmonics
-from ltsim.calibrate.beside import FittedEffect, FittedParameter
 from ltsim.calibrate.calibration import Calibration, Combination, Correction, Fit, StationPose
 from ltsim.calibrate.events import Event, events
 from ltsim.calibrate.history import Change, History
@@ -34,7 +32,6 @@ from ltsim.calibrate.schema import (
     CombinationEntry,
     CorrectionEntry,
     FitEntry,
-    FittedEffectEntry,
     HarmonicEntry,
     NoiseEntry,
     OutlierEntry,
@@ -99,7 +96,7 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         lost_targets=calibration.lost_targets,
         informed=calibration.informed,
         correction=_correction(calibration.correction),
-        effects=tuple(FittedEffectEntry(**asdict(effect)) for effect in calibration.effects),
+        effects=calibration.effects,
         notes=calibration.notes,
     )
 
@@ -258,7 +255,7 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         covariance=covariance,
         held=held.reshape(shape),
         informed=content.informed,
-        effects=fitted_effects(content),
+        effects=content.effects,
         correction=_read_correction(content.correction, applied.reshape(shape)),
         fit=Fit(**content.fit.model_dump()),
         undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),
@@ -266,14 +263,6 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         stations=(),
         recording=content.recording,
         notes=_missing([f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in at], file),
-    )
-
-
-def fitted_effects(content: CalibrationFile) -> tuple[FittedEffect, ...]:
-    """Effects that were estimated beside the calibration."""
-    return tuple(
-        FittedEffect(**dict(e) | {"parameters": tuple(FittedParameter(**dict(p)) for p in e.parameters)})
-        for e in content.effects
     )
 
 

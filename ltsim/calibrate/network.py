@@ -13,7 +13,7 @@ from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.components import Grouping
 from ltsim.adjust.doubt import require_result
 from ltsim.adjust.prior import ParameterPrior
-from ltsim.calibrate.beside import FittedEffect, Wanted, choose, fitted, freedom_of, name_of
+from ltsim.calibrate.beside import Wanted, estimated_beside
 from ltsim.calibrate.calibration import Calibration
 from ltsim.calibrate.choice import WIDE, Choice
 from ltsim.calibrate.conflict import disagreement
@@ -92,18 +92,9 @@ def calibrate_network(
     for wanted in beside:
         wanted.check(recording, built)
     adjusted = partial(_adjusted, recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
-    found, effects, fits = adjusted(), list[Signature](), list[FittedEffect]()
-    for wanted in beside:
-        best, tried, sigmas = choose(found, wanted)
-        if not freedom_of(found, best):
-            fits.append(FittedEffect(name_of(best, found), wanted.effect.place, (), 0.0, 0, tried))
-            continue
-        effects.append(best)
-        after = adjusted(effects)
-        fits.append(fitted(found, after, best, tried, sigmas))
-        found = after
-    calibration = _calibration(recording, found, "network", advise=advise, robust=robust)
-    calibration = replace(calibration, effects=tuple(fits))
+    modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
+    found, fits = estimated_beside(adjusted, modes, beside)
+    calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)
     informed = chosen.prior is not None
     if weigh:
         wider = WIDE if chosen.free else None
@@ -135,9 +126,8 @@ def _adjusted(
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
     grouping: Grouping | None = "instrument" if noise_from_data else None
-    modes: list[Signature] = [RangeMode()] if construction.size and MODE_COLUMN in recording.circumstances else []
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    found = adjust(recording, construction, effects=[*modes, *effects], **how)
+    found = adjust(recording, construction, effects=effects, **how)
     found.solution.require_success()
     require_result(found)
     if datum and not found.problem.free.shape[1]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
+from scipy import special
 
+from ltsim.chances import p_is
 from ltsim.evaluate.schema import CriterionEntry
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable, numbers, texts
@@ -245,6 +247,29 @@ class FittedEffectEntry(Entry):
     """Parameters that the recording can tell from the rest."""
     tried: int
     """Places and constants that were tried."""
+
+    @property
+    def p_value(self) -> float:
+        """Chance of such a fall without the effect, over all that were tried."""
+        return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
+
+    @property
+    def sentence(self) -> str:
+        """All of it for a person."""
+        name = f"{self.effect} at {self.where}" if self.where else self.effect
+        if not self.freedom:
+            return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
+        shown = ", ".join(
+            f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {p.value:.4g}{_more(p)}"
+            for p in self.parameters
+        )
+        tried = f", the best of {self.tried}" if self.tried > 1 else ""
+        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
+
+
+def _more(parameter: FittedParameterEntry) -> str:
+    """Uncertainty and unit."""
+    return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
 
 
 class CalibrationFile(ResultFile):

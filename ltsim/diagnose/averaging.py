@@ -19,11 +19,11 @@ import numpy as np
 from scipy.special import ndtri
 
 from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjust.refit import Refit
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, shares, wide_posterior
 from ltsim.diagnose.noise import NoisePattern
-from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.shapes import all_shapes

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from ltsim.adjust import Adjustment, adjust
+from ltsim.adjust.refit import Refit, refit
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
+from ltsim.diagnose.evidence import WIDE
 from ltsim.diagnose.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
-from ltsim.diagnose.refit import Refit, refit
 from ltsim.diagnose.search import Searcher
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import Recording
@@ -45,13 +47,14 @@ class Case:
         return self.baseline.recording
 
     def refit(self, effects: Sequence[Tunable], sigma: Floats) -> Refit:
-        """The exact refit with some effects; without any the ordinary adjustment."""
+        """The exact refit with some effects; without any the ordinary adjustment.
+
+        Parameters are held to `WIDE` times their plausible size: some combinations of them may leave no residual.
+        """
         if not (effects or self.noise):
             return Refit(self.baseline, (), ())
-        construction, start = self.baseline.construction, self.baseline.state
-        if not effects:
-            return Refit(adjust(self.recording, construction, sigma=sigma, use=self.use, start=start), (), ())
-        return refit(self.recording, construction, effects, sigma=sigma, use=self.use, start=start)
+        adjusted = partial(adjust, self.recording, self.baseline.construction, sigma=sigma, use=self.use, held_to=WIDE)
+        return refit(adjusted, effects, start=self.baseline.state)
 
     def search(self, adjustment: Adjustment) -> None:
         """Score everything beside an adjustment; what was scored before is let go."""

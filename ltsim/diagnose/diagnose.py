@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.adjust import Adjustment, adjust
 from ltsim.adjust.gross import explain_gross
 from ltsim.adjust.mixed_up import mend_faces, mend_stations
+from ltsim.adjust.refit import Refit
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.calibrate.known import Known
 from ltsim.diagnose.averaging import averaged_targets
@@ -23,7 +24,6 @@ from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseHypothesis, most_likely
-from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Finding, Fit
 from ltsim.diagnose.sets import Found
 from ltsim.diagnose.words import summarise

@@ -10,12 +10,12 @@ import numpy as np
 
 from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.gross import GrossFinding
+from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.evidence import carried_by
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
-from ltsim.diagnose.refit import Refit
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.sets import Found, Ranking
@@ -63,7 +63,8 @@ class Explained:
         gain = others.residual**2 - found.residual**2
         spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
-        told = searcher.estimates(hypothesis, others, self.refit.estimates[member])
+        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        told = searcher.estimates(hypothesis, others, refitted)
         told = told if clock else tuple(without_clock(e) for e in told)
         more: dict[str, Any] = {}
         sentence = ""

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ltsim as lt
 from ltsim.calibrate.files import read_calibration, write_calibration
 from ltsim.cli.main import run
+from ltsim.effects.effect import Effect
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.station_settling import StationSettling
 from ltsim.errors import ModelError
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from ltsim.recording import Recording
-from tests.networks import drawn, network
+from ltsim.units import FACTOR
+from tests.networks import drawn, network, with_effect
 
 RATE = 40e-6 / 3600
 """[rad/s] of the vertical index while the tracker stands at S3."""
@@ -114,3 +119,58 @@ def test_the_command_line_says_it_and_refuses_it_elsewhere(
     assert "index-drift at S3" in capsys.readouterr().out
     assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift", "--method", "distance"]) == 2
     assert "--with go with --method network" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wanted", "true", "values"),
+    [
+        ("station-settling:S3", StationSettling(("S3",), time_constant=480.0), [30e-6, -20e-6, 40e-6]),
+        pytest.param("range-cyclic", RangeCyclic(wavelength=0.75), [10e-6, 0.0], marks=pytest.mark.long),
+    ],
+)
+def test_constants_scatter_as_much_as_is_told(wanted: str, true: Effect, values: list[float]) -> None:
+    truth = getattr(true, true.shape[0].name) / FACTOR[true.shape[0].unit]
+    misses = []
+    for seed in range(40):
+        found = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
+        constant = found.effects[0].parameters[-1]
+        assert isinstance(constant.value, float) and constant.sigma is not None
+        misses.append((constant.value - truth) / constant.sigma)
+    assert 0.7 < np.sqrt(np.mean(np.square(misses))) < 1.4
+    assert abs(np.mean(misses)) < 0.5
+
+
+def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drifting: Recording) -> None:
+    drift = "index-drift:S3,law=visit"
+    found = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10", drift], advise=False)
+    alone = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10"], advise=False)
+    assert sum(e.chi2_drop for e in found.effects) > alone.effects[0].chi2_drop
+    told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
+    assert found.adjustment is not None
+    state, spread = found.adjustment.state.extra, np.sqrt(np.diag(found.adjustment.extra_covariance))
+    unit = [FACTOR[p.unit] for p in told]
+    assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
+    assert [p.sigma for p in told] == pytest.approx(spread / unit, rel=1e-6)
+    stated = found.effects[0].parameters[-1]
+    assert (stated.name, stated.value, stated.sigma) == ("time_constant", 10.0, None)
+
+
+def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> None:
+    recording = with_effect(RangeCyclic(wavelength=0.75), [10e-6, 0.0], noise=2.0)
+    readings = recording.readings.copy()
+    readings[3, 0] += 1e-3
+    found = lt.calibrate(
+        recording.with_readings(readings),
+        with_effects=["range-cyclic"],
+        robust=True,
+        noise_from_data=True,
+        parameters=["beam-tilt", "vertical-index"],
+        advise=False,
+    )
+    assert any(out.row == 4 and out.left_out for out in found.outliers) and found.held.any()
+    told, adjusted = found.effects[0].parameters, found.adjustment
+    assert adjusted is not None
+    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra, rel=1e-3, abs=1e-9)
+    for one, value, least in zip(told, (10.0, 0.0, 750.0), (0.5, 1.0, 3.0), strict=True):
+        assert abs(one.value - value) < 4 * one.sigma
+        assert least < one.sigma < 10 * least

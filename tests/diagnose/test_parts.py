@@ -3,94 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 import pytest
 
-from ltsim.adjust import Adjustment, adjust
+from ltsim.adjust import adjust
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.refit import refit
 from ltsim.diagnose.schema import Where
 from ltsim.diagnose.separate import separating_measurement
 from ltsim.diagnose.words import law_sentence
-from ltsim.effects.effect import Effect
-from ltsim.effects.range_cyclic import RangeCyclic
 from ltsim.effects.station_settling import StationSettling
 from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel
 from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
 from ltsim.remedies.deciding import DECISIVE
-from ltsim.solve.gauss_newton import Status
-from tests.networks import network
-
-# --- refit ------------------------------------------------------------------------------------------------------------
-
-
-def with_effect(effect: Effect, values: list[float], *, noise: float) -> Recording:
-    """A recording, its noise times `noise`, of a tracker without errors and with an effect of known size [SI]."""
-    recording, truth = network(faces=2)
-    model = MeasurementModel(recording, misalignment(), (effect,))
-    exact = model.predict(replace(truth.state, extra=np.array(values)))
-    drawn = stream(11, "noise").standard_normal(exact.shape)
-    return recording.with_readings(exact + noise * recording.sigma() * drawn)
-
-
-def refitted(effect: Effect, guess: Effect, values: list[float], *, noise: float = 1.0) -> tuple[Adjustment, dict]:
-    recording = with_effect(effect, values, noise=noise)
-    plain = adjust(recording, misalignment())
-    found = refit(
-        recording,
-        misalignment(),
-        [guess],
-        start=plain.state,
-        sigma=recording.sigma(),
-        use=np.ones((len(recording), 3), dtype=bool),
-    )
-    return found.adjustment, {estimate.name: estimate for estimate in found.estimates[0]}
-
-
-def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
-    true = StationSettling(("S3",), time_constant=480.0)
-    _, told = refitted(true, true.reshaped(time_constant=700.0), [30e-6, -20e-6, 40e-6])
-    expected = {"tilt-x": 30.0, "tilt-y": -20.0, "rise": 40.0, "time_constant": 8.0}  # urad, um, min
-    assert set(told) == set(expected)
-    for name, value in expected.items():
-        assert told[name].sigma > 0
-        assert abs(told[name].value - value) < 4 * told[name].sigma, name
-
-
-def test_a_refit_without_noise_ends_at_the_truth() -> None:
-    true = RangeCyclic(wavelength=0.75)
-    found, told = refitted(true, true.reshaped(wavelength=0.76), [10e-6, 0.0], noise=0.0)
-    assert found.chi2 < 1.0
-    assert told["wavelength"].value == pytest.approx(750.0, rel=1e-3)  # mm
-
-
-def test_constants_at_which_the_network_does_not_settle_are_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A refit ends at the last constants with which the adjustment converged, however low a capped one came."""
-    module = import_module("ltsim.diagnose.refit")
-    bad = 0
-
-    def capped(*args: Any, **kwargs: Any) -> Adjustment:
-        nonlocal bad
-        found = adjust(*args, **kwargs)
-        if len(kwargs["effects"]) == 1 and kwargs["effects"][0] != guess:
-            bad += 1
-            return replace(found, solution=replace(found.solution, status=Status.CAPPED))
-        return found
-
-    true = RangeCyclic(wavelength=0.75)
-    guess = true.reshaped(wavelength=0.76)
-    monkeypatch.setattr(module, "adjust", capped)
-    found, told = refitted(true, guess, [10e-6, 0.0], noise=0.0)
-    assert bad
-    assert found.solution.converged
-    assert told["wavelength"].value == pytest.approx(760.0)
-
+from tests.networks import network, with_effect
 
 # --- separate ---------------------------------------------------------------------------------------------------------
 
@@ -105,7 +31,7 @@ def test_what_is_no_question_gets_no_measurement() -> None:
 
 def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> None:
     settled = StationSettling(("S3",), time_constant=480.0)
-    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6], noise=1.0), misalignment())
+    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment())
     advice = separating_measurement(found, "station-settling", ["station-bump"], ())
     assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
     before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])

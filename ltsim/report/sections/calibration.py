@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
-from ltsim.calibrate.files import fitted_effects, read_targets
+from ltsim.calibrate.files import read_targets
 from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.chances import p_text, two_sided
 from ltsim.errors import ConvergenceError, NetworkError
@@ -61,7 +61,7 @@ def calibration_section(
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     blocks += _treatment(content)
     blocks += parameter_blocks(content)
-    blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in fitted_effects(content)]
+    blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in content.effects]
     blocks += _criteria(content)
     blocks += _network(folder, content, recording, detail=detail, residuals=not brief)
     blocks += combined("Determined in combination", content.determined)

@@ -1,25 +1,25 @@
-"""Nonlinear refit of a network with the effects found, their shapes included."""
+"""Nonlinear refit of a network with some effects, the constants of their shapes included."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from itertools import repeat
+from typing import NamedTuple
 
 import numpy as np
 
-from ltsim.adjust import Adjustment, adjust
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.diagnose.evidence import WIDE
-from ltsim.diagnose.schema import Estimate
+from ltsim.adjust.adjustment import Adjustment
+from ltsim.arrays import Floats, Ints
 from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.model.construction import Construction
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
+from ltsim.model.measurement import State
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
-SHAPE_STEP = 1e-3
+LINEAR = 1e-5
+"""Relative change of a constant over which readings change linearly: a range of 20 m has a thousand short waves."""
+HALVINGS = 4
+"""How often a step that fits worse is halved, for constants that begin far off."""
 FELT = 1e-3
 """A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
 
@@ -43,9 +43,9 @@ class ShapeDirection(Signature):
         now, values = self.now, np.array(self.values)
         up, down = (
             self.base.reshaped(**{self.constant.name: now * (1 + s)}).design(sightings) @ values
-            for s in (SHAPE_STEP, -SHAPE_STEP)
+            for s in (LINEAR, -LINEAR)
         )
-        change: Floats = ((up - down) / (2 * SHAPE_STEP))[:, :, None]
+        change: Floats = ((up - down) / (2 * LINEAR))[:, :, None]
         return change
 
     @property
@@ -90,13 +90,13 @@ class FirstOrder(Tunable):
         return self.base.gauge_design(first, second, points)
 
 
-def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[ShapeDirection]:
-    """Shape constants of an effect that the readings feel and that vary smoothly."""
+def _directions(effect: Tunable, values: Floats, sightings: Sightings, fixed: Collection[str]) -> list[ShapeDirection]:
+    """Shape constants of an effect that the readings feel and that vary smoothly, less those that are `fixed`."""
     found = []
     size = float(np.abs(effect.design(sightings) @ values).max())
     for shape in type(effect).shape:
         now = getattr(effect, shape.name)
-        if not isinstance(now, float) or now == 0.0 or shape.steps < 2:
+        if shape.name in fixed or not isinstance(now, float) or now == 0.0 or shape.steps < 2:
             continue
         direction = ShapeDirection(effect, tuple(values), shape)
         if float(np.abs(direction.design(sightings)).max()) > FELT * size:
@@ -104,45 +104,58 @@ def _directions(effect: Tunable, values: Floats, sightings: Sightings) -> list[S
     return found
 
 
+class Estimated(NamedTuple):
+    """A parameter or a shape constant of an effect [SI]."""
+
+    parameter: Parameter | ShapeParameter
+    value: float
+    sigma: float
+    """Standard deviation; infinite for a constant beside which the adjustment did not converge."""
+
+
 @dataclass(frozen=True)
 class Refit:
-    """A refitted network and the effects with their final shapes and estimates."""
+    """A refitted network, the effects with their final shapes, and what is known of each.
+
+    Nothing is told of effects beside which the adjustment did not converge, nor of constants that no reading feels.
+    """
 
     adjustment: Adjustment
     effects: tuple[Tunable, ...]
-    estimates: tuple[tuple[Estimate, ...], ...]
-
-    def values(self, member: int) -> Floats:
-        """Parameters [SI] of one effect."""
-        return _split(self.effects, self.adjustment.state.extra)[member]
+    told: tuple[tuple[Estimated, ...], ...]
 
 
 def refit(
-    recording: Recording,
-    construction: Construction,
+    adjusted: Callable[..., Adjustment],
     effects: Sequence[Tunable],
     *,
     start: State,
-    sigma: Floats,
-    use: Bools,
+    fixed: Sequence[Collection[str]] = (),
 ) -> Refit:
     """Adjust with effects; shape constants are estimated with them, and their uncertainty is carried along.
 
-    Parameters are held to `WIDE` times their plausible size: some combinations of them may leave no residual.
+    Parameters
+    ----------
+    adjusted : callable
+        The adjustment with `effects` from a `start`, both by name.
+    effects : sequence of Tunable
+    start : State
+        Of the network.
+    fixed : sequence of collections of str, optional
+        Names of each effect's constants that stay as they are and are not told.
     """
-    adjusted = partial(adjust, recording, construction, sigma=sigma, use=use, held_to=WIDE)
+    stay = fixed or [()] * len(effects)
     current = list(effects)
-    plain = replace(start, extra=np.zeros(0))
-    found = adjusted(effects=current, start=plain)
+    found = joint = adjusted(effects=current, start=start)
     if not found.solution.converged:
-        sightings = MeasurementModel(recording, construction).sightings(plain)
+        sightings = found.problem.model.sightings(start)
         current = [FirstOrder.of(effect, sightings) for effect in current]
-        found = adjusted(effects=current, start=plain)
+        found = joint = adjusted(effects=current, start=start)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
-    joint, best = found, (found, list(current))
     for _ in range(ITERATIONS if any(type(e).shape for e in current) else 0):
         values = _split(current, found.state.extra)
-        directions = [_directions(e, v, found.sightings) for e, v in zip(current, values, strict=True)]
+        each = zip(current, values, stay, strict=True)
+        directions = [_directions(effect, own, found.sightings, out) for effect, own, out in each]
         flat = [d for group in directions for d in group]
         if not flat:
             break
@@ -150,16 +163,18 @@ def refit(
         if not joint.solution.converged:
             break
         changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
-        if np.all(np.abs(changes) < 1e-3):
+        if np.all(np.abs(changes) < LINEAR):
             break
-        current = _reshaped(current, directions, changes)
-        found = adjusted(effects=current, start=found.state)
-        if not found.solution.converged or found.chi2 > best[0].chi2 + 1e-3:
-            found, current = best
+        for share in 0.5 ** np.arange(1 + HALVINGS):
+            moved = _reshaped(current, directions, share * changes)
+            tried = adjusted(effects=moved, start=found.state)
+            if tried.solution.converged and tried.chi2 <= found.chi2 + 1e-3:
+                break
+        else:
             break
-        best = (found, list(current))
+        current, found = moved, tried
     named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
-    return Refit(found, named, _estimates(found, joint, current, directions))
+    return Refit(found, named, _told(found, joint, current, directions))
 
 
 def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
@@ -173,24 +188,24 @@ def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], ch
     return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
-def _estimates(
+def _told(
     found: Adjustment,
     joint: Adjustment,
     effects: Sequence[Tunable],
     directions: list[list[ShapeDirection]],
-) -> tuple[tuple[Estimate, ...], ...]:
+) -> tuple[tuple[Estimated, ...], ...]:
     """Estimates with uncertainty; that of the parameters includes the shapes' where these were estimated."""
     shaped = joint.solution.converged and len(joint.effects) > len(effects)
     carrier = joint if shaped else found
-    if not carrier.solution.converged:
+    if not (effects and carrier.solution.converged):
         return tuple(() for _ in effects)
     sigma = _split(carrier.effects, np.sqrt(np.maximum(np.diag(carrier.extra_covariance), 0.0)))
-    of_shapes = iter(sigma[len(effects) :])
+    relative = iter(sigma[len(effects) :]) if shaped else repeat(np.full(1, np.inf))
     rows = []
     for i, (effect, values) in enumerate(zip(effects, _split(effects, found.state.extra), strict=True)):
-        row = [Estimate.of(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
-        for direction in directions[i] if shaped else ():
+        row = [Estimated(*told) for told in zip(effect.parameters, values, sigma[i], strict=True)]
+        for direction in directions[i]:
             now = float(getattr(effect, direction.constant.name))
-            row.append(Estimate.of(direction.constant, now, float(next(of_shapes)[0]) * abs(now)))
+            row.append(Estimated(direction.constant, now, float(next(relative)[0]) * abs(now)))
         rows.append(tuple(row))
     return tuple(rows)
