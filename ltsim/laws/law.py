@@ -199,6 +199,7 @@ class Law(Tunable):
         moved = columns[law.mask(sightings) > 0] @ means[:, top].T
         moved = moved - moved.mean(axis=0) if self.driver.kind != "constant" else moved
         way = np.linalg.svd(moved, full_matrices=False)[2][0]
+        way = way * np.sign(way[np.argmax(np.abs(way))])
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
