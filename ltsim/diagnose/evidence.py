@@ -36,6 +36,10 @@ PRIOR = {
     "scatter": 0.005,  # noise that no card describes
 }
 """What is missing where something is missing; shared among all that is tried."""
+RESEMBLING = 0.06
+"""Share of laws without a card that look like one: of 365 invented ones a card explains 85 % of what 23 leave."""
+CERTAIN = 1.0 / (1.0 + RESEMBLING * PRIOR["law"] / PRIOR["named"])
+"""Probability of a name where nothing else explains the readings but a law that looks like it."""
 SECOND_ALIKE = np.log(0.03)
 """Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
 other second effect."""

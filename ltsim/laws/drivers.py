@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
 
@@ -54,6 +54,7 @@ SIMPLE = {
     "relaxing": lambda x, k: 1.0 / (1.0 + x / k),
     "saturated": lambda x, k: x / (k + np.abs(x)),
     "decay": lambda x, k: np.exp(-x / k),
+    "fading": lambda x, k: np.exp(-np.abs(x) / k),
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
 
@@ -311,14 +312,14 @@ _TURNS = ("parity", "seating-parity", "repeat")
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*CLOCKS, "lapse", *_HEAD, *_TURNS, "distance", "height", "move-distance", "last-distance"),
     "circle": (*CLOCKS, "lapse", *_TURNS),
-    "stand": (*CLOCKS, "lapse", *_AXES, "bearing", "distance"),
+    "stand": (*CLOCKS, "lapse", *_AXES, "wound-azimuth", "distance"),
     "target": ("time", *_TURNS),
     "reflector": ("time", "lapse", *_TURNS, *_BALL),
     "air": CLOCKS,
 }
 """What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
 stand does, for a head is never quite in balance, and the floor gives under whoever holds the reflector."""
-FOLLOWED = (*dict.fromkeys(name for names in DRIVES.values() for name in names), "x", "y", "z")
+FOLLOWED = tuple(dict.fromkeys((*_OWN, "x", "y", "z", *_BALL, *_BEFORE, *_HEAD, *_TURNS)))
 """Everything that a reading can follow beside columns of the recording."""
 
 
@@ -335,11 +336,12 @@ def products(sightings: Sightings) -> Iterator[Driver]:
         if np.ptp(sightings.quantities[sign]) > 0:
             for name in names:
                 yield Driver("product", factors=(simple(sign, "power"), smooth(name, LOW)))
-    for length in ("move-azimuth", "move-elevation"):
+    weights = [simple("distance", "power"), simple("elevation", "power")]
+    weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
+    moved = [f"move-{axis}" for axis in (*_AXES, "distance")]
+    for length, function, weight in product(moved, ("abs", "power"), weights):
         if np.ptp(sightings.quantities[length]) > 0:
-            for function in ("abs", "power"):
-                for name in ("distance", "elevation"):
-                    yield Driver("product", factors=(simple(length, function), simple(name, "power")))
+            yield Driver("product", factors=(simple(length, function), weight))
     for one, other in combinations(names, 2):
         if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}) and other not in _CIRCLES:
             yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))

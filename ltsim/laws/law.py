@@ -211,7 +211,7 @@ ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-ele
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
 nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "relaxing", "saturated")
+SCALED = ("decay", "fading", "relaxing", "saturated")
 """Functions with a constant in the unit of their covariate."""
 SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
@@ -227,10 +227,12 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Dr
     tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
     if name in ANGULAR and not (circular and few):
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
+    tried += [("decay", shares)] if name == "lapse" else []
     if not few:
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        tried += [("decay", shares), ("relaxing", shares)] if name in ("station-time", "time", "lapse") else []
-        tried += [("abs", (1.0,)), ("saturated", shares)] if name.startswith("move-") else []
+        tried += [("decay", shares)] if name in CLOCKS else []
+        tried += [("relaxing", shares)] if name in (*CLOCKS, "lapse") else []
+        tried += [("abs", (1.0,)), ("saturated", shares), ("fading", shares)] if name.startswith("move-") else []
     for function, constants in tried:
         for constant in constants:
             yield simple(name, function, float(constant))

@@ -40,6 +40,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "tan", None): "tan({k} {x})",
     ("simple", "abs", 1.0): "|{x}|",
     ("simple", "decay", None): "exp(-{x} / {value})",
+    ("simple", "fading", None): "exp(-|{x}| / {value})",
     ("simple", "relaxing", None): "1 / (1 + {x} / {value})",
     ("simple", "saturated", None): "saturation({x}, half at {value})",
     ("simple", "step", None): "step({x} above {value})",

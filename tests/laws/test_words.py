@@ -42,6 +42,7 @@ def every() -> list[Driver]:
         simple(*which) for which in (("time", "step", 2820.0), ("height", "ramp", -0.25), ("azimuth", "step", 0.5))
     ]
     clocks = [simple("station-time", function, 480.0) for function in ("decay", "relaxing", "saturated")]
+    clocks.append(simple("move-azimuth", "fading", 0.5))
     found = [simple("press_load_kn" if f == "power" else "elevation", f, k) for f, k in named.items()]
     found += [CONSTANT, Driver("visits", constant=5), Driver("wave", ("azimuth",), constant=1.0), *edges, *clocks]
     found += [
