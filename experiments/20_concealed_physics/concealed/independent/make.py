@@ -11,14 +11,20 @@ from scipy.optimize import brentq
 
 from ltsim.recording import Recording
 
-from . import eighth, laws as sixth, ninth, seventh
+from . import eighth, laws as sixth, ninth, seventh, tenth
 from .cause import CARRIERS, Cause
 from .hall import LENGTH_SIGMA, Hall, draw_hall
 from .known import KNOWN, Known
 from .network import Network
 from .tracker import NOTHING, Array, Change, within_a_turn
 
-SETS = {"sixth": sixth.LAWS, "seventh": seventh.LAWS, "eighth": eighth.LAWS, "ninth": ninth.LAWS}
+SETS = {
+    "sixth": sixth.LAWS,
+    "seventh": seventh.LAWS,
+    "eighth": eighth.LAWS,
+    "ninth": ninth.LAWS,
+    "tenth": tenth.LAWS,
+}
 """Which laws are drawn."""
 TRIES = 60
 ABSURD = {"reading": 300e-6, "target": 600e-6, "station": 600e-6, "turn": 300e-6, "constants": 300e-6, "variance": 50.0}
