@@ -25,6 +25,7 @@ CURVES = {
     "pairs: both named or stated": ("pair", "both_named_or_stated"),
 }
 """Label: kind of recording and what is counted of it."""
+KINDS = tuple({f"{kind}_" for kind, _ in CURVES.values()})
 
 
 def draw(rows: Sequence[Row], summary: dict[str, Any], out: Path) -> None:
@@ -39,11 +40,13 @@ def draw(rows: Sequence[Row], summary: dict[str, Any], out: Path) -> None:
 
 @styled
 def power_figure(summary: dict[str, Any], clean: Sequence[float]) -> Figure:
-    """Shares against strength; p-values of clean recordings against their own distribution."""
-    figure = new_figure(4.0, width=10.0)
-    left, right = figure.subplots(1, 2)
-    _power(left, summary)
-    _clean(right, clean)
+    """Shares against strength, where any was asked; p-values of clean recordings against their own distribution."""
+    asked = any(key.startswith(KINDS) for key in summary)
+    figure = new_figure(4.0, width=10.0 if asked else 5.0)
+    panels = figure.subplots(1, 1 + asked, squeeze=False)[0]
+    if asked:
+        _power(panels[0], summary)
+    _clean(panels[-1], clean)
     return figure
 
 
@@ -55,8 +58,7 @@ def _power(axes: Axes, summary: dict[str, Any]) -> None:
             x, y, low, high = np.array(points).T
             axes.errorbar(x, y, [y - low, high - y], marker=marker, capsize=3, label=label)
     axes.set(xscale="log", xlabel="strength (noncentrality left by the ordinary adjustment)", ylabel="share [%]")
-    kinds = tuple({f"{kind}_" for kind, _ in CURVES.values()})
-    ticks = sorted({int(k.split("_")[1]) for k in summary if k.startswith(kinds)})
+    ticks = sorted({int(k.split("_")[1]) for k in summary if k.startswith(KINDS)})
     axes.set_xticks(ticks, [str(t) for t in ticks])
     axes.minorticks_off()
     if ticks:
