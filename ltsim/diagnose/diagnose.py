@@ -18,7 +18,7 @@ from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
-from ltsim.diagnose.evidence import CERTAIN, log_average
+from ltsim.diagnose.evidence import log_average, stated
 from ltsim.diagnose.findings import Explained, equivalents, gross_finding, instrument_finding, noise_finding
 from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
@@ -126,7 +126,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     best = ranked[0][1]
-    probability = named[best.effect.name] * (CERTAIN if best.known else 1.0)
+    probability = stated(named[best.effect.name], known=best.known)
     return replace(best, probability=probability, equivalents=equivalents(named, best.effect.name))
 
 

@@ -45,6 +45,11 @@ SECOND_ALIKE = np.log(0.03)
 other second effect."""
 
 
+def stated(probability: float, *, known: bool) -> float:
+    """The probability that is stated of a name: a known one may be that of a law that looks like it."""
+    return probability * (CERTAIN if known else 1.0)
+
+
 def log_average(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
     found: Floats = np.logaddexp.reduce(values, axis=axis)

@@ -13,7 +13,7 @@ from ltsim.adjust.gross import GrossFinding
 from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.evidence import CERTAIN, carried_by
+from ltsim.diagnose.evidence import carried_by, stated
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
@@ -60,7 +60,7 @@ class Explained:
         effect, name = hypothesis.effect, hypothesis.name
         probabilities = ranking.probabilities()
         rivals = equivalents(probabilities, name)
-        probability = probabilities.get(name, 0.0) * (CERTAIN if hypothesis.known else 1.0)
+        probability = stated(probabilities.get(name, 0.0), known=hypothesis.known)
         gain = others.residual**2 - found.residual**2
         spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))

@@ -172,6 +172,15 @@ class Sightings:
         before[rows[1:][same]] = rows[:-1][same]
         return before
 
+    def _summed(self, steps: Floats | Bools) -> Floats:
+        """(n,): sum of the steps (n,) since the first pointing of the set-up, whose own does not count."""
+        rows = self._by_set_up
+        first = np.maximum.accumulate(np.where(self.previous[rows] < 0, np.arange(len(rows)), 0))
+        sums = np.cumsum(steps[rows], dtype=np.float64)
+        found = np.empty_like(sums)
+        found[rows] = sums - sums[first]
+        return found
+
     @cached_property
     def move(self) -> Floats:
         """(n, 3) [m, rad]: change of the raw readings since the same station's pointing before, 0 for its first.
@@ -185,12 +194,7 @@ class Sightings:
     @cached_property
     def wound(self) -> Floats:
         """(n,) [rad]: by how much the head has turned since the set-up began, whole turns of its cables counted."""
-        rows = self._by_set_up
-        turned = np.cumsum(self.move[rows, 1])
-        first = self.previous[rows] < 0
-        wound = np.empty_like(turned)
-        wound[rows] = turned - turned[np.maximum.accumulate(np.where(first, np.arange(len(rows)), 0))]
-        return wound
+        return self._summed(self.move[:, 1])
 
     @cached_property
     def approach(self) -> Floats:
@@ -208,12 +212,7 @@ class Sightings:
     @cached_property
     def seating(self) -> Ints:
         """(n,) int: how often the reflector was set elsewhere since the set-up began."""
-        rows = self._by_set_up
-        begins = np.diff(self.station[rows], prepend=-1) != 0
-        moved = np.cumsum((np.diff(self.target[rows], prepend=-1) != 0) | begins)
-        count = np.empty_like(rows)
-        count[rows] = moved - np.maximum.accumulate(np.where(begins, moved, 0))
-        return count
+        return self._summed(self.target != self.target[self.previous]).astype(np.int64)
 
     @cached_property
     def quantities(self) -> dict[str, Floats]:
