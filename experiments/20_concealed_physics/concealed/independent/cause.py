@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .hall import WARMTH, Hall
-from .tracker import CONSTANTS, Array, Change
+from .tracker import CONSTANTS, Array, Change, within_a_turn
 
 MICRO = 1e-6
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -117,3 +117,50 @@ def walk(h: Hall, rng: Draw) -> Array:
     """(n,) a random walk from pointing to pointing with a variance of one at the end of the work."""
     n = len(h.pointings)
     return np.cumsum(rng.standard_normal(n)) / np.sqrt(n)
+
+
+def aims(h: Hall) -> Array:
+    """(n, 3) [m] Nests that the pointings go to, in the room."""
+    return np.asarray(h.pointings.points[h.pointings.target])
+
+
+def backwards(h: Hall) -> Array:
+    """(n,) [rad] By which the head stands turned round for the back face."""
+    return np.pi * (h.pointings.face == 2)
+
+
+def circle(h: Hall) -> Array:
+    """(n,) [rad] Where the azimuth circle is read."""
+    return within_a_turn(h.pointings.seen[:, 1] + backwards(h))
+
+
+def swing(h: Hall) -> Array:
+    """(n,) [rad] Turn of the head since the pointing before, the short way round; nothing when a set-up begins."""
+    return within_a_turn(h.since_before(circle(h)))
+
+
+def gap(h: Hall) -> Array:
+    """(n,) [s] Since the pointing before, breaks included."""
+    return np.diff(h.pointings.time, prepend=h.pointings.time[0])
+
+
+def decaying(h: Hall, given: Array, memory: float) -> Array:
+    """(n,) What is left of all that was given (n,) up to each pointing, where it dies away with a memory [s]."""
+    kept = np.exp(-gap(h) / memory)
+    left, found = 0.0, np.empty(len(given))
+    for i, (share, more) in enumerate(zip(kept.tolist(), given.tolist(), strict=True)):
+        left = share * left + more
+        found[i] = left
+    return found
+
+
+def lagging(h: Hall, values: Array, delay: float) -> Array:
+    """(n,) Values as a thing has them that follows with a delay [s], and had the first of them when the work began."""
+    given = (1.0 - np.exp(-gap(h) / delay)) * values
+    given[0] = values[0]
+    return decaying(h, given, delay)
+
+
+def named(*laws: Law) -> dict[str, Law]:
+    """Laws by their names in words."""
+    return {law.__name__.replace("_", " "): law for law in laws}

@@ -13,9 +13,11 @@ from .cause import (
     WARM,
     Cause,
     Draw,
-    Law,
+    aims,
     group,
+    lagging,
     level,
+    named,
     one_station,
     one_tracker,
     reading,
@@ -33,28 +35,14 @@ def _held(h: Hall, values: Array) -> Array:
     return np.where(h.turn_of_work > 0, np.roll(values, 1), 0.0)
 
 
-def _lagged(h: Hall, held: Array, seconds: float) -> Array:
-    """(n,) What follows a value with a time constant; `held` (n,): the value since the pointing before."""
-    kept = np.exp(-np.diff(h.pointings.time, prepend=h.pointings.time[0]) / seconds)
-    found = np.full(len(held), held[0])
-    for row in range(1, len(held)):
-        found[row] = held[row] + kept[row] * (found[row - 1] - held[row])
-    return found
-
-
 def _lagged_warmth(h: Hall, seconds: float) -> Array:
     """(n,) [K] Warmth of what is slower than the air."""
-    return _lagged(h, h.warmth - 0.5 * np.diff(h.warmth, prepend=h.warmth[0]), seconds)
+    return lagging(h, h.warmth - 0.5 * np.diff(h.warmth, prepend=h.warmth[0]), seconds)
 
 
 def _stations_of(h: Hall, mine: Array) -> tuple[str, ...]:
     """Stations at which a tracker measured."""
     return tuple(h.stations[s] for s in np.unique(h.pointings.station[mine > 0]))
-
-
-def _points(h: Hall) -> Array:
-    """(n, 3) [m] Targets of the pointings in the room."""
-    return h.pointings.points[h.pointings.target]
 
 
 # Constants of the tracker
@@ -63,7 +51,7 @@ def _points(h: Hall) -> Array:
 def collimator_warmed_by_steep_shots(h: Hall, rng: Draw) -> Cause:
     """Holding the head steeply heats the motor beside the collimator, and the beam leaves askew until it has cooled."""
     steep = _held(h, np.abs(h.pointings.seen[:, 2]))
-    amount = _lagged(h, steep, rng.uniform(100.0, 400.0))
+    amount = lagging(h, steep, rng.uniform(100.0, 400.0))
     return Cause(vary(h, "beam-tilt", amount), "beam-tilt", ("elevation", "before", "order", "time"), ("azimuth",))
 
 
@@ -154,7 +142,7 @@ def tank_on_the_gallery_fills(h: Hall, rng: Draw) -> Cause:
     """A cistern on the gallery fills slowly and empties at once, and the gallery hangs through below it."""
     names, inside = group(h, "gallery")
     full = np.mod(h.pointings.time / rng.uniform(1500.0, 4500.0) + rng.random(), 1.0)
-    sag = np.maximum(0.0, 1.0 - np.abs(_points(h)[:, 0] - rng.uniform(3.0, 8.0)) / rng.uniform(3.0, 6.0))
+    sag = np.maximum(0.0, 1.0 - np.abs(aims(h)[:, 0] - rng.uniform(3.0, 8.0)) / rng.uniform(3.0, 6.0))
     change = Change(target=-MICRO * (inside * full * sag)[:, None] * UP)
     return Cause(change, "targets", CLOCK, (), (), names, "the gallery")
 
@@ -165,7 +153,7 @@ def table_nudged_at_every_visit(h: Hall, rng: Draw) -> Cause:
     another = np.diff(h.pointings.target, prepend=-1) != 0
     visits = np.cumsum(inside * another)
     leg = h.pointings.points[rng.choice(h.groups["table"])]
-    moved = np.cross(UP, _points(h) - leg) * (inside * visits / visits[-1])[:, None]
+    moved = np.cross(UP, aims(h) - leg) * (inside * visits / visits[-1])[:, None]
     return Cause(Change(target=MICRO * moved), "targets", CLOCK, (), (), names, "the table")
 
 
@@ -175,7 +163,7 @@ def wind_racks_the_hall(h: Hall, rng: Draw) -> Cause:
     wind = np.zeros(len(h.pointings))
     for period in rng.uniform(900.0, 5000.0, 3):
         wind += np.sin(2 * np.pi * (h.pointings.time / period + rng.random()))
-    amount = wind * (on_wall + on_gallery) * _points(h)[:, 2] / SIZE[2]
+    amount = wind * (on_wall + on_gallery) * aims(h)[:, 2] / SIZE[2]
     change = Change(target=MICRO * amount[:, None] * level(rng))
     return Cause(change, "targets", CLOCK, (), (), (*wall, *gallery), "wall and gallery")
 
@@ -186,11 +174,11 @@ def wind_racks_the_hall(h: Hall, rng: Draw) -> Cause:
 def argon_pools_on_the_floor(h: Hall, rng: Draw) -> Cause:
     """Shielding gas of a welder gathers on the floor while he works; it is thinner for light than air."""
     top = rng.uniform(0.5, 0.9)
-    low = _points(h)[:, 2]
+    low = aims(h)[:, 2]
     high = h.pointings.position[h.pointings.station, 2]
     inside = h.pointings.seen[:, 0] * np.maximum(0.0, top - low) / (high - low)
     welding = _held(h, windows(h, rng))
-    amount = -inside * _lagged(h, welding, rng.uniform(200.0, 600.0))
+    amount = -inside * lagging(h, welding, rng.uniform(200.0, 600.0))
     return Cause(reading(h, 0, amount), "distance", (*CLOCK, "elevation", "height", "z", "distance"), ("distance",))
 
 
@@ -273,7 +261,7 @@ def yoke_bends_while_the_hall_warms(h: Hall, rng: Draw) -> Cause:
 def floor_rises_in_a_dome(h: Hall, rng: Draw) -> Cause:
     """The slab takes the warmth of the hall late and arches up about one place, where it is thickest."""
     names, inside = group(h, "floor")
-    off = _points(h)[:, :2] - rng.uniform([2.0, 1.5], [9.0, 5.5])
+    off = aims(h)[:, :2] - rng.uniform([2.0, 1.5], [9.0, 5.5])
     dome = np.exp(-0.5 * (off**2).sum(axis=1) / rng.uniform(1.5, 2.5) ** 2)
     amount = inside * dome * _lagged_warmth(h, rng.uniform(600.0, 2400.0))
     return Cause(Change(target=MICRO * amount[:, None] * UP), "targets", WARM, (), (), names, "the floor")
@@ -285,32 +273,29 @@ def press_pump_dips_the_mains(h: Hall, rng: Draw) -> Cause:
     return Cause(reading(h, 0, amount), "distance", (LOAD, "load", "time"), ("distance",))
 
 
-LAWS: dict[str, Law] = {
-    law.__name__.replace("_", " "): law
-    for law in (
-        collimator_warmed_by_steep_shots,
-        prism_shifts_at_every_carry,
-        disk_creeps_on_its_glue,
-        hum_folds_into_minutes,
-        fibre_loop_turns_the_polarisation,
-        sun_walks_round_the_hall,
-        floor_panel_gives_under_the_crew,
-        lift_platform_leaks_and_is_pumped,
-        crane_bends_the_slab,
-        base_creeps_back_under_the_head,
-        tank_on_the_gallery_fills,
-        table_nudged_at_every_visit,
-        wind_racks_the_hall,
-        argon_pools_on_the_floor,
-        column_under_the_ceiling_fan,
-        weather_typed_in_once_a_set_up,
-        lathe_shakes_the_wall,
-        motor_cogs_shake_the_azimuth,
-        battery_of_one_tracker_runs_flat,
-        second_shift_wipes_the_nests,
-        level_slops_after_a_swing,
-        yoke_bends_while_the_hall_warms,
-        floor_rises_in_a_dome,
-        press_pump_dips_the_mains,
-    )
-}
+LAWS = named(
+    collimator_warmed_by_steep_shots,
+    prism_shifts_at_every_carry,
+    disk_creeps_on_its_glue,
+    hum_folds_into_minutes,
+    fibre_loop_turns_the_polarisation,
+    sun_walks_round_the_hall,
+    floor_panel_gives_under_the_crew,
+    lift_platform_leaks_and_is_pumped,
+    crane_bends_the_slab,
+    base_creeps_back_under_the_head,
+    tank_on_the_gallery_fills,
+    table_nudged_at_every_visit,
+    wind_racks_the_hall,
+    argon_pools_on_the_floor,
+    column_under_the_ceiling_fan,
+    weather_typed_in_once_a_set_up,
+    lathe_shakes_the_wall,
+    motor_cogs_shake_the_azimuth,
+    battery_of_one_tracker_runs_flat,
+    second_shift_wipes_the_nests,
+    level_slops_after_a_swing,
+    yoke_bends_while_the_hall_warms,
+    floor_rises_in_a_dome,
+    press_pump_dips_the_mains,
+)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .cause import MICRO, OUT, UP, Cause, Draw, Law, group, level, one_station, reading, vary, walk, windows
+from .cause import MICRO, OUT, UP, Cause, Draw, group, level, named, one_station, reading, vary, walk, windows
 from .hall import LOAD, WARMTH, Hall
 from .tracker import Change, within_a_turn
 
@@ -215,32 +215,29 @@ def shaking_gallery(h: Hall, rng: Draw) -> Cause:
     return Cause(Change(variance=variance), "noise", ("place", "time"), targets=names, place="gallery")
 
 
-LAWS: dict[str, Law] = {
-    law.__name__.replace("_", " "): law
-    for law in (
-        detector_memory,
-        compressor,
-        faint_light,
-        bent_meter_of_one,
-        mode_hops,
-        cable_wind_up,
-        stiff_grease,
-        scratched_circle,
-        hose_at_its_stop,
-        thermostat,
-        loose_clamp,
-        index_of_one_with_warmth,
-        laser_tires,
-        trunnion_with_warmth,
-        floor_under_a_press,
-        sun_on_a_tripod,
-        sinking_slab,
-        weak_leg,
-        wall_as_a_door,
-        table_tips,
-        lorry,
-        two_operators,
-        ringing_head,
-        shaking_gallery,
-    )
-}
+LAWS = named(
+    detector_memory,
+    compressor,
+    faint_light,
+    bent_meter_of_one,
+    mode_hops,
+    cable_wind_up,
+    stiff_grease,
+    scratched_circle,
+    hose_at_its_stop,
+    thermostat,
+    loose_clamp,
+    index_of_one_with_warmth,
+    laser_tires,
+    trunnion_with_warmth,
+    floor_under_a_press,
+    sun_on_a_tripod,
+    sinking_slab,
+    weak_leg,
+    wall_as_a_door,
+    table_tips,
+    lorry,
+    two_operators,
+    ringing_head,
+    shaking_gallery,
+)

@@ -13,12 +13,17 @@ from .cause import (
     WARM,
     Cause,
     Draw,
-    Law,
+    backwards,
+    circle,
+    gap,
     group,
+    lagging,
     level,
+    named,
     one_station,
     one_tracker,
     reading,
+    swing,
     vary,
 )
 from .hall import LOAD, SIZE, WARMTH, Hall
@@ -31,35 +36,6 @@ def direction(h: Hall) -> Array:
     """(n,) [rad] Where the line of sight goes in the room."""
     arm = h.pointings.arm
     return np.asarray(np.arctan2(arm[:, 1], arm[:, 0]))
-
-
-def backwards(h: Hall) -> Array:
-    """(n,) [rad] By which the head stands turned round for the back face."""
-    return np.pi * (h.pointings.face == 2)
-
-
-def circle(h: Hall) -> Array:
-    """(n,) [rad] Where the azimuth circle is read."""
-    return within_a_turn(h.pointings.seen[:, 1] + backwards(h))
-
-
-def swing(h: Hall) -> Array:
-    """(n,) [rad] Turn of the head since the pointing before, the short way round; nothing when a set-up begins."""
-    return within_a_turn(h.since_before(circle(h)))
-
-
-def gap(h: Hall) -> Array:
-    """(n,) [s] Since the pointing before, breaks included."""
-    return np.diff(h.pointings.time, prepend=h.pointings.time[0])
-
-
-def lagging(h: Hall, values: Array, delay: float) -> Array:
-    """(n,) Values as a thing has them that follows with a delay [s]."""
-    kept = np.exp(-gap(h) / delay)
-    found = values.copy()
-    for i in range(1, len(values)):
-        found[i] = kept[i] * found[i - 1] + (1.0 - kept[i]) * values[i]
-    return found
 
 
 def leaning(directions: Array) -> Array:
@@ -339,32 +315,29 @@ def circle_of_one_tracker_creeps_on_its_hub(h: Hall, rng: Draw) -> Cause:
     return Cause(Change(constants=change), "eccentricity", words, ("azimuth",), place=place)
 
 
-LAWS: dict[str, Law] = {
-    law.__name__.replace("_", " "): law
-    for law in (
-        laser_hops_between_two_modes,
-        transit_bearing_cools_in_the_breaks,
-        prism_slides_in_its_glue,
-        receiver_recovers_from_a_jump_in_light,
-        low_sun_dazzles_the_sensor,
-        leg_stands_on_a_soft_tile,
-        cable_pulls_once_it_is_wound_up,
-        planks_bend_under_the_crew,
-        trolley_of_the_crane_bows_the_gallery,
-        gusts_lean_on_the_wall,
-        bar_is_pushed_along_its_cradle,
-        curtain_of_air_parts_the_hall,
-        warm_bubble_stays_about_a_still_head,
-        forklifts_shake_what_is_near_their_aisle,
-        servo_hunts_after_a_long_swing,
-        light_comes_back_thin_at_grazing_sights,
-        weather_is_read_too_seldom,
-        every_round_homes_anew,
-        hand_warms_the_reflector_on_the_way,
-        table_lags_behind_the_hall,
-        floor_dents_round_the_press,
-        stands_twist_while_the_hall_warms,
-        one_tracker_has_a_scratched_circle,
-        circle_of_one_tracker_creeps_on_its_hub,
-    )
-}
+LAWS = named(
+    laser_hops_between_two_modes,
+    transit_bearing_cools_in_the_breaks,
+    prism_slides_in_its_glue,
+    receiver_recovers_from_a_jump_in_light,
+    low_sun_dazzles_the_sensor,
+    leg_stands_on_a_soft_tile,
+    cable_pulls_once_it_is_wound_up,
+    planks_bend_under_the_crew,
+    trolley_of_the_crane_bows_the_gallery,
+    gusts_lean_on_the_wall,
+    bar_is_pushed_along_its_cradle,
+    curtain_of_air_parts_the_hall,
+    warm_bubble_stays_about_a_still_head,
+    forklifts_shake_what_is_near_their_aisle,
+    servo_hunts_after_a_long_swing,
+    light_comes_back_thin_at_grazing_sights,
+    weather_is_read_too_seldom,
+    every_round_homes_anew,
+    hand_warms_the_reflector_on_the_way,
+    table_lags_behind_the_hall,
+    floor_dents_round_the_press,
+    stands_twist_while_the_hall_warms,
+    one_tracker_has_a_scratched_circle,
+    circle_of_one_tracker_creeps_on_its_hub,
+)

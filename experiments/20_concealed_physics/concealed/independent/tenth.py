@@ -13,13 +13,16 @@ from .cause import (
     WARM,
     Cause,
     Draw,
-    Law,
+    aims,
+    decaying,
     group,
     latched,
     level,
+    named,
     one_station,
     one_tracker,
     reading,
+    swing,
     vary,
     windows,
 )
@@ -29,31 +32,10 @@ from .tracker import CONSTANTS, Array, Change, within_a_turn
 # What laws are made of
 
 
-def decaying(h: Hall, given: Array, memory: float) -> Array:
-    """(n,) What is left of all that was given (n,) up to each pointing, where it dies away with a memory [s]."""
-    kept = np.exp(-np.diff(h.pointings.time, prepend=h.pointings.time[0]) / memory)
-    left, found = 0.0, np.empty(len(given))
-    for i, (share, more) in enumerate(zip(kept.tolist(), given.tolist(), strict=True)):
-        left = share * left + more
-        found[i] = left
-    return found
-
-
-def swings(h: Hall) -> Array:
-    """(n,) [rad] How far the head turned about the standing axis for each pointing; half a turn to the other face."""
-    azimuth = h.pointings.seen[:, 1] + np.pi * (h.pointings.face == 2)
-    return np.abs(within_a_turn(h.since_before(azimuth)))
-
-
 def placings(h: Hall) -> Array:
     """(n,) 1 where the ball was put into another nest before the pointing."""
     other = np.diff(h.pointings.target, prepend=-1) != 0
     return (other | (h.turn_of_work == 0)).astype(np.float64)
-
-
-def aims(h: Hall) -> Array:
-    """(n, 3) [m] Nests that the pointings go to, in the room."""
-    return np.asarray(h.pointings.points[h.pointings.target])
 
 
 def heads(h: Hall) -> Array:
@@ -81,7 +63,7 @@ def moved(amount: Array, way: Array) -> Array:
 
 def telescope_warps_with_the_work_of_the_motors(h: Hall, rng: Draw) -> Cause:
     """Every turn of the head heats its motors, whose warmth goes into the telescope and out again in a while."""
-    steps = np.abs(h.since_before(h.pointings.seen[:, 2])) + swings(h)
+    steps = np.abs(h.since_before(h.pointings.seen[:, 2])) + np.abs(swing(h))
     return Cause(vary(h, "beam-tilt", decaying(h, steps, rng.uniform(300.0, 1500.0))), "beam-tilt", (*CLOCK, *TURN))
 
 
@@ -121,7 +103,7 @@ def lamp_near_the_line_of_sight_draws_the_spot(h: Hall, rng: Draw) -> Cause:
 
 def head_nods_when_it_brakes_from_a_wide_swing(h: Hall, rng: Draw) -> Cause:
     """Braking about the standing axis rocks the yoke, and the elevation is read before it came to rest."""
-    nod = (swings(h) / np.pi) ** rng.uniform(1.0, 2.0)
+    nod = (np.abs(swing(h)) / np.pi) ** rng.uniform(1.0, 2.0)
     return Cause(reading(h, 2, nod), "elevation", (*TURN, "azimuth"), ("elevation",))
 
 
@@ -309,32 +291,29 @@ def cooling_fan_in_one_tracker_unsettles_its_index(h: Hall, rng: Draw) -> Cause:
     return Cause(vary(h, "vertical-index", here * windows(h, rng)), "vertical-index", CLOCK, place=name)
 
 
-LAWS: dict[str, Law] = {
-    law.__name__.replace("_", " "): law
-    for law in (
-        telescope_warps_with_the_work_of_the_motors,
-        trunnion_takes_another_seat_at_each_carrying,
-        sun_from_a_skylight_pushes_the_circle_aside,
-        lamp_near_the_line_of_sight_draws_the_spot,
-        head_nods_when_it_brakes_from_a_wide_swing,
-        polished_floor_mirrors_a_second_ray,
-        levelling_of_an_air_sprung_stand_hunts,
-        bridge_crane_presses_its_bay_of_the_floor_down,
-        cover_of_a_pit_tips_under_who_carries_the_ball,
-        wind_bellies_a_sheet_metal_wall_while_a_door_is_open,
-        table_is_nudged_round_whenever_a_ball_is_set_on_it,
-        ground_water_tips_the_slab_beyond_the_joint,
-        cold_air_from_the_gate_lies_on_the_floor,
-        beams_bend_while_the_floor_lags_behind_the_warming_air,
-        oil_mist_over_a_lathe_roughens_ranges,
-        servo_trembles_where_the_telescope_is_in_balance,
-        ranges_roughen_as_the_battery_runs_down,
-        air_temperature_is_typed_in_once_an_hour,
-        dust_gathers_on_the_ball_until_it_is_wiped,
-        adaptor_constant_is_changed_one_row_late,
-        lens_is_pinched_by_its_cell_when_it_is_cool,
-        tie_rod_of_the_press_pulls_at_the_wall,
-        receiver_of_one_tracker_switches_its_gain,
-        cooling_fan_in_one_tracker_unsettles_its_index,
-    )
-}
+LAWS = named(
+    telescope_warps_with_the_work_of_the_motors,
+    trunnion_takes_another_seat_at_each_carrying,
+    sun_from_a_skylight_pushes_the_circle_aside,
+    lamp_near_the_line_of_sight_draws_the_spot,
+    head_nods_when_it_brakes_from_a_wide_swing,
+    polished_floor_mirrors_a_second_ray,
+    levelling_of_an_air_sprung_stand_hunts,
+    bridge_crane_presses_its_bay_of_the_floor_down,
+    cover_of_a_pit_tips_under_who_carries_the_ball,
+    wind_bellies_a_sheet_metal_wall_while_a_door_is_open,
+    table_is_nudged_round_whenever_a_ball_is_set_on_it,
+    ground_water_tips_the_slab_beyond_the_joint,
+    cold_air_from_the_gate_lies_on_the_floor,
+    beams_bend_while_the_floor_lags_behind_the_warming_air,
+    oil_mist_over_a_lathe_roughens_ranges,
+    servo_trembles_where_the_telescope_is_in_balance,
+    ranges_roughen_as_the_battery_runs_down,
+    air_temperature_is_typed_in_once_an_hour,
+    dust_gathers_on_the_ball_until_it_is_wiped,
+    adaptor_constant_is_changed_one_row_late,
+    lens_is_pinched_by_its_cell_when_it_is_cool,
+    tie_rod_of_the_press_pulls_at_the_wall,
+    receiver_of_one_tracker_switches_its_gain,
+    cooling_fan_in_one_tracker_unsettles_its_index,
+)
