@@ -168,8 +168,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
     instruments = effect.instruments if isinstance(effect, Law | NoisePattern) else ()
     if isinstance(effect, Law):
         stations = () if effect.each else stations
-        if effect.carrier.kind in ("instrument", "air", "reflector") and not effect.carrier.observables:
-            observables = carried or observables
+        observables = effect.carrier.observables or carried or observables
     return _place(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
         stations=() if instruments else stations,

@@ -23,7 +23,8 @@ from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature, Parameter
-from ltsim.laws.drivers import MEMORY, further
+from ltsim.laws.columns import MEMORY
+from ltsim.laws.offered import further
 from ltsim.laws.places import Place, branches, trackers_of
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings

@@ -17,20 +17,9 @@ from ltsim.arrays import Floats, Ints, Singles
 from ltsim.diagnose.evidence import by_size, forms_of, log_average, simulated_total
 from ltsim.diagnose.probe import Probe
 from ltsim.laws.carriers import Carrier, carrier_designs
-from ltsim.laws.drivers import (
-    CONSTANT,
-    LOW,
-    MODES,
-    Driver,
-    across_the_room,
-    further,
-    general_drivers,
-    moves,
-    products,
-    simple,
-    smooth,
-    waves,
-)
+from ltsim.laws.columns import LOW, MODES
+from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, simple, smooth
+from ltsim.laws.offered import further, general_drivers, lags, moves, products, sights, waves
 from ltsim.laws.places import Place, branches, corners_of, each, together, trackers_of
 
 CHUNK = 1000
@@ -160,10 +149,11 @@ MOST_HITS = 6
 """Hypotheses a place that are looked at again."""
 
 SHARES = {
-    "anywhere": 0.38,  # any carrier, any driver, the whole recording
+    "anywhere": 0.35,  # any carrier, any driver, the whole recording
     "station": 0.15,  # the same at one set-up
     "instrument": 0.10,  # the same at all set-ups of one instrument
     "product": 0.12,  # a reading that follows two drivers
+    "sight": 0.03,  # a reading that errs on the way to the target, or that a list has one row late
     "wave": 0.08,  # a reading that swings
     "swing": 0.02,  # one set-up that swings in time
     "swing of a group": 0.02,  # targets that belong together that do
@@ -213,7 +203,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     there = general if visits > ROOM * MODES else general_drivers(s, LOW)
     clock = [smooth(n, LOW) for n in ("time", *further(s)) if np.ptp(s.quantities[n]) > 0]
     plain = [CONSTANT, *(simple(n, "power") for n in ("time", "distance", "elevation") if np.ptp(s.quantities[n]) > 0)]
-    plain += [simple(n, "power") for n in further(s)]
+    plain += [*(simple(n, "power") for n in further(s)), *lags(s, further(s))]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
     bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
     requests = [
@@ -221,6 +211,7 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         ("station", there, stations, AT_SET_UPS),
         ("instrument", general, instruments, AT_INSTRUMENTS),
         ("product", list(products(s)), everywhere, {"reading": 1.0}),
+        ("sight", list(sights(s)), everywhere, {"reading": 1.0}),
         ("wave", list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),
         ("swing", list(waves(s, visits=True)), stations, {"stand": 0.5, "reading": 0.5}),
         ("swing of a group", swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),

@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.schema import Curve, Estimate
-from ltsim.laws.drivers import waves_of
+from ltsim.laws.columns import waves_of
 from ltsim.laws.law import Law
 from ltsim.laws.sizes import sizes_of
 from ltsim.scene.sightings import Sightings

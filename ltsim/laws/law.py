@@ -14,20 +14,9 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.laws.carriers import CARRIERS, Carrier
-from ltsim.laws.drivers import (
-    CIRCULAR,
-    CLOCKS,
-    CONSTANT,
-    FINE,
-    LOW,
-    MODES,
-    MOST_VISITS,
-    WAVE_STEP,
-    Driver,
-    pieces,
-    simple,
-    smooth,
-)
+from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES
+from ltsim.laws.drivers import CLOCKS, CONSTANT, Driver, pieces, simple, smooth
+from ltsim.laws.offered import MOST_VISITS, WAVE_STEP
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -112,7 +101,7 @@ class Law(Tunable):
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
                     found.append(self.in_pieces([*driver.factors[:i], moved, *driver.factors[i + 1 :]]))
             return found
-        if driver.function in SCALED:
+        if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
 
@@ -211,8 +200,8 @@ ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-ele
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
 nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "fading", "relaxing", "saturated")
-"""Functions with a constant in the unit of their covariate."""
+SCALED = ("decay", "fading", "relaxing", "saturated", "near", "lagging")
+"""Functions and kinds with a constant that is known to a factor at first."""
 SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from ltsim.errors import ModelError
 from ltsim.laws.carriers import CARRIERS
-from ltsim.laws.drivers import CLOCKS, FOLLOWED, LOW, MODES, Driver, pieces
+from ltsim.laws.columns import LOW, MODES
+from ltsim.laws.drivers import CLOCKS, SEVERAL, Driver, pieces
 from ltsim.laws.law import Law
+from ltsim.laws.offered import FOLLOWED
 from ltsim.recording.recording import Recording
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
@@ -26,6 +28,10 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("smooth", "", None): "a smooth function of {x}",
     ("field", "", None): "the place in the room",
     ("visits", "", None): "the station, another at each",
+    ("near", "", None): "the line of sight to {x}, within {value}",
+    ("lagging", "", None): "{x} with a lag of {value}",
+    ("past", "", None): "the length of the sight beyond {x} = {value}",
+    ("late", "", None): "the target before, as if the list were one row late",
     ("wave", "turn", 1.0): "a wave in {x}, 1 period a turn",
     ("wave", "turn", None): "a wave in {x}, {k} periods a turn",
     ("wave", "period", None): "a wave in {x} with a period of {value}",
@@ -51,6 +57,8 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
+UNITS = {"near": "azimuth", "lagging": "time"}
+"""Covariates in whose unit the constant of a driver is told that follows another one."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it."""
 BETWEEN = {"product": " times ", "pieces": ", "}
@@ -78,11 +86,13 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words."""
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
-    name, k, how = "".join(driver.covariates[:1]), driver.constant, driver.function
+    said = {"near": driver.around, "past": driver.covariates[1:]}.get(driver.kind, driver.covariates)
+    name, k, how = "".join(said[:1]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
-    value = value_of(name, 2 * np.pi / k if how == "period" else k, clock=clock)
+    unit = UNITS.get(driver.kind, name)
+    value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
     return phrase.format(x=PARITIES.get(name, name), k=f"{k:.4g}", value=value)
 
 
@@ -129,16 +139,19 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         if not (found := re.fullmatch(pattern, words)):
             continue
         said: dict[str, str] = found.groupdict()
-        name = names.get(said.get("x", ""))
+        near = kind == "near" and said["x"] in recording.targets
+        name = said["x"] if near else names.get(said.get("x", ""))
         if name is None or (how == "turn" and not name.endswith(ANGLES)):
             continue
-        k = constant or {"smooth": modes, "field": 2.0, "visits": len(np.unique(recording.station))}.get(kind, 0.0)
+        many = {"visits": len(np.unique(recording.station)), "late": len(recording.targets)}
+        k = constant or {"smooth": modes, "field": 2.0, **many}.get(kind, 0.0)
         if "k" in said or "value" in said:
-            k = _constant(words, name, said, recording.has_clock)
-            if k <= 0.0 and how not in ("step", "ramp", "power"):
+            k = _constant(words, UNITS.get(kind, name), said, recording.has_clock)
+            if k <= 0.0 and how not in ("step", "ramp", "power") and kind != "past":
                 raise ModelError(f"'{words}': expected a number above zero")
-        along = ("x", "y", "z") if kind == "field" else (name,) if name else ()
-        return Driver(kind, along, how if kind == "simple" else "", 2 * np.pi / k if how == "period" else k)
+        along = SEVERAL.get(kind) or (("distance", name) if kind == "past" else (name,) if name else ())
+        constant = 2 * np.pi / k if how == "period" else k
+        return Driver(kind, along, how if kind == "simple" else "", constant, around=(name,) if near else ())
     raise ModelError(
         f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
         f"{', '.join(known)}"

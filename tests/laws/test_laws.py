@@ -12,9 +12,10 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.effects.motions import station_design
 from ltsim.laws.carriers import CARRIERS, carrier_designs
-from ltsim.laws.drivers import Driver, general_drivers, moves, products, simple, smooth, waves
+from ltsim.laws.drivers import Driver, simple, smooth
 from ltsim.laws.law import Law
 from ltsim.laws.names import card_of
+from ltsim.laws.offered import general_drivers, moves, products, sights, waves
 from ltsim.laws.places import LEAST_GROUP, branches
 from ltsim.laws.sizes import sizes_of
 from ltsim.model.construction import misalignment
@@ -42,8 +43,9 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         "temperature",
         "approach",
         "face",
+        "target",
     }
-    drivers = [*general_drivers(sightings), *products(sightings), *list(waves(sightings))[::50]]
+    drivers = [*general_drivers(sightings), *products(sightings), *sights(sightings), *list(waves(sightings))[::50]]
     for driver in drivers:
         columns = driver.columns(sightings)
         assert columns.shape == (len(sightings), driver.size)

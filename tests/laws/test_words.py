@@ -9,19 +9,9 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.errors import ModelError
-from ltsim.laws.drivers import (
-    CONSTANT,
-    FOLLOWED,
-    SIMPLE,
-    Driver,
-    across_the_room,
-    general_drivers,
-    pieces,
-    products,
-    simple,
-    smooth,
-    waves,
-)
+from ltsim.laws.columns import SIMPLE
+from ltsim.laws.drivers import CONSTANT, SEVERAL, Driver, across_the_room, pieces, simple, smooth
+from ltsim.laws.offered import FOLLOWED, general_drivers, products, sights, waves
 from ltsim.laws.words import EXAMPLES, PARITIES, describe, read_driver, read_law
 from ltsim.recording import Recording
 from tests.networks import network
@@ -51,6 +41,11 @@ def every() -> list[Driver]:
     found += [Driver("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
     found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [simple(name, "power") for name in PARITIES]
     found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
+    found += [
+        Driver("near", SEVERAL["near"], constant=0.2, around=("T03",)),
+        Driver("past", ("distance", "x"), constant=2.5),
+    ]
+    found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), Driver("late", SEVERAL["late"], constant=28)]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
     return [*found, Driver("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 
@@ -70,7 +65,12 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
 def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) -> None:
     sightings = adjust(recording).sightings
     assert set(FOLLOWED) <= set(sightings.quantities)
-    for driver in [*general_drivers(sightings), *products(sightings), *list(waves(sightings))[::25]]:
+    for driver in [
+        *general_drivers(sightings),
+        *products(sightings),
+        *sights(sightings),
+        *list(waves(sightings))[::25],
+    ]:
         read = read_driver(describe(driver), recording)
         assert describe(read) == describe(driver)
         assert read.size == driver.size

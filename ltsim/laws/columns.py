@@ -1,0 +1,155 @@
+"""What drivers are made of: columns over the pointings, each of rms about one, and priors of their coefficients.
+
+A smooth curve is a Gaussian process in one covariate, in reduced rank: a linear part and the first eigenfunctions of
+the Laplacian on the covariate's range with the spectral density of a squared-exponential kernel as variances (Solin and
+Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, eq. 20); round a circle, Fourier
+waves. Several length scales share the columns and differ in the variances; so does a random walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.scene.sightings import Sightings
+
+CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
+MODES, LOW, FINE = 9, 4, 32
+"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
+EDGE = 1.25
+"""Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
+SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
+"""Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; of a circle, a radian."""
+MEMORY = ("approach-", "move-", "last-", "wound-", "lapse")
+"""What names of covariates begin with that tell of the pointing before."""
+SIMPLE = {
+    "power": lambda x, k: x**k,
+    "abs": lambda x, k: np.abs(x),
+    "cos": lambda x, k: np.cos(k * x),
+    "sin": lambda x, k: np.sin(k * x),
+    "tan": lambda x, k: np.tan(k * x),
+    "step": lambda x, k: (x > k).astype(np.float64),
+    "ramp": lambda x, k: np.maximum(x - k, 0.0),
+    "relaxing": lambda x, k: 1.0 / (1.0 + x / k),
+    "saturated": lambda x, k: x / (k + np.abs(x)),
+    "decay": lambda x, k: np.exp(-x / k),
+    "fading": lambda x, k: np.exp(-np.abs(x) / k),
+}
+"""Functions of a covariate and a constant, of which the shortest laws are made."""
+RESTING = 0.02
+"""Share of its largest value up to which a column counts as zero."""
+
+
+def has_zero(x: Floats) -> bool:
+    """Whether a column comes to zero; one that does not is told from its mean (a load, but no temperature, rests)."""
+    return bool(np.nanmin(np.abs(x)) < RESTING * np.nanmax(np.abs(x)))
+
+
+def sized(column: Floats) -> Floats:
+    """A column (n, 1) with an rms of one."""
+    size = float(np.sqrt(np.mean(column**2)))
+    return column / size if size > 0 else column
+
+
+OVERTONES = 5
+"""Waves of which a cycle of any shape is made."""
+
+
+def waves_of(phase: Floats, count: int) -> Floats:
+    """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
+    phases = phase[:, None] * np.arange(1, count + 1)
+    return np.sqrt(2.0) * np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phase), -1)
+
+
+def curve(name: str, x: Floats, count: int) -> Floats:
+    """Columns of a smooth curve over a covariate (n,)."""
+    if name in CIRCULAR:
+        return waves_of(x, (count + 1) // 2)
+    low, high = float(x.min()), float(x.max())
+    half = max(0.5 * (high - low), 1e-300)
+    u = (x - 0.5 * (low + high)) / half
+    modes = np.arange(1, count + 1)
+    waves = np.sin(0.5 * np.pi * modes * (u[:, None] + EDGE) / EDGE) / np.sqrt(EDGE)
+    return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
+
+
+@cache
+def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
+    """Prior deviations of a curve's coefficients, one set a length scale."""
+    found = []
+    if circular:
+        orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
+        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
+    else:
+        rates = 0.5 * np.pi * np.arange(1, count + 1) / EDGE
+        found = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
+        found += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
+    return tuple(spread / np.linalg.norm(spread) for spread in found)
+
+
+def function(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
+    """A function (n, 1) of a covariate and a constant."""
+    x = sightings.quantities[name]
+    if how == "power" and name in sightings.covariates and not has_zero(x):
+        x = x - x.mean()
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        values = SIMPLE[how](x, constant)
+    return sized(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
+
+
+def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
+    """The same for all, and growing from the middle of some targets, or of all (n, 4); and bent (n, 10)."""
+    place = np.stack([sightings.quantities[name] for name in names], axis=1)
+    ids = [i for name in around for i in sightings.target_ids[name]]
+    near = np.isin(sightings.target, ids) if ids else slice(None)
+    place = place - place[near].mean(axis=0)
+    place = place / max(float(place[near].std()), 1e-300)
+    more = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)] if bent else []
+    return np.hstack([np.ones((len(place), 1)), place, *more])
+
+
+def near(sightings: Sightings, target: str, width: float) -> Floats:
+    """A bell about the line of sight to a target, of a width [rad], and its slopes to the left and upwards (n, 3)."""
+    point = sightings.points[sightings.target_ids[target][0]]
+    there = point - sightings.position[sightings.station]
+    there = there / np.linalg.norm(there, axis=1)[:, None]
+    ahead, *across = (np.sum(there * axis, axis=1) for axis in sightings.unit_vectors)
+    bell = np.exp(-0.5 * (np.arctan2(np.hypot(*across), ahead) / width) ** 2)
+    bell /= np.sqrt(np.mean(bell**2))
+    return np.stack([bell, *(bell * side / width for side in across)], axis=1)
+
+
+def past(sightings: Sightings, name: str, plane: float) -> Floats:
+    """The length (n, 1) of each sight beyond a plane [m] across one of the room's axes."""
+    axis = "xyz".index(name)
+    there, here = sightings.points[sightings.target, axis], sightings.position[sightings.station, axis]
+    beyond = np.maximum(np.stack([there, here]) - plane, 0.0)
+    share = np.minimum(np.abs(beyond[0] - beyond[1]) / np.maximum(np.abs(there - here), 1e-300), 1.0)
+    share = np.where(np.minimum(there, here) >= plane, 1.0, share)
+    return sized((share * sightings.range_)[:, None])
+
+
+def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
+    """What follows a covariate, or its amount, by and by with a memory [s], and how much it is behind (n, 2)."""
+    x = sightings.quantities[name]
+    x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
+    rows = sightings.order
+    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
+    slow = np.empty_like(x)
+    now = float(x[rows[0]])
+    for row, value, gain in zip(rows.tolist(), x[rows].tolist(), share.tolist(), strict=True):
+        now += gain * (value - now)
+        slow[row] = now
+    return np.hstack([sized(slow[:, None]), sized((x - slow)[:, None])])
+
+
+def late(sightings: Sightings) -> Floats:
+    """What belongs to the target measured before, less what belongs to this one, (n, T)."""
+    own = (sightings.target[:, None] == np.arange(len(sightings.target_names))).astype(np.float64)
+    before = np.empty_like(sightings.order)
+    before[sightings.order] = np.append(sightings.order[:1], sightings.order[:-1])
+    return own[before] - own
