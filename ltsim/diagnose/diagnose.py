@@ -126,7 +126,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     best = ranked[0][1]
-    probability = stated(named[best.effect.name], known=best.known)
+    probability = stated(named[best.effect.name], best.effect.name)
     return replace(best, probability=probability, equivalents=equivalents(named, best.effect.name))
 
 

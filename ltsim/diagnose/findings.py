@@ -13,7 +13,7 @@ from ltsim.adjust.gross import GrossFinding
 from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.evidence import carried_by, stated
+from ltsim.diagnose.evidence import RESEMBLED, carried_by, stated
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis, NoisePattern
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
@@ -60,7 +60,7 @@ class Explained:
         effect, name = hypothesis.effect, hypothesis.name
         probabilities = ranking.probabilities()
         rivals = equivalents(probabilities, name)
-        probability = stated(probabilities.get(name, 0.0), known=hypothesis.known)
+        probability = stated(probabilities.get(name, 0.0), name)
         gain = others.residual**2 - found.residual**2
         spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
@@ -157,7 +157,10 @@ def instrument_finding(found: Contradiction) -> Finding:
 
 
 def equivalents(probability: Mapping[str, float], name: str) -> tuple[Equivalent, ...]:
-    """The likeliest of the other names that are not excluded."""
+    """The likeliest of the other names that are not excluded, laws that look like the name among them."""
+    doubt = probability.get(name, 0.0) - stated(probability.get(name, 0.0), name)
+    if name in RESEMBLED:
+        probability = {**probability, Law.name: probability.get(Law.name, 0.0) + doubt}
     others = [Equivalent(effect=n, probability=p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED]
     return tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
