@@ -26,7 +26,7 @@ from ltsim.effects.effect import Effect
 from ltsim.effects.signature import Tunable
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
-from ltsim.laws.words import describe
+from ltsim.laws.words import EACH, describe
 from ltsim.recording.recording import OBSERVABLES
 
 MOST_EQUIVALENTS = 3
@@ -184,7 +184,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    own = ", in its own way at each set-up" if law.each else ""
+    own = EACH if law.each else ""
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
 

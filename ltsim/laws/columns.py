@@ -125,12 +125,28 @@ def near(sightings: Sightings, target: str, width: float) -> Floats:
 
 def past(sightings: Sightings, name: str, plane: float) -> Floats:
     """The length (n, 1) of each sight beyond a plane [m] across one of the room's axes."""
-    axis = "xyz".index(name)
-    there, here = sightings.points[sightings.target, axis], sightings.position[sightings.station, axis]
+    there, here = _ends(sightings, name)
     beyond = np.maximum(np.stack([there, here]) - plane, 0.0)
     share = np.minimum(np.abs(beyond[0] - beyond[1]) / np.maximum(np.abs(there - here), 1e-300), 1.0)
     share = np.where(np.minimum(there, here) >= plane, 1.0, share)
     return sized((share * sightings.range_)[:, None])
+
+
+CURTAIN = 0.5
+"""[m] Thickness of what sights go through, of no account but for those nearly along it."""
+
+
+def through(sightings: Sightings, name: str, plane: float) -> Floats:
+    """The length (n, 1) of each sight in a thin sheet at a plane [m] across one of the room's axes."""
+    there, here = _ends(sightings, name)
+    aslant = sightings.range_ / np.maximum(np.abs(there - here), CURTAIN)
+    return sized(np.where((there - plane) * (here - plane) < 0.0, aslant, 0.0)[:, None])
+
+
+def _ends(sightings: Sightings, name: str) -> tuple[Floats, Floats]:
+    """Coordinates (n,) of target and instrument along one of the room's axes."""
+    axis = "xyz".index(name)
+    return sightings.points[sightings.target, axis], sightings.position[sightings.station, axis]
 
 
 def lagging(sightings: Sightings, name: str, memory: float) -> Floats:

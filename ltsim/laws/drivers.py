@@ -23,6 +23,7 @@ from ltsim.laws.columns import (
     near,
     past,
     sized,
+    through,
     waves_of,
 )
 from ltsim.scene.sightings import Sightings
@@ -58,11 +59,11 @@ class Driver:
     ----------
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
-        product, visits (something else at every set-up), pieces (the sum of steps and ramps of one covariate),
-        near (in sights that pass a target within an angle, and across them), past (the length of a sight beyond a
-        plane), late (what belongs to the target measured before, in the place of what belongs to this one), lagging
-        (what follows a covariate by and by, and by how much it is behind), or
-        field: the same for all, growing across the room, and bent, for what carries targets.
+        product, pieces (the sum of steps and ramps of one covariate), visits (something else at every set-up),
+        lagging (what follows a covariate by and by), near (sights that pass a target within an angle), past and
+        through (the length of a sight beyond a plane, and in a curtain there), late (what belongs to the target
+        before, less what belongs to this one), or field: the same for all, growing across the room, and bent, for
+        what carries targets.
     covariates : tuple of str
     function : str
         Of a simple driver.
@@ -118,8 +119,8 @@ class Driver:
                 return function(sightings, name, self.function, self.constant)
             case "near":
                 return near(sightings, self.around[0], self.constant)
-            case "past":
-                return past(sightings, self.covariates[1], self.constant)
+            case "past" | "through":
+                return (past if self.kind == "past" else through)(sightings, self.covariates[1], self.constant)
             case "lagging":
                 return lagging(sightings, name, self.constant)
             case "late":
@@ -142,7 +143,7 @@ class Driver:
     def spreads(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one set a length scale."""
         match self.kind:
-            case "constant" | "simple" | "past":
+            case "constant" | "simple" | "past" | "through":
                 return (np.ones(1),)
             case "near":
                 return (np.full(3, np.sqrt(1.0 / 3.0)),)

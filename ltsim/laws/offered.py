@@ -116,13 +116,14 @@ PLANES = np.linspace(0.1, 0.9, 9)
 
 
 def sights(sightings: Sightings) -> Iterator[Driver]:
-    """What errs on the way: near the line to some target, beyond a plane; what a list has one row late."""
+    """What errs on the way: near a line of sight, beyond a plane, in a curtain; a list that is one row late."""
     count = len(sightings.target_names)
     for name, angle in product(sightings.target_names if count <= MOST_LINES else (), ANGLES):
         yield Driver("near", SEVERAL["near"], constant=angle, around=(name,))
     for axis, name in enumerate("xyz"):
         for plane in np.unique(np.quantile(sightings.points[:, axis], PLANES)):
             yield Driver("past", ("distance", name), constant=float(plane))
+            yield Driver("through", ("distance", name), constant=float(plane))
     if 1 < count <= MOST_LINES:
         yield Driver("late", SEVERAL["late"], constant=count)
 

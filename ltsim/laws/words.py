@@ -31,6 +31,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("near", "", None): "the line of sight to {x}, within {value}",
     ("lagging", "", None): "{x} with a lag of {value}",
     ("past", "", None): "the length of the sight beyond {x} = {value}",
+    ("through", "", None): "the length of the sight in a curtain at {x} = {value}",
     ("late", "", None): "the target before, as if the list were one row late",
     ("wave", "turn", 1.0): "a wave in {x}, 1 period a turn",
     ("wave", "turn", None): "a wave in {x}, {k} periods a turn",
@@ -57,10 +58,14 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
+PLANES = ("past", "through")
+"""Kinds of drivers whose constant is where a plane stands across an axis."""
 UNITS = {"near": "azimuth", "lagging": "time"}
 """Covariates in whose unit the constant of a driver is told that follows another one."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it."""
+EACH = ", in its own way at each set-up"
+"""Said after the driver of a law that has coefficients of its own for each set-up."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
@@ -86,7 +91,7 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words."""
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
-    said = {"near": driver.around, "past": driver.covariates[1:]}.get(driver.kind, driver.covariates)
+    said = {"near": driver.around, **dict.fromkeys(PLANES, driver.covariates[1:])}.get(driver.kind, driver.covariates)
     name, k, how = "".join(said[:1]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
@@ -118,11 +123,13 @@ def read_law(
     """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
     if carrier not in CARRIERS:
         raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(CARRIERS)}")
-    driver = read_driver(words, recording)
+    driver, each = read_driver(words.removesuffix(EACH), recording), words.endswith(EACH)
+    if each and (stations or targets):
+        raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
         factors = (replace(f, around=targets, constant=1.0) if f.kind == "field" else f for f in driver.factors)
         driver = replace(driver, factors=tuple(factors))
-    return Law(stations, targets, CARRIERS[carrier][0], driver)
+    return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
 
 
 def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
@@ -147,9 +154,9 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         k = constant or {"smooth": modes, "field": 2.0, **many}.get(kind, 0.0)
         if "k" in said or "value" in said:
             k = _constant(words, UNITS.get(kind, name), said, recording.has_clock)
-            if k <= 0.0 and how not in ("step", "ramp", "power") and kind != "past":
+            if k <= 0.0 and how not in ("step", "ramp", "power") and kind not in PLANES:
                 raise ModelError(f"'{words}': expected a number above zero")
-        along = SEVERAL.get(kind) or (("distance", name) if kind == "past" else (name,) if name else ())
+        along = SEVERAL.get(kind) or (("distance", name) if kind in PLANES else (name,) if name else ())
         constant = 2 * np.pi / k if how == "period" else k
         return Driver(kind, along, how if kind == "simple" else "", constant, around=(name,) if near else ())
     raise ModelError(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjust import adjust
-from ltsim.laws.columns import lagging, late, near, past
+from ltsim.laws.columns import lagging, late, near, past, through
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -46,6 +46,20 @@ def test_the_length_of_a_sight_beyond_a_plane_is_that_of_its_points(sightings):
     found = past(sightings, "y", plane)[:, 0]
     assert 0.0 < (expected > 0).mean() < 1.0
     np.testing.assert_allclose(found / np.linalg.norm(found), expected / np.linalg.norm(expected), atol=1e-3)
+
+
+def test_the_length_of_a_sight_in_a_curtain_is_what_lies_beyond_one_side_and_not_the_other(sightings):
+    plane, half = float(np.quantile(sightings.points[:, 0], 0.6)), 1e-4
+    here, there = sightings.position[sightings.station, 0], sightings.points[sightings.target, 0]
+    beyond = [
+        np.clip((np.maximum(here, there) - p) / np.abs(there - here), 0.0, 1.0) for p in (plane - half, plane + half)
+    ]
+    expected = (beyond[0] - beyond[1]) * sightings.range_
+    found = through(sightings, "x", plane)[:, 0]
+    steep = np.abs(there - here) > 0.5
+    assert 0.0 < (found > 0).mean() < 1.0
+    scale = found[steep].max() / expected[steep].max()
+    np.testing.assert_allclose(found[steep], scale * expected[steep], atol=1e-6)
 
 
 def test_what_lags_comes_to_a_step_by_an_exponential_of_the_time(sightings):

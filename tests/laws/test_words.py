@@ -44,6 +44,7 @@ def every() -> list[Driver]:
     found += [
         Driver("near", SEVERAL["near"], constant=0.2, around=("T03",)),
         Driver("past", ("distance", "x"), constant=2.5),
+        Driver("through", ("distance", "y"), constant=-1.5),
     ]
     found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), Driver("late", SEVERAL["late"], constant=28)]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
@@ -81,6 +82,15 @@ def test_a_group_tilts_and_the_whole_bends(recording: Recording) -> None:
     group = read_law("place of targets", words, recording, targets=("T01", "T02"))
     assert group.driver == across_the_room([simple("press_load_kn", "power")], 1)[0].about(("T01", "T02"))
     assert read_law("place of targets", words, recording).driver.factors[1].constant == 2
+
+
+def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
+    law = read_law("elevation", "exp(-station-time / 8 min), in its own way at each set-up", recording)
+    assert law.each and law.stations == recording.stations
+    assert len(law.parameters) == len(recording.stations)
+    assert not read_law("elevation", "exp(-station-time / 8 min)", recording).each
+    with pytest.raises(ModelError, match="goes with all set-ups, not with S2"):
+        read_law("elevation", "time, in its own way at each set-up", recording, stations=("S2",))
 
 
 def test_examples_are_read(recording: Recording) -> None:
