@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import subprocess
 import sys
+from collections import Counter
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.diagnose.evidence import INVENTED, RESEMBLED
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rotations import from_rotation_vector
@@ -318,3 +321,15 @@ def test_a_true_vector_stands_in_the_frame_of_the_adjustment() -> None:
     turn = np.array([a @ b.T for a, b in zip(found.rotation, scene.state.rotation, strict=True)]) - np.eye(3)
     assert np.abs(turn).max() < 0.01
     assert np.abs(found.points - scene.state.points).max() < 0.05
+
+
+def test_laws_that_look_like_cards_are_those_of_the_samples(root: Path) -> None:
+    """The table by which names are doubted, counted again in the results."""
+    names = ("seventh", "eighth", "tenth", "eleventh", "thirteenth", "fourteenth", "fifteenth", "sixteenth")
+    invented, alike = 0, Counter[str]()
+    for name in names:
+        with (root / "results" / "20_concealed_physics" / name / "recordings.csv").open(encoding="utf-8") as file:
+            rows = [row for row in csv.DictReader(file) if row["kind"] == "unknown" and row["nearest_share"]]
+        invented += len(rows)
+        alike.update(row["nearest_known"] for row in rows if float(row["nearest_share"]) > 0.85)
+    assert (invented, dict(alike)) == (INVENTED, RESEMBLED)
