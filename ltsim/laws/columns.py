@@ -40,6 +40,8 @@ SIMPLE = {
     "fading": lambda x, k: np.exp(-np.abs(x) / k),
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
+PARTS = 10
+"""Into which planes part the room at first, along each axis."""
 RESTING = 0.02
 """Share of its largest value up to which a column counts as zero."""
 

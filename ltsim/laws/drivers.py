@@ -186,6 +186,8 @@ CONSTANT = Driver("constant")
 _AXES = ("azimuth", "elevation")
 SEVERAL = {"field": ("x", "y", "z"), "near": _AXES, "late": ("last-target", "target")}
 """Kinds of drivers with covariates of their own."""
+PLANES = ("past", "through")
+"""Kinds of drivers whose constant is where a plane stands across an axis."""
 
 
 def across_the_room(drivers: Sequence[Driver], order: int) -> list[Driver]:

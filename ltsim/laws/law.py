@@ -14,8 +14,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.laws.carriers import CARRIERS, Carrier
-from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES
-from ltsim.laws.drivers import CLOCKS, CONSTANT, Driver, pieces, simple, smooth
+from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, PARTS
+from ltsim.laws.drivers import CLOCKS, CONSTANT, PLANES, Driver, pieces, simple, smooth
 from ltsim.laws.offered import MOST_VISITS, WAVE_STEP
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -90,6 +90,10 @@ class Law(Tunable):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
+        if driver.kind in PLANES:
+            step = float(np.ptp(sightings.points[:, "xyz".index(driver.covariates[1])])) / PARTS
+            planes = driver.constant + step * np.linspace(-0.9, 0.9, 7)
+            return [replace(self, driver=replace(driver, constant=float(plane))) for plane in planes]
         if driver.kind == "pieces" and len(driver.factors) <= MOVED:
             x = np.unique(sightings.quantities[driver.covariates[0]][self.mask(sightings) > 0])
             gaps = np.searchsorted(x, [piece.constant for piece in driver.factors])

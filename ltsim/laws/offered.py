@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.laws.columns import LOW, MODES
+from ltsim.laws.columns import LOW, MODES, PARTS
 from ltsim.laws.drivers import CLOCKS, CONSTANT, SEVERAL, Driver, simple, smooth
 from ltsim.scene.sightings import Sightings
 
@@ -111,8 +111,6 @@ def products(sightings: Sightings) -> Iterator[Driver]:
 
 ANGLES = (0.12, 0.3)
 """[rad] Within which sights pass a target, tried first."""
-PLANES = np.linspace(0.1, 0.9, 9)
-"""Where planes are tried that part the room, as quantiles of the coordinates of its targets."""
 
 
 def sights(sightings: Sightings) -> Iterator[Driver]:
@@ -121,7 +119,8 @@ def sights(sightings: Sightings) -> Iterator[Driver]:
     for name, angle in product(sightings.target_names if count <= MOST_LINES else (), ANGLES):
         yield Driver("near", SEVERAL["near"], constant=angle, around=(name,))
     for axis, name in enumerate("xyz"):
-        for plane in np.unique(np.quantile(sightings.points[:, axis], PLANES)):
+        low, high = (float(end(sightings.points[:, axis])) for end in (np.min, np.max))
+        for plane in np.linspace(low, high, PARTS + 1)[1:-1] if high > low else ():
             yield Driver("past", ("distance", name), constant=float(plane))
             yield Driver("through", ("distance", name), constant=float(plane))
     if 1 < count <= MOST_LINES:

@@ -11,7 +11,7 @@ import numpy as np
 from ltsim.errors import ModelError
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.columns import LOW, MODES
-from ltsim.laws.drivers import CLOCKS, SEVERAL, Driver, pieces
+from ltsim.laws.drivers import CLOCKS, PLANES, SEVERAL, Driver, pieces
 from ltsim.laws.law import Law
 from ltsim.laws.offered import FOLLOWED
 from ltsim.recording.recording import Recording
@@ -58,8 +58,6 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
-PLANES = ("past", "through")
-"""Kinds of drivers whose constant is where a plane stands across an axis."""
 UNITS = {"near": "azimuth", "lagging": "time"}
 """Covariates in whose unit the constant of a driver is told that follows another one."""
 LEAST = {"min": 2.0, "m": 1.0}
