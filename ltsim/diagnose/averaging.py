@@ -40,15 +40,15 @@ LEAST = 0.003
 
 def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
     """The targets of a refit, moved by what other explanations of each finding would move them, times their chance."""
-    points = fitted.adjustment.state.points.copy()
+    refitted = [replace(h, effect=effect) for h, effect in zip(found.members, fitted.effects, strict=True)]
+    points = fitted.adjustment.state.points - together(searcher, searcher.with_members(refitted))
     by_laws, open_ = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.without(found, i)
         weights, shifts = _open(searcher, others, found.members[i], ranking, 1.0 + found.misfit)
         mean = np.einsum("k,kti->ti", weights, shifts)
-        refitted = replace(found.members[i], effect=fitted.effects[i])
-        points += mean - shift_of(searcher, others, refitted, wide=True)
-        by_laws += mean if not refitted.known else 0.0
+        points += mean
+        by_laws += mean if not found.members[i].known else 0.0
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     apart = np.concatenate(open_)
     kept = (1.0 - _safe_share(fitted.adjustment, by_laws, apart)) * by_laws
@@ -114,11 +114,18 @@ def _shaped(searcher: Searcher, others: Found, chosen: Hypothesis) -> list[tuple
     return [(replace(chosen, effect=one.effect), float(p)) for one, p in ranked if p > LEAST]
 
 
-def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide: bool = False) -> Floats:
-    """Shift (T, 3) [m] of the adjusted targets when an explanation is taken out of the readings.
+def together(searcher: Searcher, found: Found) -> Floats:
+    """Shift (T, 3) [m] of the adjusted targets by all members of a set as a refit has them, to first order."""
+    if not found.members:
+        return np.zeros((len(searcher.space.sightings.points), 3))
+    left, spread = np.hstack(found.left), np.concatenate([h.spread for h in found.members])
+    mean = wide_posterior(left.T @ left, left.T @ found.whole, spread)[0]
+    signatures = np.hstack([searcher.space.signature(h.effect) for h in found.members])
+    return -searcher.space.moved_targets(signatures @ mean)
 
-    Its size is shrunk by its prior, or, `wide`, that of the refit.
-    """
+
+def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis) -> Floats:
+    """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk by its prior, is taken out."""
     moments = searcher.moments(hypothesis.effect, others)
-    mean = (wide_posterior if wide else posterior)(*moments, hypothesis.spread)[0]
+    mean = posterior(*moments, hypothesis.spread)[0]
     return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)

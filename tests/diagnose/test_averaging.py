@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.diagnose.averaging import HARM, WORSE, safe_share
+from ltsim.adjust import adjust
+from ltsim.diagnose.averaging import HARM, WORSE, averaged_targets, safe_share, together
+from ltsim.diagnose.case import Case
+from ltsim.diagnose.sets import Hypothesis, Ranking
+from ltsim.geometry.rigid import less_rigid
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.drivers import smooth
+from ltsim.laws.law import Law
 from ltsim.randomness import stream
+from tests.networks import network
 
 
 @pytest.mark.parametrize("size", [0.01, 0.1, 1.0, 10.0])
@@ -30,3 +38,22 @@ def test_a_law_that_does_much_is_taken_off_whole():
     assert safe_share(100.0, 1.0, 1.0) == 1.0
     assert safe_share(0.0, 0.0, 1.0) == 1.0
     assert safe_share(1.0, 1.0, 1.0) < 0.5
+
+
+def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
+    baseline = adjust(network(faces=1, seed=3)[0])
+    case = Case(baseline, baseline.problem.use, 0)
+    elevation = CARRIERS["elevation"][0]
+    laws = [Law((), (), elevation, smooth(name)) for name in ("time", "station-time")]
+    fitted = case.refit(laws, case.sigma)
+    found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
+    points = baseline.state.points
+    basis = points - points.mean(axis=0)
+    expected, shift = (
+        less_rigid(change.reshape(-1, 1), basis, baseline.problem.free)
+        for change in (fitted.adjustment.state.points - points, together(case.searcher, found))
+    )
+    assert np.linalg.norm(expected) > 1e-5
+    np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
+    targets = averaged_targets(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    assert np.linalg.norm(targets.points - points) < np.linalg.norm(expected)
