@@ -17,6 +17,8 @@ Rasmussen and Williams, Gaussian processes for machine learning (2006), section 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.special import log_ndtr
 
@@ -50,9 +52,23 @@ def stated(probability: float, *, known: bool) -> float:
     return probability * (CERTAIN if known else 1.0)
 
 
+FEW = 100
+"""Values up to which a sum is slower by several fast calls than by a slow one."""
+
+
+FEW = 100
+"""Values up to which a sum is slower by several fast calls than by a slow one."""
+
+
 def log_average(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
-    found: Floats = np.logaddexp.reduce(values, axis=axis)
+    found: Floats
+    if values.size <= FEW:
+        found = np.logaddexp.reduce(values, axis=axis)
+        return found
+    top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
+    with np.errstate(divide="ignore"):
+        found = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
     return found
 
 
@@ -93,27 +109,34 @@ AT_ONCE = 500_000
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
     """The same (h, trials) for scores (h, k, trials) of simulated residuals, in single precision."""
-    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
-    parts = [_simulated(scores[i : i + step], strength[i : i + step]) for i in range(0, len(scores), step)]
+    parts = [_summed(logs, 1) for logs in _simulated(scores, strength, np.zeros(len(scores)))]
     found: Floats = np.concatenate(parts).astype(np.float64)
     return found
 
 
-def simulated_total(scores: Floats, strength: Floats) -> Floats:
-    """Log of the sum (trials,) over all hypotheses."""
-    return log_average(
-        simulated_evidence(scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2]))
-    )
+def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
+    """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
+    flat = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
+    parts = [_summed(logs, (0, 1)) for logs in _simulated(*flat, log_prior)]
+    return log_average(np.stack(parts).astype(np.float64))
 
 
-def _simulated(scores: Floats, strength: Floats) -> Singles:
-    weights, constants = forms_of(strength)
-    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores, dtype=np.float32)
-    logs += constants[..., None].astype(np.float32)
-    top = logs.max(axis=-2, keepdims=True)
-    np.subtract(logs, top, out=logs)
-    np.exp(logs, out=logs)
-    found: Singles = np.log(logs.sum(axis=-2)) + top[..., 0, :]
+def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
+    """Log evidence with priors (h, sizes, trials), of some hypotheses at a time."""
+    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
+    for i in range(0, len(scores), step):
+        weights, constants = forms_of(strength[i : i + step])
+        constants += log_prior[i : i + step, None]
+        logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[i : i + step], dtype=np.float32)
+        logs += constants[..., None].astype(np.float32)
+        yield logs
+
+
+def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
+    """Log of the sum of exp(logs) along axes; overwrites them."""
+    top = logs.max(axis=axis, keepdims=True)
+    np.exp(np.subtract(logs, top, out=logs), out=logs)
+    found: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
     return found
 
 

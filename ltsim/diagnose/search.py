@@ -21,7 +21,8 @@ from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.evidence import PRIOR, evidence_of, log_average, posterior
 from ltsim.diagnose.forms import exactly
-from ltsim.diagnose.panels import Hit, Panel, panels
+from ltsim.diagnose.panel import Hit, Panel
+from ltsim.diagnose.panels import panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.schema import Estimate
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
@@ -152,7 +152,7 @@ class Driver:
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
 
-    @property
+    @cached_property
     def spreads(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one set a length scale."""
         match self.kind:
