@@ -119,6 +119,6 @@ def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis, *, wide:
 
     Its size is shrunk by its prior, or, `wide`, that of the refit.
     """
-    moments = searcher.moments(hypothesis.effect, others)
+    moments = searcher.exact.moments([hypothesis.effect], others)[0]
     mean = (wide_posterior if wide else posterior)(*moments, hypothesis.spread)[0]
     return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)

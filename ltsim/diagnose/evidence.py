@@ -151,10 +151,15 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     return means
 
 
-def evidence_with(gram: Floats, score: Floats, spread: Floats) -> float:
-    """Log evidence of coefficients with prior N(0, t^2 spread^2), averaged over sizes, from Gram matrix and score."""
+def evidence_with(gram: Floats, score: Floats, spread: Floats) -> Floats:
+    """Log evidence (...) of coefficients with prior N(0, t^2 spread^2), averaged over sizes.
+
+    Parameters
+    ----------
+    gram, score, spread : (..., k, k), (..., k), (..., k) float
+    """
     strength, turn = _along_eigenvectors(gram, spread)
-    return float(log_evidence((turn.T @ score) ** 2, strength))
+    return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, strength)
 
 
 def posterior(
@@ -174,9 +179,9 @@ def posterior(
 
 
 def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (k,) of a Gram matrix in units of plausible sizes, and what turns scores into those along them."""
-    strength, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
-    return np.maximum(strength, 0.0), spread[:, None] * vectors
+    """Eigenvalues (..., k) of Gram matrices in units of plausible sizes, and what turns scores along their vectors."""
+    strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
+    return np.maximum(strength, 0.0), spread[..., None] * vectors
 
 
 WIDE = 30.0
@@ -197,7 +202,7 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
     spread = np.array([p.prior_sigma for p in effect.parameters])
     if not any(p.positive for p in effect.parameters):
-        return evidence_with(gram, score, spread)
+        return float(evidence_with(gram, score, spread))
     mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
