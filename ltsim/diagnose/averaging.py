@@ -126,6 +126,6 @@ def together(searcher: Searcher, found: Found) -> Floats:
 
 def shift_of(searcher: Searcher, others: Found, hypothesis: Hypothesis) -> Floats:
     """Shift (T, 3) [m] of the adjusted targets when an explanation, its size shrunk by its prior, is taken out."""
-    moments = searcher.moments(hypothesis.effect, others)
+    moments = searcher.exact.moments([hypothesis.effect], others)[0]
     mean = posterior(*moments, hypothesis.spread)[0]
     return -searcher.space.moved_targets(searcher.space.signature(hypothesis.effect) @ mean)

@@ -20,6 +20,7 @@ from ltsim.diagnose.probe import Probe, square
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
+from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 SPARSE = 0.15
@@ -39,31 +40,36 @@ def card_hypotheses(sightings: Sightings) -> list[Tunable]:
 
 @dataclass(frozen=True)
 class Group:
-    """Effects of one number of parameters k, all kept sparse or all dense.
+    """Effects of one number of parameters k, all kept sparse, or all dense on the rows that they may touch.
 
-    `members` (h,), scaled signatures as rows (h k, m), their products with each other (h, k, k), and those of what the
-    adjustment leaves of them, filled when they are scored first.
+    `members` (h,), `places` (r,) of the rows, scaled signatures as rows (h k, r), their products with each other
+    (h, k, k), and those of what the adjustment leaves of them, filled when they are scored first.
     """
 
     size: int
     members: Ints
+    places: Ints | slice
     rows: Singles | sp.csr_array
     own: Floats
     gram: Floats
+
+    def products(self, vectors: Floats | Singles) -> Floats:
+        """Products (h, k, v) with vectors (m, v)."""
+        found = np.asarray(self.rows @ vectors[self.places].astype(np.float32, copy=False)).astype(np.float64)
+        return found.reshape(len(self.members), self.size, -1)
 
     def scaled(self, ratio: Singles) -> Group:
         """The same with the rows of the space times a `ratio` (m,)."""
         rows: Singles | sp.csr_array
         if isinstance(self.rows, np.ndarray):
-            rows = self.rows * ratio
-            blocks = list(rows.reshape(len(self.members), self.size, -1))
+            rows = self.rows * ratio[self.places]
+            own = square(rows.reshape(len(self.members), self.size, -1))
         else:
             data = self.rows.data * ratio[self.rows.indices]
             rows = sp.csr_array((data, self.rows.indices, self.rows.indptr), self.rows.shape)
             ends = self.rows.indptr[:: self.size].tolist()
-            blocks = [data[low:high].reshape(self.size, -1) for low, high in pairwise(ends)]
-        own = np.stack([block @ block.T for block in blocks]).astype(np.float64)
-        return replace(self, rows=rows, own=own, gram=np.zeros_like(self.gram))
+            own = np.stack([square(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
+        return replace(self, rows=rows, own=own.astype(np.float64), gram=np.zeros_like(self.gram))
 
 
 @dataclass(frozen=True)
@@ -88,17 +94,24 @@ class Cards:
     def of(cls, space: ResidualSpace, effects: Sequence[Tunable]) -> Cards:
         """Signatures of all effects that touch a reading of this recording."""
         kept: list[Tunable] = []
-        alike: dict[tuple[int, bool], list[tuple[int, Ints, Singles]]] = {}
+        alike: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
+        kind = np.append(np.nonzero(space.use)[1], np.full(space.size - int(space.use.sum()), len(OBSERVABLES)))
         for effect in effects:
             sizes = np.array([p.prior_sigma for p in effect.parameters])
-            signature = space.signature(effect) * sizes
-            places = np.flatnonzero(signature.any(axis=1))
+            signature = space.signature(effect)
+            places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
             if len(places):
-                rows = np.ascontiguousarray(signature[places].T.astype(np.float32))
-                key = len(sizes), len(places) < SPARSE * space.size
-                alike.setdefault(key, []).append((len(kept), places, rows))
+                rows = np.ascontiguousarray((signature[places] * sizes).T, dtype=np.float32)
+                sparse = len(places) < SPARSE * space.size
+                touched = () if sparse else tuple(np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0)
+                alike.setdefault((len(sizes), touched), []).append((len(kept), places, rows))
                 kept.append(effect)
-        groups = [_group(size, made, space.size, sparse=sparse) for (size, sparse), made in sorted(alike.items())]
+        groups = [
+            _sparse(size, made, space.size)
+            if not touched
+            else _dense(size, made, np.flatnonzero(np.array(touched)[kind]))
+            for (size, touched), made in sorted(alike.items(), key=lambda item: item[0])
+        ]
         names = tuple(dict.fromkeys(effect.name for effect in kept))
         index = {name: i for i, name in enumerate(names)}
         return cls(kept, groups, names, np.array([index[e.name] for e in kept], dtype=np.int64))
@@ -118,13 +131,11 @@ class Cards:
         chance = []
         order = []
         for group in self.groups:
-            scores = np.asarray(group.rows @ probe.vectors).astype(np.float64)
-            scores = scores.reshape(len(group.members), group.size, -1)
+            scores = group.products(probe.vectors)
             if probe.fresh:
                 group.gram[:] = probe.gram(scores, group.own)
             score, trials, _ = probe.split(scores)
-            beside = np.asarray(group.rows @ probe.extension.astype(np.float32)).astype(np.float64)
-            gram = group.gram - square(beside.reshape(*scores.shape[:2], -1))
+            gram = group.gram - square(group.products(probe.extension))
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
@@ -152,17 +163,22 @@ class Cards:
         return log_means(values, self.family, len(self.families))
 
 
-def _group(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int, *, sparse: bool) -> Group:
-    """Signatures of effects of one size as one matrix."""
-    own = np.stack([rows @ rows.T for _, _, rows in made]).astype(np.float64)
-    members = np.array([i for i, _, _ in made])
-    if not sparse:
-        dense = np.zeros((len(made), size, length), dtype=np.float32)
-        for i, (_, places, rows) in enumerate(made):
-            dense[i][:, places] = rows
-        return Group(size, members, dense.reshape(-1, length), own, np.zeros_like(own))
+def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:
+    """Signatures of effects of one size on some rows."""
+    dense = np.zeros((len(made), size, len(places)), dtype=np.float32)
+    for filled, (_, touched, rows) in zip(dense, made, strict=True):
+        filled[:, np.searchsorted(places, touched)] = rows
+    own = square(dense).astype(np.float64)
+    return Group(
+        size, np.array([i for i, _, _ in made]), places, dense.reshape(-1, len(places)), own, np.zeros_like(own)
+    )
+
+
+def _sparse(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> Group:
+    """Signatures of effects of one size, each on few of `length` rows."""
+    own = np.stack([square(rows) for _, _, rows in made]).astype(np.float64)
     indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
     ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))])
     data = np.concatenate([rows.ravel() for _, _, rows in made])
     rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
-    return Group(size, members, rows, own, np.zeros_like(own))
+    return Group(size, np.array([i for i, _, _ in made]), slice(None), rows, own, np.zeros_like(own))

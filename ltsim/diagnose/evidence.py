@@ -17,6 +17,8 @@ Rasmussen and Williams, Gaussian processes for machine learning (2006), section 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.special import log_ndtr
 
@@ -75,9 +77,19 @@ def stated(probability: float, name: str) -> float:
     return probability / (1.0 + alike / CARDS[name])
 
 
+FEW = 100
+"""Values up to which a sum is slower by several fast calls than by a slow one."""
+
+
 def log_average(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
-    found: Floats = np.logaddexp.reduce(values, axis=axis)
+    found: Floats
+    if values.size <= FEW:
+        found = np.logaddexp.reduce(values, axis=axis)
+        return found
+    top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
+    with np.errstate(divide="ignore"):
+        found = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
     return found
 
 
@@ -118,27 +130,34 @@ AT_ONCE = 500_000
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
     """The same (h, trials) for scores (h, k, trials) of simulated residuals, in single precision."""
-    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
-    parts = [_simulated(scores[i : i + step], strength[i : i + step]) for i in range(0, len(scores), step)]
+    parts = [_summed(logs, 1) for logs in _simulated(scores, strength, np.zeros(len(scores)))]
     found: Floats = np.concatenate(parts).astype(np.float64)
     return found
 
 
-def simulated_total(scores: Floats, strength: Floats) -> Floats:
-    """Log of the sum (trials,) over all hypotheses."""
-    return log_average(
-        simulated_evidence(scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2]))
-    )
+def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Floats:
+    """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
+    flat = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
+    parts = [_summed(logs, (0, 1)) for logs in _simulated(*flat, log_prior)]
+    return log_average(np.stack(parts).astype(np.float64))
 
 
-def _simulated(scores: Floats, strength: Floats) -> Singles:
-    weights, constants = forms_of(strength)
-    logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores, dtype=np.float32)
-    logs += constants[..., None].astype(np.float32)
-    top = logs.max(axis=-2, keepdims=True)
-    np.subtract(logs, top, out=logs)
-    np.exp(logs, out=logs)
-    found: Singles = np.log(logs.sum(axis=-2)) + top[..., 0, :]
+def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
+    """Log evidence with priors (h, sizes, trials), of some hypotheses at a time."""
+    step = max(1, AT_ONCE * len(scores) // max(scores.size, 1))
+    for i in range(0, len(scores), step):
+        weights, constants = forms_of(strength[i : i + step])
+        constants += log_prior[i : i + step, None]
+        logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[i : i + step], dtype=np.float32)
+        logs += constants[..., None].astype(np.float32)
+        yield logs
+
+
+def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
+    """Log of the sum of exp(logs) along axes; overwrites them."""
+    top = logs.max(axis=axis, keepdims=True)
+    np.exp(np.subtract(logs, top, out=logs), out=logs)
+    found: Singles = np.log(logs.sum(axis=axis)) + top.squeeze(axis)
     return found
 
 
@@ -153,10 +172,15 @@ def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     return means
 
 
-def evidence_with(gram: Floats, score: Floats, spread: Floats) -> float:
-    """Log evidence of coefficients with prior N(0, t^2 spread^2), averaged over sizes, from Gram matrix and score."""
+def evidence_with(gram: Floats, score: Floats, spread: Floats) -> Floats:
+    """Log evidence (...) of coefficients with prior N(0, t^2 spread^2), averaged over sizes.
+
+    Parameters
+    ----------
+    gram, score, spread : (..., k, k), (..., k), (..., k) float
+    """
     strength, turn = _along_eigenvectors(gram, spread)
-    return float(log_evidence((turn.T @ score) ** 2, strength))
+    return log_evidence((np.swapaxes(turn, -1, -2) @ score[..., None])[..., 0] ** 2, strength)
 
 
 def posterior(
@@ -176,9 +200,9 @@ def posterior(
 
 
 def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (k,) of a Gram matrix in units of plausible sizes, and what turns scores into those along them."""
-    strength, vectors = np.linalg.eigh(gram * np.outer(spread, spread))
-    return np.maximum(strength, 0.0), spread[:, None] * vectors
+    """Eigenvalues (..., k) of Gram matrices in units of plausible sizes, and what turns scores along their vectors."""
+    strength, vectors = np.linalg.eigh(gram * spread[..., :, None] * spread[..., None, :])
+    return np.maximum(strength, 0.0), spread[..., None] * vectors
 
 
 WIDE = 30.0
@@ -199,7 +223,7 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
     spread = np.array([p.prior_sigma for p in effect.parameters])
     if not any(p.positive for p in effect.parameters):
-        return evidence_with(gram, score, spread)
+        return float(evidence_with(gram, score, spread))
     mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0

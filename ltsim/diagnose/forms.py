@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.diagnose.evidence import evidence_of, evidence_with, log_average
+from ltsim.diagnose.evidence import evidence_with, log_average
 from ltsim.diagnose.sets import Found, Hypothesis
 from ltsim.laws.law import Law
 from ltsim.laws.names import card_of
@@ -48,20 +48,18 @@ def exactly(searcher: Searcher, law: Law, log_prior: float, base: Found) -> list
 def _forms(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:
     """The forms of a law at its place."""
     forms = law.forms(searcher.space.sightings)
-    searcher.prepare([scales[0] for some in forms.values() for scales in some])
     whole = sum(FORMS[kind] for kind in forms)
-    tried = []
-    for kind, some in forms.items():
-        share = prior + float(np.log(FORMS[kind] / whole / len(some)))
-        for scales in some:
-            if len(scales) == 1:
-                best, value = searcher.uphill(scales[0], base)
-            else:
-                moments = searcher.moments(scales[0], base)
-                logs = np.array([evidence_of(one, *moments) for one in scales])
-                best, value = scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))
-            tried.append(Hypothesis(best, share, value + share, card_of(best)))
-    return tried
+    shares = {kind: prior + float(np.log(FORMS[kind] / whole / len(some))) for kind, some in forms.items()}
+    asked = [(shares[kind], scales) for kind, some in forms.items() for scales in some]
+    single, several = ([one for one in asked if (len(one[1]) == 1) == alone] for alone in (True, False))
+    climbed = searcher.exact.uphill([scales[0] for _, scales in single], base)
+    found = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
+    moments = searcher.exact.moments([scales[0] for _, scales in several], base)
+    for (share, scales), (gram, score) in zip(several, moments, strict=True):
+        spreads = np.array([[p.prior_sigma for p in one.parameters] for one in scales])
+        logs = evidence_with(gram, score[None], spreads)
+        found.append((share, scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))))
+    return [Hypothesis(best, share, value + share, card_of(best)) for share, best, value in found]
 
 
 def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[Hypothesis]:
@@ -70,20 +68,20 @@ def _in_pieces(searcher: Searcher, law: Law, prior: float, base: Found) -> list[
     if not atoms or searcher.large or len(law.targets) == 1:  # a target that moves, or sits badly, has cards
         return []
     whole = law.in_pieces(atoms)
-    gram, score = searcher.moments(whole, base)
+    gram, score = searcher.exact.moments([whole], base)[0]
     spread = np.array([p.prior_sigma for p in whole.parameters])
     places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
     chosen: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one
     while len(chosen) < min(taken + PATIENCE, MOST_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
-        for i in set(range(len(atoms))) - set(chosen):
-            some = places[:, [*chosen, i]].ravel()
-            values[i] = evidence_with(gram[np.ix_(some, some)], score[some], spread[some])
+        free = [i for i in range(len(atoms)) if i not in chosen]
+        some = np.stack([places[:, [*chosen, i]].ravel() for i in free])
+        values[free] = evidence_with(gram[some[:, :, None], some[:, None, :]], score[some], spread[some])
         chosen.append(int(np.argmax(values)))
         value = float(log_average(values)) - len(chosen) * price
         if value > best:
             best, taken = value, len(chosen)
-    found, value = searcher.uphill(law.in_pieces([atoms[i] for i in sorted(chosen[:taken])]), base)
+    found, value = searcher.exact.uphill([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
     return [Hypothesis(found, prior, max(best + taken * price, value) + prior, card_of(found))]

@@ -228,7 +228,7 @@ LEAST_SHARE = 0.05
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
-"""Points an axis of the grid on which the posterior of sizes is summed, deviations it reaches, and how often it is
+"""Points of the grid on which the posterior of a size is summed, deviations it reaches, and how often it is
 drawn anew: sums over a bell curve are exact from spacings of a deviation and a half on, and nine grids shrink to the
 narrowest one there is."""
 
@@ -238,31 +238,38 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
 
     Variances are those of the hypothesis on the `stated` (n, 3) ones; residuals are whitened by the space's own. Sizes
     and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a priori all
-    factors on a variance are alike, by their logarithm.
+    factors on a variance are alike, by their logarithm. Each reading follows one size at most, so that each size has a
+    posterior of its own.
     """
     effect, used = hypothesis.effect, space.use
     means = repeat_means(space) if getattr(effect, "repeating", False) else None
     share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
     squares = space.residual[: len(share)] ** 2 if means is None else (means @ space.residual) ** 2
 
-    def gain(values: Floats) -> float:
+    def factors(values: Floats) -> Floats:
         factor = (effect.variance(space.sightings, stated, values) / space.sigma**2)[used]
-        if float(factor.min()) <= 0.0:
-            return -np.inf
-        factor = factor if means is None else _grown(means, factor)
-        return float(squares @ (1 - 1 / factor) - share @ np.log(factor))
+        return factor if means is None else _grown(means, factor)
 
     scale = np.array([p.prior_sigma for p in effect.parameters])
+    own = np.argmax([factors(one) != factors(0.0 * scale) for one in np.diag(scale)], axis=0)
+
+    def gains(values: Floats) -> Floats:
+        factor = factors(values)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            each = np.where(factor > 0.0, squares * (1 - 1 / factor) - share * np.log(factor), -np.inf)
+        return np.array([each[own == i].sum() for i in range(len(scale))])
+
     least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
     for _ in range(ZOOMS):
-        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
-        points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+        points = np.linspace(low, high, GRID)
         sizes = scale * np.expm1(points)
-        weight = shares(0.5 * np.array([gain(one) for one in sizes]))
-        mean = weight @ points
-        spread = np.maximum(np.sqrt(weight @ (points - mean) ** 2), 0.4 * (high - low) / (GRID - 1))
+        weight = shares(0.5 * np.array([gains(one) for one in sizes]))
+        mean = np.sum(weight * points, axis=0)
+        spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
+        spread = np.maximum(spread, 0.4 * (high - low) / (GRID - 1))
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
-    values = weight @ sizes
-    sigma = np.sqrt(weight @ (sizes - values) ** 2)
-    return replace(hypothesis, values=tuple(values.tolist()), drop=gain(values), sigma=tuple(sigma.tolist()))
+    values = np.sum(weight * sizes, axis=0)
+    sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
+    drop = float(gains(values).sum())
+    return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))

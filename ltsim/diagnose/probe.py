@@ -107,7 +107,6 @@ class Probe:
         return own - square(basis) if self.basis is not None else square(trials) / trials.shape[-1]
 
 
-def square(rows: Floats) -> Floats:
+def square(rows: Any) -> Any:
     """Products (..., k, k) of rows (..., k, v) with each other."""
-    product: Floats = rows @ np.swapaxes(rows, -1, -2)
-    return product
+    return rows @ np.swapaxes(rows, -1, -2)

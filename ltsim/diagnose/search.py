@@ -12,27 +12,27 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
-from ltsim.diagnose.evidence import PRIOR, evidence_of, log_average, posterior
+from ltsim.diagnose.evidence import PRIOR, log_average, posterior
+from ltsim.diagnose.exact import Exact
 from ltsim.diagnose.forms import exactly
-from ltsim.diagnose.panels import Hit, Panel, panels
+from ltsim.diagnose.panel import Hit, Panel
+from ltsim.diagnose.panels import panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.schema import Estimate
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
 from ltsim.diagnose.shapes import apart, between, shape_posterior
 from ltsim.diagnose.told import told_of
 from ltsim.effects.signature import ShapeParameter, Tunable
-from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.law import Law
 from ltsim.laws.names import card_of
 
-T = TypeVar("T", bound=Tunable)
 MOST_MEMBERS = 5
 FLEXIBLE = 10
 """Coefficients of the curve of one quantity; more can imitate several effects."""
@@ -42,9 +42,8 @@ CELLS = 11
 """Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above."""
 FEW = 3
 """The same in a large network, where each costs a solution of the whole."""
-MOST_STEPS = 6
 KEPT = 16
-"""Signatures, and projected ones, that are kept."""
+"""Projected signatures that are kept."""
 
 
 class Screen(NamedTuple):
@@ -75,10 +74,7 @@ class Searcher:
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
-        self._grams: dict[str, Floats] = {}
-        self._whole: dict[str, Floats] = {}
-        self._carried: dict[str, Floats] = {}
-        self._pointing = np.nonzero(space.use)[0]
+        self.exact = Exact(space)
         self.first = self._screened(self.empty)
 
     def rank(self, base: Found) -> Ranking:
@@ -143,7 +139,7 @@ class Searcher:
 
     def _integrated(self, effect: Tunable, base: Found) -> tuple[Tunable, float]:
         """An effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
-        effect, value = self.uphill(effect, base)
+        effect, value = self.exact.uphill([effect], base)[0]
         for shape in type(effect).shape:
             now = getattr(effect, shape.name)
             if isinstance(now, float) and shape.steps > 1:
@@ -157,72 +153,21 @@ class Searcher:
         if not low < high:
             return effect, value
         u = np.linspace(-1.0, 1.0, CELLS)
-        logs = np.array([self.evidence(effect.reshaped(**{shape.name: between(shape, low, high, x)}), base) for x in u])
+
+        def tried(some: Floats) -> Floats:
+            values = (between(shape, low, high, x) for x in some.tolist())
+            return self.exact.evidence([effect.reshaped(**{shape.name: value}) for value in values], base)
+
+        logs = tried(u)
         for _ in range(2):
             top = int(np.argmax(logs))
             near = u[max(top - 1, 0) : top + 2]
             more = np.setdiff1d(np.linspace(near[0], near[-1], 9), u)
-            found = [self.evidence(effect.reshaped(**{shape.name: between(shape, low, high, x)}), base) for x in more]
             order = np.argsort(np.concatenate([u, more]))
-            u, logs = np.concatenate([u, more])[order], np.concatenate([logs, found])[order]
+            u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
         best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[np.argmax(logs)]))})
         share = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(share, u), 1e-300)))
-
-    def uphill(self, effect: T, base: Found) -> tuple[T, float]:
-        """Uphill over what an effect offers near itself; the evidence is the mean over the last neighbourhood."""
-        value, mean = self.evidence(effect, base), -np.inf
-        for _ in range(MOST_STEPS):
-            near = effect.finer(self.space.sightings)
-            if not near:
-                return effect, value
-            self.prepare(near)
-            logs = np.array([self.evidence(one, base) for one in near])
-            mean = float(log_average(np.append(logs, value)) - np.log(len(logs) + 1))
-            if logs.max() <= value:
-                break
-            effect, value = near[int(np.argmax(logs))], float(logs.max())
-        return effect, mean
-
-    def evidence(self, effect: Tunable, base: Found) -> float:
-        """Log marginal likelihood ratio of an effect beside a set, sizes averaged."""
-        return evidence_of(effect, *self.moments(effect, base))
-
-    def moments(self, effect: Tunable, base: Found) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) and score (k,) of what adjustment and a set leave of a signature.
-
-        Residuals and the columns of a set lie in the residual space: a projection is needed for the signature's
-        products with itself alone, and these are the same beside every set.
-        """
-        key = repr(effect)
-        if key not in self._grams:
-            self.prepare([effect])
-        signature = self._whole[key] if key in self._whole else self._signature(effect)
-        beside = base.extension.T @ signature
-        return self._grams[key] - beside.T @ beside, signature.T @ base.residual
-
-    def prepare(self, effects: Sequence[Tunable]) -> None:
-        """Gram matrices of what the adjustment leaves of the signatures of effects, all in one go."""
-        new = {key: self._signature(one) for key, one in ((repr(e), e) for e in effects) if key not in self._grams}
-        if not new:
-            return
-        self._whole = dict([*self._whole.items(), *new.items()][-max(KEPT, len(new)) :])
-        left = self.space.project(np.hstack(list(new.values())))
-        edges = np.cumsum([signature.shape[1] for signature in new.values()])[:-1]
-        for key, part in zip(new, np.split(left, edges, axis=1), strict=True):
-            self._grams[key] = part.T @ part
-
-    def _signature(self, effect: Tunable) -> Floats:
-        """Whitened signature (m, k); that of a law's carrier is computed once."""
-        if not isinstance(effect, Law):
-            return self.space.signature(effect)
-        name = effect.carrier.name
-        if name not in self._carried:
-            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
-        columns = effect.columns(self.space.sightings)[self._pointing]
-        found = np.zeros((self.space.size, self._carried[name].shape[1], columns.shape[1]))
-        found[: len(columns)] = self._carried[name][: len(columns), :, None] * columns[:, None, :]
-        return found.reshape(self.space.size, -1)
 
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
@@ -253,7 +198,7 @@ class Searcher:
 
     def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:
         """Mean (k,) and covariance (k, k) of a law's coefficients beside a set."""
-        gram, score = self.moments(law, others)
+        gram, score = self.exact.moments([law], others)[0]
         return posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))[:2]
 
     def with_members(self, members: Sequence[Hypothesis]) -> Found:
@@ -271,7 +216,7 @@ class Searcher:
         """What the adjustment leaves of a signature, and the lengths of its columns; the last few are kept."""
         key = hypothesis.key
         if key not in self._left:
-            whole = self._signature(hypothesis.effect)
+            whole = self.exact.signature(hypothesis.effect)
             self._left[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
         self._left.move_to_end(key)
         if len(self._left) > KEPT:

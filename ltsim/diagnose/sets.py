@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.adjust.residual_space import orthonormal
+from ltsim.adjust.residual_space import VISIBLE, orthonormal
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.evidence import LOG_WEIGHTS, SECOND_ALIKE, SIZES, log_average
 from ltsim.effects import find_effect
@@ -89,11 +89,22 @@ class Found:
         return left
 
     @cached_property
+    def products(self) -> tuple[Floats, Floats]:
+        """Products (k, k) of what is left of all signatures with each other, and (k,) with the residual."""
+        left = np.hstack(self.left)
+        return left.T @ left, left.T @ self.whole
+
+    @cached_property
     def misfit(self) -> float:
         """Log evidence that what is left may show because the curve of an unknown law is not quite right."""
         if all(h.known for h in self.members):
             return 0.0
-        return 0.5 * MISFIT * float(self.whole @ self.whole - self.residual @ self.residual)
+        norms = np.concatenate(self.norms)
+        unit = 1.0 / np.where(norms > 0, norms, 1.0)
+        gram, score = self.products
+        strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
+        seen = strength > VISIBLE
+        return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[seen] ** 2 / strength[seen]))
 
     @cached_property
     def score(self) -> float:
@@ -147,8 +158,7 @@ class Ranking:
 
 def _at_best_sizes(found: Found) -> float:
     """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, at the sizes t that explain most."""
-    left = np.hstack(found.left)
-    gram, score = left.T @ left, left.T @ found.whole
+    gram, score = found.products
     spreads = [h.spread for h in found.members]
 
     def evidence(sizes: Ints) -> float:

@@ -95,17 +95,21 @@ def all_shapes(
     axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
     sizes = np.array([p.prior_sigma for p in effect.parameters])
     gaps = _gaps([effect, *near])
+    points = [
+        (one, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
+        for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
+    ]
+    shaped = [one.reshaped(**constants) for one, constants, _ in points]
+    told = [wide_posterior(*moments, sizes) for moments in searcher.exact.moments(shaped, base)]
+    weighed = searcher.exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in told]
     found = []
-    for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes)):
-        constants = {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}
-        shaped = one.reshaped(**constants)
-        moments = searcher.moments(shaped, base)
-        mean, covariance, evidence = wide_posterior(*moments, sizes)
-        evidence = searcher.evidence(shaped, base) if plausible else evidence
+    for (one, constants, widths), shape, (mean, covariance, _), evidence in zip(
+        points, shaped, told, weighed, strict=True
+    ):
         constants |= {"time": float(vars(one)["time"])} if "time" in vars(effect) else {}
         gap = gaps.get(constants.get("time", np.nan), 0.0)
-        weight = evidence + float(np.sum(np.log([width for _, width in point]))) + (np.log(gap) if gap else 0.0)
-        found.append(Shaped(shaped, weight, constants, mean, np.diag(covariance), gap))
+        weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
+        found.append(Shaped(shape, weight, constants, mean, np.diag(covariance), gap))
     return found
 
 

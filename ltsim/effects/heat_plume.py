@@ -100,9 +100,8 @@ class HeatPlume(Effect):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of temperature, first order."""
         centre = self._centre(sightings)
-        column = first_order(sightings, lambda points: self.temperature(points, centre))
-        acts: Floats = column * self.mask(sightings)[:, None]
-        return acts[:, :, None]
+        acts = self.mask(sightings) > 0
+        return first_order(sightings, lambda points: self.temperature(points, centre), acts)[:, :, None]
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by the integrated ray."""

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Bools, Floats
 from ltsim.effects.ciddor import refractivity, temperature_sensitivity
 from ltsim.effects.effect import on_readings
 from ltsim.effects.motions import reading_change
@@ -42,12 +42,16 @@ def bending() -> float:
     return temperature_sensitivity(REFERENCE) / (1.0 + float(law(0.0)))
 
 
-def first_order(sightings: Sightings, field: AirField) -> Floats:
-    """Change (n, 3) of the raw readings by integrals along the straight paths (Gauss-Legendre)."""
-    beam, left, up = sightings.unit_vectors
-    length = sightings.range_
+def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None) -> Floats:
+    """Change (n, 3) of the raw readings by integrals along the straight paths (Gauss-Legendre).
+
+    Only pointings on which the field `acts` (n,) are integrated where that is given, the others do not change.
+    """
+    rows = np.arange(len(sightings)) if acts is None else np.flatnonzero(acts)
+    beam, left, up = (way[rows] for way in sightings.unit_vectors)
+    length = sightings.range_[rows]
     share = 0.5 * (1.0 + NODES)
-    start = sightings.position[sightings.station]
+    start = sightings.position[sightings.station[rows]]
     points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
     warmer, gradient = field(points.reshape(-1, 3))
     beta = bending()
@@ -55,12 +59,11 @@ def first_order(sightings: Sightings, field: AirField) -> Floats:
     mean = warmer.reshape(len(length), len(NODES)) @ weight
     pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), len(NODES), 3), weight * (1.0 - share))
     bend = -beta * length[:, None] * pull  # D over d: an angle
-    return on_readings(
-        sightings,
-        distance=beta * length * mean,
-        azimuth=np.sum(bend * left, axis=1) / np.cos(sightings.elevation),
-        elevation=np.sum(bend * up, axis=1),
-    )
+    change = np.zeros((3, len(sightings)))
+    change[0, rows] = beta * length * mean
+    change[1, rows] = np.sum(bend * left, axis=1) / np.cos(sightings.elevation[rows])
+    change[2, rows] = np.sum(bend * up, axis=1)
+    return on_readings(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
 
 def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:

@@ -193,7 +193,7 @@ class NoiseSignature(Tunable, Protocol):
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3) of the readings when the stated standard deviations are `sigma` (n, 3).
 
-        Must give sigma^2 at zero values.
+        Must give sigma^2 at zero values; each reading follows one of the values at most.
         """
 
     def size_grid(self) -> list[tuple[float, ...]]:

@@ -13,6 +13,7 @@ from functools import cache
 from itertools import combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ltsim.arrays import Floats
 from ltsim.scene.sightings import Sightings
@@ -63,8 +64,13 @@ OVERTONES = 5
 
 def waves_of(phase: Floats, count: int) -> Floats:
     """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
-    phases = phase[:, None] * np.arange(1, count + 1)
-    return np.sqrt(2.0) * np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phase), -1)
+    return np.sqrt(2.0) * _turns(phase, count).view(np.float64)
+
+
+def _turns(phase: Floats, count: int) -> NDArray[np.complex128]:
+    """Unit complex numbers (n, count) of a phase (n,) and its multiples: powers of the first."""
+    first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), count))
+    return np.cumprod(first, axis=1)
 
 
 def curve(name: str, x: Floats, count: int) -> Floats:
@@ -74,8 +80,7 @@ def curve(name: str, x: Floats, count: int) -> Floats:
     low, high = float(x.min()), float(x.max())
     half = max(0.5 * (high - low), 1e-300)
     u = (x - 0.5 * (low + high)) / half
-    modes = np.arange(1, count + 1)
-    waves = np.sin(0.5 * np.pi * modes * (u[:, None] + EDGE) / EDGE) / np.sqrt(EDGE)
+    waves = _turns(0.5 * np.pi * (u + EDGE) / EDGE, count).imag / np.sqrt(EDGE)
     return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -139,7 +140,7 @@ class Driver:
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
 
-    @property
+    @cached_property
     def spreads(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one set a length scale."""
         match self.kind:
@@ -167,6 +168,8 @@ class Driver:
 
     def about(self, targets: tuple[str, ...]) -> Driver:
         """The driver with the field of some targets in the place of that of the room."""
+        if all(f.kind != "field" for f in self.factors):
+            return self
         factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -49,7 +50,7 @@ class Law(Tunable):
 
     name = "unknown"
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """One coefficient a component of the carrier, set-up, and column of the driver, with its prior deviation."""
         spread = self.driver.spreads[self.scale] * self.carrier.size

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import TypeVar
 
@@ -37,6 +38,7 @@ MOST_PLACES = 150
 """Places and shapes of one effect that are looked at."""
 
 
+@cache
 def search_noncentrality(dof: int, places: int) -> float:
     """Noncentrality that an effect of `dof` parameters, sought at so many `places`, needs to be found by a search.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Protocol, Self
 
 import numpy as np
@@ -31,6 +32,12 @@ class Projection(Protocol):
 
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q)."""
+
+    def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+        """Products (k, k) with each other of what is left of vectors that are `columns` (r, q) on some rows, else zero.
+
+        Group i are the columns edges[i] to edges[i + 1].
+        """
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
@@ -56,6 +63,11 @@ class BasisProjection:
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q)."""
         return rows - self.basis @ (self.basis.T @ rows)
+
+    def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+        """Products of what is left of groups of columns."""
+        own, inside = _squares(columns, edges), _squares(self.basis[rows].T @ columns, edges)
+        return [whole - lost for whole, lost in zip(own, inside, strict=True)]
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
@@ -91,11 +103,19 @@ class FactorProjection:
 
     def project(self, rows: Floats) -> Floats:
         """What is left of vectors (m, q); repeated once where the factor's rounding shows."""
-        size = np.linalg.norm(rows, axis=0)
-        inside = self._transposed @ rows
-        left: Floats = rows - self.design @ self.factor.covariance_columns(inside)
+        return self._left(rows, slice(None))
+
+    def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
+        """Products of what is left of groups of columns."""
+        return _squares(self._left(columns, rows), edges)
+
+    def _left(self, columns: Floats, rows: Ints | slice) -> Floats:
+        """What is left (m, q) of vectors that are zero on all but some rows."""
+        inside = (self._transposed if len(columns) == len(self.added) else self.design[rows].T) @ columns
+        left: Floats = self.design @ -self.factor.covariance_columns(inside)
+        left[rows] += columns
         again = self._transposed @ left
-        if np.any(np.abs(again) * self._scale[:, None] > ORTHOGONAL * size):
+        if np.any(np.abs(again) * self._scale[:, None] > ORTHOGONAL * np.linalg.norm(columns, axis=0)):
             left -= self.design @ self.factor.covariance_columns(again)
         if self.added.shape[1]:
             left -= self.added @ (self.added.T @ left)
@@ -140,6 +160,12 @@ def projection_of(system: BlockSystem, factor: Factor | None) -> Projection:
     if factor is None or rows * columns <= DENSE:
         return BasisProjection.of(system.design)
     return FactorProjection.of(system.design, factor)
+
+
+def _squares(columns: Floats, edges: Ints) -> list[Floats]:
+    """Products (k, k) of groups of columns with each other."""
+    parts = (columns[:, low:high] for low, high in pairwise(edges.tolist()))
+    return [part.T @ part for part in parts]
 
 
 def _thin(root: Floats) -> tuple[Floats, Floats]:

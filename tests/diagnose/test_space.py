@@ -46,9 +46,7 @@ def alone(space: ResidualSpace, law: Law, residual: np.ndarray, extension: np.nd
 def test_priors_sum_to_one(made):
     assert sum(PRIOR.values()) == pytest.approx(1.0)
     _, found, _ = made
-    hypotheses = (
-        np.exp(p.log_prior) * len(p.carriers) * len(p.places) * sum(len(d.spreads) for d in p.drivers) for p in found
-    )
+    hypotheses = (np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.spreads) for d in p.drivers) for p in found)
     assert sum(hypotheses) == pytest.approx(PRIOR["law"])
 
 

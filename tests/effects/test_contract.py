@@ -159,6 +159,8 @@ def test_noise_is_the_stated_one_at_zero(kind: type[NoiseEffect]) -> None:
         for values in effect.size_grid():
             assert len(values) == len(effect.parameters)
             assert (effect.variance(SCENE, sigma, np.array(values)) > 0).all()
+        felt = [effect.variance(SCENE, sigma, size) != sigma**2 for size in np.diag(prior(effect))]
+        assert np.sum(felt, axis=0).max() == 1  # a reading follows one of the values
 
 
 def test_a_search_over_all_candidates_is_bounded() -> None:
