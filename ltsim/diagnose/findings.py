@@ -105,7 +105,7 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
     rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
     more, sentence = {}, ""
     if isinstance(effect, NoisePattern):
-        more = {"formula": effect.law, "carrier": "noise", "driver": " ".join(effect.covariates)}
+        more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
         sentence = outside_sentence(where, effect.law)
     return Finding(
         effect=effect.name,

@@ -49,6 +49,16 @@ class NoisePattern(NoiseSignature):
     parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
 
     @property
+    def carrier(self) -> str:
+        """What errs: a reading whose amounts repeat, the noise otherwise."""
+        return self.observables[0] if self.repeating and len(self.observables) == 1 else "noise"
+
+    @property
+    def driver(self) -> str:
+        """What it follows, in words."""
+        return "station and target" if self.repeating else " ".join(self.covariates)
+
+    @property
     def law(self) -> str:
         """What the noise does, in words."""
         if self.repeating:
@@ -197,10 +207,14 @@ COMPARED = 6
 
 
 def repeat_means(space: ResidualSpace) -> sp.csr_array:
-    """Rows (g, m) that add up readings of one kind, target, station and face, over the root of their number."""
+    """Rows (g, m) that add up readings of a kind, station, target and, of angles, face, over the root of their number.
+
+    What errs on the way to a target is in the ranges of both faces; of angles a circle may err in one.
+    """
     s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + (s.face == 2)
-    key = (3 * pair[:, None] + np.arange(3))[space.use]
+    pair = s.station * len(s.target_names) + s.target
+    turned = (s.face == 2)[:, None] & (np.array(OBSERVABLES) != "distance")
+    key = (6 * pair[:, None] + 2 * np.arange(3) + turned)[space.use]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
     _, number = np.unique(group[keep], return_inverse=True)
