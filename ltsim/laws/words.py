@@ -28,7 +28,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("smooth", "", None): "a smooth function of {x}",
     ("field", "", None): "the place in the room",
     ("visits", "", None): "the station, another at each",
-    ("near", "", None): "the line of sight to {x}, within {value}",
+    ("near", "", None): "the nearness to the line of sight to {x}, within {value}",
     ("lagging", "", None): "{x} with a lag of {value}",
     ("past", "", None): "the length of the sight beyond {x} = {value}",
     ("through", "", None): "the length of the sight in a curtain at {x} = {value}",
