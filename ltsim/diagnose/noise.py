@@ -29,6 +29,9 @@ from ltsim.laws.places import Place, branches, trackers_of
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
+REPEATS = EACH, BOTH = ("in each face", "in both faces")
+"""How amounts may repeat: what errs on the way to a target is in the ranges of both faces."""
+
 
 @dataclass(frozen=True)
 class NoisePattern(NoiseSignature):
@@ -43,7 +46,7 @@ class NoisePattern(NoiseSignature):
     stations: tuple[str, ...] = ()
     instruments: tuple[str, ...] = ()
     falling: bool = False
-    repeating: bool = False
+    repeating: str = ""
 
     name = "unknown"
     parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
@@ -62,7 +65,8 @@ class NoisePattern(NoiseSignature):
     def law(self) -> str:
         """What the noise does, in words."""
         if self.repeating:
-            return "amounts without a visible law that repeat when a target is measured again"
+            again = ", in both faces" if self.repeating == BOTH else ""
+            return f"amounts without a visible law that repeat when a target is measured again{again}"
         if not self.covariates:
             return "larger noise"
         return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
@@ -109,7 +113,8 @@ def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
     for acts in (*single, OBSERVABLES):
-        yield "repeating", NoisePattern(acts, repeating=True), (0.25, 0.6, 1.5, 4.0, 12.0)
+        for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
+            yield "repeating", NoisePattern(acts, repeating=faces), (0.25, 0.6, 1.5, 4.0, 12.0)
         yield "scatter", NoisePattern(acts), (0.25, 0.6, 1.5, 4.0, 12.0)
         for group in groups:
             yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), (3.0, 15.0)
@@ -138,7 +143,7 @@ class NoiseBank:
     gain, logs : (h, m + g) csr float32
         1 - 1/s and log s of each row; of each mean for what repeats.
     means : (g, m) csr float
-        What adds up repeats.
+        What adds up repeats, in each face and then in both.
     """
 
     hypotheses: list[NoiseHypothesis]
@@ -151,13 +156,18 @@ class NoiseBank:
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
         """Build the bank on a residual space."""
-        means = repeat_means(space)
+        repeated = [repeat_means(space, faces) for faces in REPEATS]
+        means = sp.csr_array(sp.vstack(repeated))
         used, stated = space.use, space.sigma**2
         parts: list[tuple[Ints, Floats]] = []
         for h in hypotheses:
             factor = (h.effect.variance(space.sightings, space.sigma, np.array(h.values)) / stated)[used]
-            if getattr(h.effect, "repeating", False):
-                factor = np.concatenate([np.ones(space.size), _grown(means, factor)])
+            if faces := getattr(h.effect, "repeating", ""):
+                grown = [
+                    _grown(m, factor if kind == faces else np.ones(0))
+                    for kind, m in zip(REPEATS, repeated, strict=True)
+                ]
+                factor = np.concatenate([np.ones(space.size), *grown])
             rows = np.flatnonzero(factor != 1.0)
             parts.append((rows, factor[rows]))
         ends = np.cumsum([0, *(len(rows) for rows, _ in parts)])
@@ -206,15 +216,11 @@ COMPARED = 6
 """Families that are compared with the likeliest one."""
 
 
-def repeat_means(space: ResidualSpace) -> sp.csr_array:
-    """Rows (g, m) that add up readings of a kind, station, target and, of angles, face, over the root of their number.
-
-    What errs on the way to a target is in the ranges of both faces; of angles a circle may err in one.
-    """
+def repeat_means(space: ResidualSpace, faces: str = EACH) -> sp.csr_array:
+    """Rows (g, m) that add up readings of one kind, target, station and perhaps face, over the root of their number."""
     s = space.sightings
-    pair = s.station * len(s.target_names) + s.target
-    turned = (s.face == 2)[:, None] & (np.array(OBSERVABLES) != "distance")
-    key = (6 * pair[:, None] + 2 * np.arange(3) + turned)[space.use]
+    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH))
+    key = (3 * pair[:, None] + np.arange(3))[space.use]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
     _, number = np.unique(group[keep], return_inverse=True)
@@ -256,7 +262,8 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     posterior of its own.
     """
     effect, used = hypothesis.effect, space.use
-    means = repeat_means(space) if getattr(effect, "repeating", False) else None
+    faces = getattr(effect, "repeating", "")
+    means = repeat_means(space, faces) if faces else None
     share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
     squares = space.residual[: len(share)] ** 2 if means is None else (means @ space.residual) ** 2
 

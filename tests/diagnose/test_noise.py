@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.evidence import PRIOR
-from ltsim.diagnose.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnose.noise import BOTH, NoiseBank, NoisePattern, noise_hypotheses, repeat_means
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.networks import network
@@ -86,3 +86,26 @@ def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
     space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
     assert repeat_means(space).shape[0] == 0
+
+
+def test_ranges_that_err_alike_in_both_faces_are_no_noise():
+    recording, truth = network(faces=2, repeats=1, seed=6)
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    s = space.sightings
+    pair = s.station * len(s.target_names) + s.target
+    more = {}
+    for name, amounts in (("alike", pair), ("each", np.arange(len(pair)))):
+        drawn = stream(4, name).standard_normal(amounts.max() + 1)[amounts]
+        change = np.zeros((len(pair), 3))
+        change[:, 0] = 2.0 * drawn
+        left = (
+            space.residual
+            + space.project(np.append(change[space.use], np.zeros(space.size - space.use.sum()))[:, None])[:, 0]
+        )
+        evidence = evidence_of(bank, left, space.redundancy)
+        more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
+    assert more["alike"] > 10.0 > -10.0 > more["each"]
+    found = NoisePattern(("distance",), repeating=BOTH)
+    assert (found.carrier, found.driver) == ("distance", "station and target")
+    assert "in both faces" in found.law
