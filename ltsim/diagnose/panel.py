@@ -24,6 +24,8 @@ from ltsim.laws.places import Place
 
 CHUNK = 1000
 """Pointings whose products are held at once."""
+PAIRS = 500_000
+"""Products of columns with each other that are held at once: what a cache holds."""
 AT_ONCE = 10_000
 """Columns at places whose products with all vectors are held at once: memory of some tens of MB."""
 MOST_HITS = 6
@@ -70,10 +72,10 @@ class Cells:
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
         return cls(order, edges, sp.csr_array(members.astype(np.float32)))
 
-    def parts(self) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
-        """Some pointings at a time: where they stand in the order, they, and what of each cell is where among them."""
-        for start in range(0, len(self.order), CHUNK):
-            end = min(start + CHUNK, len(self.order))
+    def parts(self, most: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
+        """At `most` so many pointings: where they stand in the order, they, and where among them each cell is."""
+        for start in range(0, len(self.order), most):
+            end = min(start + most, len(self.order))
             first, last = np.searchsorted(self.edges, [start, end - 1], side="right") - 1
             cuts = np.clip(self.edges[first : last + 2] - start, 0, end - start).tolist()
             here = [(first + i, slice(*cut)) for i, cut in enumerate(pairwise(cuts))]
@@ -168,7 +170,7 @@ class Panel:
         _, _, count, ways = self.weights.shape
         columns, vectors = self._columns(some), probe.vectors.shape[1]
         sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
-        for part, rows, cells in self.cells.parts():
+        for part, rows, cells in self.cells.parts(CHUNK):
             weights = self.weights[rows].reshape(len(rows), 3, -1)
             moved = (np.swapaxes(weights, 1, 2) @ probe.pointings[rows]).reshape(len(rows), -1)
             turned = columns[part].T
@@ -184,7 +186,7 @@ class Panel:
         columns, d = self._columns(some), some.stop - some.start
         k = columns.shape[1] // d
         sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
-        for part, rows, cells in self.cells.parts():
+        for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):
             blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
             pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
             turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T

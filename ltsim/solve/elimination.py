@@ -239,11 +239,14 @@ def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None =
     """
     begin, end = matrix.indptr[low], matrix.indptr[high]
     indices = matrix.indices[begin:end]
-    columns = np.unique(indices) if columns is None else columns
+    row, data = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1])), matrix.data[begin:end]
+    if columns is None:
+        columns = np.unique(indices)
+    else:
+        there = np.isin(indices, columns)
+        row, data, indices = row[there], data[there], indices[there]
     dense = np.zeros((high - low, len(columns)))
-    row = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1]))
-    there = np.isin(indices, columns)
-    np.add.at(dense, (row[there], np.searchsorted(columns, indices[there])), matrix.data[begin:end][there])
+    np.add.at(dense, (row, np.searchsorted(columns, indices)), data)
     return dense, columns
 
 
