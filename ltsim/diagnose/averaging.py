@@ -23,13 +23,13 @@ from ltsim.adjust.refit import Refit
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, shares, wide_posterior
-from ltsim.diagnose.noise import NoisePattern
 from ltsim.diagnose.search import Searcher
 from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.shapes import all_shapes
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rigid import less_rigid
 from ltsim.laws.law import Law
+from ltsim.laws.scatter import NoisePattern
 
 WORSE, HARM = 0.05, 0.03
 """Coordinates shall err by more than such a share more than without a law with at most such a chance."""

@@ -8,7 +8,8 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.evidence import PRIOR
-from ltsim.diagnose.noise import BOTH, NoiseBank, NoisePattern, noise_hypotheses, repeat_means
+from ltsim.diagnose.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.laws.scatter import BOTH, NoisePattern
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.networks import network
