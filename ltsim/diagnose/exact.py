@@ -148,12 +148,12 @@ class Exact:
 
     def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:
         """Gram matrices of what the adjustment leaves of signatures, where they are not known yet."""
-        new = {effect: i for i, effect in enumerate(effects) if effect not in self._grams}
+        new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new:
             return
-        sizes = np.diff(edges)
-        asked = np.zeros(len(sizes), dtype=bool)
-        asked[list(new.values())] = True
-        columns = signatures if asked.all() else signatures[:, np.repeat(asked, sizes)]
-        left = self._space.projection.grams(columns, np.append(0, np.cumsum(sizes[asked])), rows.place)
-        self._grams.update(zip(sorted(new, key=lambda effect: new[effect]), left, strict=True))
+        columns = signatures
+        if len(new) < len(effects):
+            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
+        ends = np.append(0, np.cumsum(np.diff(edges)[new]))
+        left = self._space.projection.grams(columns, ends, rows.place)
+        self._grams.update(zip((effects[i] for i in new), left, strict=True))

@@ -9,10 +9,12 @@ from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.cards import Cards
 from ltsim.diagnose.evidence import PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
+from ltsim.diagnose.exact import Exact
 from ltsim.diagnose.panels import panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.sets import MISFIT, Found, Hypothesis, Ranking
 from ltsim.effects import find_effect
+from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.drivers import CONSTANT, simple
 from ltsim.laws.law import Law
@@ -35,7 +37,7 @@ def made(space):
     return probe, found, [panel.score(probe) for panel in found]
 
 
-def alone(space: ResidualSpace, law: Law, residual: np.ndarray, extension: np.ndarray) -> float:
+def alone(space: ResidualSpace, law: Tunable, residual: np.ndarray, extension: np.ndarray) -> float:
     """Log evidence of a law by its own signature."""
     left = space.project(space.signature(law))
     left -= extension @ (extension.T @ left)
@@ -71,6 +73,22 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     hits = [h for p in found for h in p.score(probe.beside(residual, extension))[0]]
     same = [h for h in hits if h.carrier == law.carrier and h.driver == law.driver and not h.place.stations]
     assert all(h.value < h.log_prior + 0.1 for h in same)
+
+
+def test_many_effects_at_once_are_each_what_it_is_alone(space):
+    law = Law((), (), CARRIERS["elevation"][0], simple("time", "power"))
+    local = [Law(("S2",), (), CARRIERS["distance"][0], CONSTANT), Law(("S2",), (), law.carrier, law.driver)]
+    effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
+    found = find_effect("range-drift")()
+    signature = space.signature(found)
+    left = space.project(signature)
+    member = Hypothesis(found, 0.0, 0.0, found.name)
+    base = Found((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residual)
+    exact = Exact(space)
+    for _ in range(2):
+        values = [alone(space, effect, base.residual, base.extension) for effect in effects]
+        np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
+    np.testing.assert_allclose(exact.signature(local[0]), space.signature(local[0]))
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):

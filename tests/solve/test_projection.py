@@ -46,6 +46,17 @@ def test_projection_and_leverage_are_those_of_the_hat_matrix(projection, root):
 
 
 @pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
+@pytest.mark.parametrize("rows", [np.arange(100, 160), slice(None)], ids=["few rows", "all rows"])
+def test_products_of_what_is_left_are_those_of_projected_vectors(projection, root, rows):
+    vectors = np.zeros((len(root), 5))
+    vectors[rows] = stream(4, "columns").standard_normal(vectors[rows].shape)
+    left = vectors - root @ (root.T @ vectors)
+    grams = projection.grams(vectors[rows], np.array([0, 2, 5]), rows)
+    for gram, part in zip(grams, (slice(2), slice(2, 5)), strict=True):
+        np.testing.assert_allclose(gram, left[:, part].T @ left[:, part], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
 @pytest.mark.parametrize(
     "groups",
     [
