@@ -63,7 +63,9 @@ class Case:
             cards = self.searcher.cards.reweighted(self.searcher.space, space)
             del self.searcher
         self.searcher = Searcher(space, self.seed, cards=cards)
-        self.bank = NoiseBank.of(space, noise_hypotheses(space.sightings, self.recording.instruments))
+        quieter = not any(getattr(one.effect, "repeating", "") for one in self.noise)
+        tried = noise_hypotheses(space.sightings, self.recording.instruments, quieter=quieter)
+        self.bank = NoiseBank.of(space, tried)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
         """Take in a further change of the noise; one of the same kind at the same place is made larger."""

@@ -71,11 +71,17 @@ MOST_TARGETS = 60
 """Targets up to whose number each is tried on its own, and those that belong together."""
 
 
-def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Every change of the noise that is tried, with a grid of sizes; that of each of several `instruments` too."""
+def noise_hypotheses(
+    sightings: Sightings, instruments: Sequence[str] = (), *, quieter: bool = True
+) -> list[NoiseHypothesis]:
+    """Every change of the noise that is tried, with a grid of sizes; that of each of several `instruments` too.
+
+    Without `quieter` noise is never less than stated: beside amounts that repeat their differences are small anyhow.
+    """
     kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect)]
     known = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     found = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in known for values in sizes]
+    found = [h for h in found if quieter or min(h.values) >= 0.0]
     for family, pattern, sizes in _patterns(sightings, trackers_of(sightings, instruments)):
         found += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return found
