@@ -13,7 +13,7 @@ from ltsim.adjust.gross import GrossFinding
 from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.evidence import RESEMBLED, carried_by, stated
+from ltsim.diagnose.evidence import carried_by, stated
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
@@ -26,6 +26,7 @@ from ltsim.effects.effect import Effect
 from ltsim.effects.signature import Tunable
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
+from ltsim.laws.names import RESEMBLED
 from ltsim.laws.scatter import NoisePattern
 from ltsim.laws.words import EACH, describe
 from ltsim.recording.recording import OBSERVABLES

@@ -16,10 +16,10 @@ import pytest
 
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
-from ltsim.diagnose.evidence import INVENTED, RESEMBLED
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.laws.names import INVENTED, RESEMBLED
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.randomness import stream
