@@ -1,4 +1,4 @@
-"""Names that the catalogue has for laws (a vertical index that decays is `index-drift`), and laws that look like cards."""
+"""Names that the catalogue has for laws: a vertical index that decays is `index-drift`; laws that look like cards."""
 
 from __future__ import annotations
 
