@@ -119,10 +119,14 @@ def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, 
     return np.hstack([np.ones((len(place), 1)), place, *more])
 
 
-def near(sightings: Sightings, target: str, width: float) -> Floats:
-    """A bell about the line of sight to a target, of a width [rad], and its slopes to the left and upwards (n, 3)."""
+def near(sightings: Sightings, target: str, width: float, *, far: bool = False) -> Floats:
+    """A bell about the line of sight to a target, of a width [rad], and its slopes to the left and upwards (n, 3).
+
+    What is `far` lies in one direction from all stations: that of the target from the middle of them.
+    """
     point = sightings.points[sightings.target_ids[target][0]]
     there = point - sightings.position[sightings.station]
+    there = np.broadcast_to(there.mean(axis=0), there.shape) if far else there
     there = there / np.linalg.norm(there, axis=1)[:, None]
     ahead, *across = (np.sum(there * axis, axis=1) for axis in sightings.unit_vectors)
     bell = np.exp(-0.5 * (np.arctan2(np.hypot(*across), ahead) / width) ** 2)

@@ -61,10 +61,10 @@ class Driver:
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
         product, pieces (the sum of steps and ramps of one covariate), visits (something else at every set-up),
-        lagging (what follows a covariate by and by), near (sights that pass a target within an angle), past and
-        through (the length of a sight beyond a plane, and in a curtain there), late (what belongs to the target
-        before, less what belongs to this one), or field: the same for all, growing across the room, and bent, for
-        what carries targets.
+        lagging (what follows a covariate by and by), near (sights that pass a target within an angle), towards (those
+        within an angle of its direction), past and through (the length of a sight beyond a plane, and in a curtain
+        there), late (what belongs to the target before, less what belongs to this one), or field: the same for all,
+        growing across the room, and bent, for what carries targets.
     covariates : tuple of str
     function : str
         Of a simple driver.
@@ -118,8 +118,8 @@ class Driver:
                 return field(sightings, self.covariates, self.around, bent=self.constant > 1)
             case "simple":
                 return function(sightings, name, self.function, self.constant)
-            case "near":
-                return near(sightings, self.around[0], self.constant)
+            case "near" | "towards":
+                return near(sightings, self.around[0], self.constant, far=self.kind == "towards")
             case "past" | "through":
                 return (past if self.kind == "past" else through)(sightings, self.covariates[1], self.constant)
             case "lagging":
@@ -146,7 +146,7 @@ class Driver:
         match self.kind:
             case "constant" | "simple" | "past" | "through":
                 return (np.ones(1),)
-            case "near":
+            case "near" | "towards":
                 return (np.full(3, np.sqrt(1.0 / 3.0)),)
             case "wave" | "lagging":
                 return (np.full(2, np.sqrt(0.5)),)
@@ -187,7 +187,12 @@ class Driver:
 
 CONSTANT = Driver("constant")
 _AXES = ("azimuth", "elevation")
-SEVERAL = {"field": ("x", "y", "z"), "near": _AXES, "late": ("last-target", "target")}
+SEVERAL = {
+    "field": ("x", "y", "z"),
+    "near": _AXES,
+    "towards": ("bearing", "elevation"),
+    "late": ("last-target", "target"),
+}
 """Kinds of drivers with covariates of their own."""
 PLANES = ("past", "through")
 """Kinds of drivers whose constant is where a plane stands across an axis."""

@@ -205,7 +205,7 @@ ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-ele
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
 nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "fading", "relaxing", "saturated", "near", "lagging")
+SCALED = ("decay", "fading", "relaxing", "saturated", "near", "towards", "lagging")
 """Functions and kinds with a constant that is known to a factor at first."""
 SHARES = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""

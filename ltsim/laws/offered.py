@@ -116,8 +116,10 @@ ANGLES = (0.12, 0.3)
 def sights(sightings: Sightings) -> Iterator[Driver]:
     """What errs on the way: near a line of sight, beyond a plane, in a curtain; a list that is one row late."""
     count = len(sightings.target_names)
-    for name, angle in product(sightings.target_names if count <= MOST_LINES else (), ANGLES):
-        yield Driver("near", SEVERAL["near"], constant=angle, around=(name,))
+    for name, angle, kind in product(
+        sightings.target_names if count <= MOST_LINES else (), ANGLES, ("near", "towards")
+    ):
+        yield Driver(kind, SEVERAL[kind], constant=angle, around=(name,))
     for axis, name in enumerate("xyz"):
         low, high = (float(end(sightings.points[:, axis])) for end in (np.min, np.max))
         for plane in np.linspace(low, high, PARTS + 1)[1:-1] if high > low else ():

@@ -29,6 +29,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("field", "", None): "the place in the room",
     ("visits", "", None): "the station, another at each",
     ("near", "", None): "the nearness to the line of sight to {x}, within {value}",
+    ("towards", "", None): "the nearness to the direction of {x}, within {value}",
     ("lagging", "", None): "{x} with a lag of {value}",
     ("past", "", None): "the length of the sight beyond {x} = {value}",
     ("through", "", None): "the length of the sight in a curtain at {x} = {value}",
@@ -58,7 +59,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
-UNITS = {"near": "azimuth", "lagging": "time"}
+UNITS = {"near": "azimuth", "towards": "azimuth", "lagging": "time"}
 """Covariates in whose unit the constant of a driver is told that follows another one."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it."""
@@ -89,7 +90,9 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words."""
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
-    said = {"near": driver.around, **dict.fromkeys(PLANES, driver.covariates[1:])}.get(driver.kind, driver.covariates)
+    said = {"near": driver.around, "towards": driver.around, **dict.fromkeys(PLANES, driver.covariates[1:])}.get(
+        driver.kind, driver.covariates
+    )
     name, k, how = "".join(said[:1]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
@@ -144,7 +147,7 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         if not (found := re.fullmatch(pattern, words)):
             continue
         said: dict[str, str] = found.groupdict()
-        near = kind == "near" and said["x"] in recording.targets
+        near = kind in ("near", "towards") and said["x"] in recording.targets
         name = said["x"] if near else names.get(said.get("x", ""))
         if name is None or (how == "turn" and not name.endswith(ANGLES)):
             continue

@@ -37,6 +37,15 @@ def test_sights_that_pass_a_target_are_those_within_the_angle(sightings):
     np.testing.assert_array_equal(np.sign(up[some]), np.sign(above[some]))  # the target lies above such a sight
 
 
+def test_what_lies_far_is_in_one_direction_from_all_stations(sightings):
+    bell = near(sightings, sightings.target_names[3], 0.2, far=True)[:, 0]
+    way = sightings.points[3] - sightings.position[sightings.station].mean(axis=0)
+    angle = np.arccos(np.clip(sightings.unit_vectors[0] @ way / np.linalg.norm(way), -1.0, 1.0))
+    np.testing.assert_allclose(
+        shape(bell) / shape(bell).max(), (e := np.exp(-0.5 * (angle / 0.2) ** 2)) / e.max(), atol=1e-6
+    )
+
+
 def test_the_length_of_a_sight_beyond_a_plane_is_that_of_its_points(sightings):
     plane = float(np.quantile(sightings.points[:, 1], 0.8))
     steps = np.linspace(0.0, 1.0, 2001)

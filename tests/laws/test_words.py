@@ -42,7 +42,7 @@ def every() -> list[Driver]:
     found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [simple(name, "power") for name in PARITIES]
     found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
     found += [
-        Driver("near", SEVERAL["near"], constant=0.2, around=("T03",)),
+        *(Driver(kind, SEVERAL[kind], constant=0.2, around=("T03",)) for kind in ("near", "towards")),
         Driver("past", ("distance", "x"), constant=2.5),
         Driver("through", ("distance", "y"), constant=-1.5),
     ]
