@@ -126,7 +126,12 @@ class Cards:
         return replace(self, groups=[group.scaled(ratio) for group in self.groups])
 
     def score(self, probe: Probe) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of each card, and of the trials by family (families, trials)."""
+        """Log evidence (h,) of each card, and of the trials by family (families, trials).
+
+        What the adjustment leaves of a card is less beside what was found. Where it is only sampled, it is taken to be
+        what it was, as for laws: the difference of a rough number and an exact one may be next to nothing, and a score
+        over nothing looks like any evidence.
+        """
         values = np.zeros(len(self.effects))
         chance = []
         order = []
@@ -135,7 +140,7 @@ class Cards:
             if probe.fresh:
                 group.gram[:] = probe.gram(scores, group.own)
             score, trials, _ = probe.split(scores)
-            gram = group.gram - square(group.products(probe.extension))
+            gram = group.gram if probe.sampled else group.gram - square(group.products(probe.extension))
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)

@@ -40,6 +40,8 @@ class Probe:
     basis : (m, u) float32, or None
     fresh : bool
         Whether nothing was found yet.
+    sampled : bool
+        Whether Gram matrices are means over simulated residuals, for want of a basis.
     judged : bool
         Whether the simulated residuals are scored too, to judge a search by.
     """
@@ -50,6 +52,7 @@ class Probe:
     trials: Singles
     basis: Singles | None
     fresh: bool
+    sampled: bool
     judged: bool
 
     @classmethod
@@ -60,7 +63,8 @@ class Probe:
             basis = space.projection.basis.astype(np.float32)
         white = stream(seed, "diagnose", "null").standard_normal((space.size, TRIALS if judged or basis is None else 0))
         trials = space.project(white).astype(np.float32)
-        return cls(space, space.residual, np.zeros((space.size, 0)), trials, basis, fresh=True, judged=judged)
+        nothing = np.zeros((space.size, 0))
+        return cls(space, space.residual, nothing, trials, basis, fresh=True, sampled=basis is None, judged=judged)
 
     def beside(self, residual: Floats, extension: Floats) -> Probe:
         """The same beside what was found: its residual (m,) and orthonormal columns (m, e).

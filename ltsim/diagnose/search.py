@@ -67,7 +67,7 @@ class Searcher:
         """A search; with `cards` of one on the same readings with other weights, which is judged already."""
         self.space = space
         self.probe = Probe.of(space, seed, judged=cards is None)
-        self.large = self.probe.basis is None
+        self.large = self.probe.sampled
         self._most = FEW if self.large else REFINED
         self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
         self.panels: list[Panel] = panels(space, PRIOR["law"])

@@ -111,6 +111,23 @@ def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkey
         np.testing.assert_allclose(one.gram, other.gram, rtol=0.35)
 
 
+def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monkeypatch):
+    """What is left of it beside the finding is a small difference of large numbers, one of them sampled."""
+    steps = [step for step in find_effect("range-step").candidates(space.sightings) if step.stations == ("S2",)]
+    member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
+    signature = space.signature(member.effect)
+    left = space.project(signature)
+    base = Found((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residual)
+    values = []
+    for most in (0, 500):
+        monkeypatch.setattr("ltsim.diagnose.probe.MOST_UNKNOWNS", most)
+        probe, cards = Probe.of(space, 0, judged=False), Cards.of(space, steps)
+        cards.score(probe)
+        values.append(cards.score(probe.beside(base.residual, base.extension))[0])
+    sampled, exact = values
+    assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
+
+
 def test_evidence_is_that_of_the_dense_covariance():
     """log N(r; 0, 1 + t^2 G G') - log N(r; 0, 1), averaged over sizes, by determinants."""
     rng = stream(4, "dense")
