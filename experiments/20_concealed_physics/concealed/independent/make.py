@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from ltsim.recording import Recording
 
-from . import eighth, laws as sixth, ninth, seventh, tenth
+from . import eighth, eleventh, laws as sixth, ninth, seventh, tenth
 from .cause import CARRIERS, Cause
 from .hall import LENGTH_SIGMA, Hall, draw_hall
 from .known import KNOWN, Known
@@ -24,6 +24,7 @@ SETS = {
     "eighth": eighth.LAWS,
     "ninth": ninth.LAWS,
     "tenth": tenth.LAWS,
+    "eleventh": eleventh.LAWS,
 }
 """Which laws are drawn."""
 TRIES = 60
