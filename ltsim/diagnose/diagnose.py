@@ -18,8 +18,8 @@ from ltsim.diagnose.blind import Sight, sight_of
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.detect import Detection, detect
 from ltsim.diagnose.diagnosis import Diagnosis
-from ltsim.diagnose.evidence import log_average, stated
-from ltsim.diagnose.findings import Explained, equivalents, gross_finding, instrument_finding, noise_finding
+from ltsim.diagnose.evidence import log_average
+from ltsim.diagnose.findings import Explained, among, gross_finding, instrument_finding, noise_finding
 from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
 from ltsim.diagnose.instruments import contradictions, instrument_entries
@@ -126,8 +126,8 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     best = ranked[0][1]
-    probability = stated(named[best.effect.name], best.effect.name)
-    return replace(best, probability=probability, equivalents=equivalents(named, best.effect.name))
+    probability, rivals = among(named, best.effect.name, doubted=sum(best.values) > 0.0)  # no law makes noise less
+    return replace(best, probability=probability, equivalents=rivals)
 
 
 def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:

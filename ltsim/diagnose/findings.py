@@ -61,8 +61,7 @@ class Explained:
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
         probabilities = ranking.probabilities()
-        rivals = equivalents(probabilities, name)
-        probability = stated(probabilities.get(name, 0.0), name)
+        probability, rivals = among(probabilities, name)
         gain = others.residual**2 - found.residual**2
         spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
@@ -158,13 +157,17 @@ def instrument_finding(found: Contradiction) -> Finding:
     )
 
 
-def equivalents(probability: Mapping[str, float], name: str) -> tuple[Equivalent, ...]:
-    """The likeliest of the other names that are not excluded, laws that look like the name among them."""
-    doubt = probability.get(name, 0.0) - stated(probability.get(name, 0.0), name)
+def among(chances: Mapping[str, float], name: str, *, doubted: bool = True) -> tuple[float, tuple[Equivalent, ...]]:
+    """The probability that is stated of a name, and the likeliest others that are not excluded.
+
+    A name is `doubted` where a law that looks like it may be there instead.
+    """
+    found = chances.get(name, 0.0)
+    probability = stated(found, name) if doubted else found
     if name in RESEMBLED:
-        probability = {**probability, Law.name: probability.get(Law.name, 0.0) + doubt}
-    others = [Equivalent(effect=n, probability=p) for n, p in probability.items() if n != name and p > NOT_EXCLUDED]
-    return tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
+        chances = {**chances, Law.name: chances.get(Law.name, 0.0) + found - probability}
+    others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
+    return probability, tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
