@@ -118,8 +118,7 @@ def together(searcher: Searcher, found: Found) -> Floats:
     """Shift (T, 3) [m] of the adjusted targets by all members of a set as a refit has them, to first order."""
     if not found.members:
         return np.zeros((len(searcher.space.sightings.points), 3))
-    left, spread = np.hstack(found.left), np.concatenate([h.spread for h in found.members])
-    mean = wide_posterior(left.T @ left, left.T @ found.whole, spread)[0]
+    mean = wide_posterior(*found.products, np.concatenate([h.spread for h in found.members]))[0]
     signatures = np.hstack([searcher.space.signature(h.effect) for h in found.members])
     return -searcher.space.moved_targets(signatures @ mean)
 
