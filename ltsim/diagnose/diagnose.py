@@ -160,7 +160,7 @@ def _told(
     findings = [
         *certain,
         *(explained.finding(i, ranking) for i, ranking in enumerate(rankings)),
-        *(noise_finding(one, detection) for one in case.noise),
+        *(noise_finding(one, baseline.sightings, detection) for one in case.noise),
     ]
     findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
     before = after = _fit(baseline, baseline.dof)

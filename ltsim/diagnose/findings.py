@@ -22,7 +22,7 @@ from ltsim.diagnose.sets import Found, Ranking
 from ltsim.diagnose.told import curve_of
 from ltsim.diagnose.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
-from ltsim.effects.effect import Effect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
@@ -30,6 +30,7 @@ from ltsim.laws.names import RESEMBLED
 from ltsim.laws.scatter import NoisePattern
 from ltsim.laws.words import EACH, describe
 from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
 
 MOST_EQUIVALENTS = 3
 NOT_EXCLUDED = 0.01
@@ -99,10 +100,10 @@ class Explained:
         )
 
 
-def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
-    """The finding of a change of the noise."""
+def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
+    """The finding of a change of the noise, in the observables in which it is beyond doubt."""
     effect, probability = hypothesis.effect, hypothesis.probability
-    where = where_of(effect)
+    where = where_of(effect, _scattering(hypothesis, sightings))
     rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
     more, sentence = {}, ""
     if isinstance(effect, NoisePattern):
@@ -120,6 +121,19 @@ def noise_finding(hypothesis: NoiseHypothesis, detection: Detection) -> Finding:
         equivalents=hypothesis.equivalents,
         **_told(more),
     )
+
+
+def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
+    """The observables whose noise is another one by more than twice the standard deviation of its size."""
+    sure = [abs(v) > SURE * s for v, s in zip(hypothesis.values, hypothesis.sigma, strict=True)]
+    sizes = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+    one = np.ones((len(sightings), len(OBSERVABLES)))
+    acts = (hypothesis.effect.variance(sightings, one, np.where(sure, sizes, 0.0)) != one).any(axis=0)
+    return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
+
+
+SURE = 2.0
+"""Standard deviations from which a size is beyond doubt."""
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
@@ -171,8 +185,10 @@ def among(chances: Mapping[str, float], name: str, *, doubted: bool = True) -> t
 
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
-    """What an effect is confined to; the observable that carries it where a law's carrier does not say."""
+    """What an effect is confined to; what carries it where a law, or a change of the noise, does not say."""
     observables, stations = tuple(effect.observables), effect.stations
+    if isinstance(effect, NoiseEffect | NoisePattern):
+        observables = carried or observables
     instruments = effect.instruments if isinstance(effect, Law | NoisePattern) else ()
     if isinstance(effect, Law):
         stations = () if effect.each else stations

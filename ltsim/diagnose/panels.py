@@ -13,7 +13,7 @@ from ltsim.diagnose.panel import Cells, Panel
 from ltsim.laws.carriers import Carrier, carrier_designs
 from ltsim.laws.columns import LOW, MODES
 from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, simple, smooth
-from ltsim.laws.offered import further, general_drivers, lags, moves, products, sights, waves
+from ltsim.laws.offered import further, general_drivers, lags, moves, products, sights, visits, waves
 from ltsim.laws.places import Place, branches, corners_of, each, together, trackers_of
 
 MOST_PLACES = 400
@@ -75,8 +75,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     some = 12 <= len(s.target_names) <= 100
     groups, corners = (tuple(together(s, sets(s))) if some else () for sets in (branches, corners_of))
     general = general_drivers(s)
-    visits = float(np.median([len(place.rows) for place in stations] or [0]))
-    there = general if visits > ROOM * MODES else general_drivers(s, LOW)
+    stay = float(np.median([len(place.rows) for place in stations] or [0]))
+    there = general if stay > ROOM * MODES else general_drivers(s, LOW)
     clock = [smooth(n, LOW) for n in ("time", *further(s)) if np.ptp(s.quantities[n]) > 0]
     plain = [CONSTANT, *(simple(n, "power") for n in ("time", "distance", "elevation") if np.ptp(s.quantities[n]) > 0)]
     plain += [*(simple(n, "power") for n in further(s)), *lags(s, further(s))]
@@ -94,8 +94,8 @@ def panels(space: ResidualSpace, mass: float) -> list[Panel]:
         ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
         ("structure", bent, everywhere, {"target": 1.0}),
         ("target", [*plain, *clock], targets, AT_TARGETS),
-        ("group", [*plain, *clock], groups, AT_TARGETS),
-        ("tilt", across_the_room([*plain[1:], *clock], 1), groups, {"target": 1.0}),
+        ("group", [*plain, *clock, *visits(s)], groups, AT_TARGETS),
+        ("tilt", across_the_room([*plain[1:], *clock, *visits(s)], 1), groups, {"target": 1.0}),
         ("corner", [*plain, *clock], corners, AT_TARGETS),
     ]
     asked = [r for r in requests if r[1] and r[2]]

@@ -166,8 +166,9 @@ class Law(Tunable):
         one_face = not np.ptp(sightings.face)
         if self.carrier.name == "elevation" and one_face and names <= {*CLOCKS, *sightings.covariates}:
             return replace(self, carrier=replace(index, size=self.carrier.size))
-        if self.carrier.name == "elevation" and driver.kind == "simple" and driver.covariates == ("face",):
-            return replace(self, carrier=replace(index, size=self.carrier.size), driver=CONSTANT)
+        face, *rest = driver.factors or (driver, CONSTANT)
+        if self.carrier.name == "elevation" and face == FACE and len(rest) == 1:
+            return replace(self, carrier=replace(index, size=self.carrier.size), driver=rest[0])
         return self
 
     def at_each(self, sightings: Sightings) -> Law | None:
@@ -197,6 +198,7 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
+FACE = simple("face", "power")
 ATOMS = 41
 """Values of a covariate between which steps and ramps are tried."""
 OF_A_SET_UP = ("reading", "instrument", "circle", "stand")

@@ -8,7 +8,7 @@ from ltsim.laws.law import Law
 NAMED = {
     "vertical index": (CLOCKS, "index-drift"),
     "azimuth": (CLOCKS, "azimuth-drift"),
-    "range scale": (CLOCKS, "refractivity-drift"),
+    "range scale": (("time",), "refractivity-drift"),
     "distance": (("incidence",), "smr-incidence"),
 }
 """Carriers, and the covariates that they follow, that the catalogue has a card for."""
@@ -45,4 +45,6 @@ def card_of(law: Law) -> str:
     if driver.kind == "constant" and carrier == "distance" and len(law.stations) == 1 and not law.targets:
         return "range-step"  # from the start of the visit on
     covariates, name = NAMED.get(carrier, ((), law.name))
+    if law.instruments and name == "refractivity-drift":  # the air is of all
+        return law.name
     return name if driver.function in ("decay", "power") and driver.covariates[0] in covariates else law.name

@@ -44,20 +44,25 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     tried += ["seating-parity"] if abs(one @ other) < len(one) else []
     signs = [s for s in tried if np.ptp(sightings.quantities[s]) > 0]
     found = [CONSTANT, *(simple(name, "power") for name in signs)]
-    visits = len(np.unique(sightings.station))
-    found += [Driver("visits", constant=visits)] if FEW_VISITS < visits <= MOST_VISITS else []
+    found += visits(sightings, FEW_VISITS + 1)
     for name in CLOCKS:
         span = float(np.ptp(sightings.quantities[name]))
         found += [simple(name, "decay", float(t)) for t in span * np.array([0.03, 0.1, 0.3, 1.0]) if span > 0]
     for name in ("move-azimuth", "move-elevation", "move-distance"):
         if np.ptp(sightings.quantities[name]) > 0:
             found.append(simple(name, "abs"))
-    found += lags(sightings, (*further(sightings), "elevation", "move-azimuth", "move-elevation"))
+    found += lags(sightings, (*further(sightings), "elevation", "distance", "move-azimuth", "move-elevation"))
     return [*found, *(smooth(name, modes) for name in covariates_of(sightings))]
 
 
-MEMORIES = (300.0, 1000.0, 3000.0)
-"""[s] Times by which things are tried to lag: parts of an instrument, stands, walls and floors."""
+def visits(sightings: Sightings, least: int = 2) -> list[Driver]:
+    """Another amount at each set-up, where there are at least so many."""
+    count = len(np.unique(sightings.station))
+    return [Driver("visits", constant=count)] if least <= count <= MOST_VISITS else []
+
+
+MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
+"""[s] Times by which things are tried to lag: detectors, parts of an instrument, stands, walls and floors."""
 
 
 def lags(sightings: Sightings, names: Iterable[str]) -> list[Driver]:

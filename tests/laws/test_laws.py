@@ -161,3 +161,18 @@ def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
     moved = decay.columns(sightings)[there, 0] * mean[2]
     *_, along_z = sizes_of(decay, sightings, mean, 1e-12 * np.eye(3))
     assert along_z.value == pytest.approx(1e6 * np.ptp(moved)) or along_z.value == pytest.approx(-1e6 * np.ptp(moved))
+
+
+def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
+    elevation, face = CARRIERS["elevation"][0], simple("face", "power")
+    law = Law((), (), elevation, Driver("product", factors=(face, smooth("time", 4))))
+    assert (law.as_constant(sightings).carrier.name, law.as_constant(sightings).driver) == (
+        "vertical index",
+        smooth("time", 4),
+    )
+    assert Law((), (), elevation, face).as_constant(sightings).driver.kind == "constant"
+    assert Law((), (), elevation, smooth("time")).as_constant(sightings).carrier == elevation
+    index = law.as_constant(sightings).design(sightings)
+    np.testing.assert_allclose(
+        np.abs(index), np.abs(law.design(sightings)[:, :, 1:]), atol=1e-9
+    )  # a product has a constant too
