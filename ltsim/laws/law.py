@@ -175,7 +175,7 @@ class Law(Tunable):
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.driver.kind in ("product", "visits") or self.carrier.kind not in OF_A_SET_UP
+        once = self.driver.kind in ("product", "visits", "late") or self.carrier.kind not in OF_A_SET_UP
         if confined or once or len(stations) < 2:
             return None
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
