@@ -18,7 +18,7 @@ from ltsim.laws.names import card_of
 if TYPE_CHECKING:
     from ltsim.diagnose.search import Searcher
 
-FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2}
+FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
 PIECES = 0.1
 """Prior share of curves that are made of a few steps and ramps."""

@@ -15,7 +15,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 from ltsim.scene.sightings import Sightings
 
 CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
@@ -174,9 +174,14 @@ def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
     return np.hstack([sized(slow[:, None]), sized((x - slow)[:, None])])
 
 
+def one_each(what: Ints, ids: Ints | Sequence[int]) -> Floats:
+    """One where something (n,) has one of the ids (k,), (n, k)."""
+    return (what[:, None] == np.asarray(ids)).astype(np.float64)
+
+
 def late(sightings: Sightings) -> Floats:
     """What belongs to the target measured before, less what belongs to this one, (n, T)."""
-    own = (sightings.target[:, None] == np.arange(len(sightings.target_names))).astype(np.float64)
+    own = one_each(sightings.target, np.arange(len(sightings.target_names)))
     before = np.empty_like(sightings.order)
     before[sightings.order] = np.append(sightings.order[:1], sightings.order[:-1])
     return own[before] - own

@@ -22,6 +22,7 @@ from ltsim.laws.columns import (
     lagging,
     late,
     near,
+    one_each,
     past,
     sized,
     through,
@@ -63,8 +64,8 @@ class Driver:
         product, pieces (the sum of steps and ramps of one covariate), visits (something else at every set-up),
         lagging (what follows a covariate by and by), near (sights that pass a target within an angle), towards (those
         within an angle of its direction), past and through (the length of a sight beyond a plane, and in a curtain
-        there), late (what belongs to the target before, less what belongs to this one), or field: the same for all,
-        growing across the room, and bent, for what carries targets.
+        there), late (what belongs to the target before, less what belongs to this one); for what carries targets
+        field (the same for all, growing across the room, and bent) and members (another amount for each).
     covariates : tuple of str
     function : str
         Of a simple driver.
@@ -74,7 +75,7 @@ class Driver:
     factors : tuple of Driver
         Of a product; the pieces.
     around : tuple of str
-        Targets about whose middle a field grows, empty for all; the one that sights pass.
+        Targets about whose middle a field grows, empty for all; members; the one that sights pass.
     """
 
     kind: str
@@ -91,7 +92,7 @@ class Driver:
         column of the recording is at its zero, and where there is no such moment in the mean of the work.
         """
         found = self._columns(sightings, moving)
-        if not moving or self.kind in ("constant", "field", "product"):
+        if not moving or self.kind in ("constant", "field", "members", "product"):
             return found
         found = found - found[self._resting(sightings)].mean(axis=0)
         return sized(found) if self.kind == "simple" else found
@@ -118,19 +119,24 @@ class Driver:
                 return field(sightings, self.covariates, self.around, bent=self.constant > 1)
             case "simple":
                 return function(sightings, name, self.function, self.constant)
-            case "near" | "towards":
-                return near(sightings, self.around[0], self.constant, far=self.kind == "towards")
-            case "past" | "through":
-                return (past if self.kind == "past" else through)(sightings, self.covariates[1], self.constant)
+            case "near" | "towards" | "past" | "through":
+                return self._on_the_way(sightings)
             case "lagging":
                 return lagging(sightings, name, self.constant)
             case "late":
                 return late(sightings)
             case "visits":
-                return (sightings.station[:, None] == np.unique(sightings.station)).astype(np.float64)
+                return one_each(sightings.station, np.unique(sightings.station))
+            case "members":
+                return one_each(sightings.target, [sightings.target_names.index(name) for name in self.around])
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._products(sightings, moving)
+
+    def _on_the_way(self, sightings: Sightings) -> Floats:
+        if self.kind in PLANES:
+            return (past if self.kind == "past" else through)(sightings, self.covariates[1], self.constant)
+        return near(sightings, self.around[0], self.constant, far=self.kind == "towards")
 
     def _products(self, sightings: Sightings, moving: bool) -> Floats:
         found = np.ones((len(sightings), 1))
@@ -150,7 +156,7 @@ class Driver:
                 return (np.full(3, np.sqrt(1.0 / 3.0)),)
             case "wave" | "lagging":
                 return (np.full(2, np.sqrt(0.5)),)
-            case "visits" | "pieces" | "late":
+            case "visits" | "pieces" | "late" | "members":
                 return (np.ones(int(self.constant)),)
             case "cycle":
                 return (np.repeat(1.0 / np.arange(1, OVERTONES + 1), 2) / np.sqrt(2.0),)
@@ -173,6 +179,12 @@ class Driver:
         factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
+    def for_each(self, targets: tuple[str, ...]) -> Driver:
+        """The driver with another amount for each of some targets."""
+        followed = [f for f in self.factors or (self,) if f.kind != "field"]
+        each = Driver("members", SEVERAL["members"], constant=len(targets), around=targets)
+        return Driver("product", factors=(*followed, each))
+
     @property
     def size(self) -> int:
         """Number of columns k."""
@@ -192,6 +204,7 @@ SEVERAL = {
     "near": _AXES,
     "towards": ("bearing", "elevation"),
     "late": ("last-target", "target"),
+    "members": ("target",),
 }
 """Kinds of drivers with covariates of their own."""
 PLANES = ("past", "through")

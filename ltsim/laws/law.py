@@ -18,6 +18,7 @@ from ltsim.laws.carriers import CARRIERS, Carrier
 from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, PARTS
 from ltsim.laws.drivers import CLOCKS, CONSTANT, PLANES, Driver, pieces, simple, smooth
 from ltsim.laws.offered import MOST_VISITS, WAVE_STEP
+from ltsim.laws.places import LEAST_GROUP
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -130,6 +131,8 @@ class Law(Tunable):
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
             found["fine"] = [replace(self, driver=finer)]
+        if LEAST_GROUP <= len(self.targets) <= MOST_MEMBERS and self.carrier.kind == "target":
+            found["members"] = [replace(self, driver=driver.for_each(self.targets), scale=0)]
         if driver.kind == "wave":
             found["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
         return {
@@ -198,6 +201,8 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
+MOST_MEMBERS = 12
+"""Targets up to which each of a group may move by an amount of its own."""
 FACE = simple("face", "power")
 ATOMS = 41
 """Values of a covariate between which steps and ramps are tried."""

@@ -28,6 +28,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("smooth", "", None): "a smooth function of {x}",
     ("field", "", None): "the place in the room",
     ("visits", "", None): "the station, another at each",
+    ("members", "", None): "the target, another at each",
     ("near", "", None): "the nearness to the line of sight to {x}, within {value}",
     ("towards", "", None): "the nearness to the direction of {x}, within {value}",
     ("lagging", "", None): "{x} with a lag of {value}",
@@ -128,7 +129,11 @@ def read_law(
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
-        factors = (replace(f, around=targets, constant=1.0) if f.kind == "field" else f for f in driver.factors)
+        constants = {"field": 1.0, "members": float(len(targets))}
+        factors = (
+            replace(f, around=targets, constant=constants.get(f.kind, f.constant)) if f.kind in constants else f
+            for f in driver.factors
+        )
         driver = replace(driver, factors=tuple(factors))
     return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
 

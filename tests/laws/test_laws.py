@@ -176,3 +176,17 @@ def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
     np.testing.assert_allclose(
         np.abs(index), np.abs(law.design(sightings)[:, :, 1:]), atol=1e-9
     )  # a product has a constant too
+
+
+def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings):
+    group = sightings.target_names[:4]
+    law = Law((), group, CARRIERS["height of targets in their nests"][0], simple("time", "power"))
+    (own,) = law.forms(sightings)["members"][0]
+    columns = own.columns(sightings)
+    assert columns.shape == (len(sightings), 4)
+    for column, name in zip(columns.T, group, strict=True):
+        at = sightings.target == sightings.target_names.index(name)
+        assert column[at].any() and not column[~at].any()
+        assert column[sightings.time == sightings.time.min()].max(initial=0.0) == 0.0  # where it says at first
+    assert "members" not in replace(law, targets=sightings.target_names[:2]).forms(sightings)
+    assert "members" not in replace(law, carrier=CARRIERS["distance"][0]).forms(sightings)

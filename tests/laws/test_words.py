@@ -47,6 +47,7 @@ def every() -> list[Driver]:
         Driver("through", ("distance", "y"), constant=-1.5),
     ]
     found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), Driver("late", SEVERAL["late"], constant=28)]
+    found += [simple("press_load_kn", "power").for_each(("T01", "T02", "T04"))]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
     return [*found, Driver("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 
