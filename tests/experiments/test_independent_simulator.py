@@ -162,6 +162,7 @@ def test_every_law_acts_and_says_how_it_is_told(laws: dict[str, Any]) -> None:
         ("fifteenth", "ninth", {90: 1, 200: 2, 600: 2}),
         ("sixteenth", "tenth", {90: 1, 200: 2, 600: 2}),
         ("seventeenth", "eleventh", {90: 1, 200: 2, 600: 2}),
+        ("eighteenth", "twelfth", {90: 1, 200: 2, 600: 2}),
     ],
 )
 def test_the_plan_asks_every_law_at_its_strengths(

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from ltsim.recording import Recording
 
-from . import eighth, eleventh, laws as sixth, ninth, seventh, tenth
+from . import eighth, eleventh, laws as sixth, ninth, seventh, tenth, twelfth
 from .cause import CARRIERS, Cause
 from .hall import LENGTH_SIGMA, Hall, draw_hall
 from .known import KNOWN, Known
@@ -25,6 +25,7 @@ SETS = {
     "ninth": ninth.LAWS,
     "tenth": tenth.LAWS,
     "eleventh": eleventh.LAWS,
+    "twelfth": twelfth.LAWS,
 }
 """Which laws are drawn."""
 TRIES = 60
