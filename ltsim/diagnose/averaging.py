@@ -23,8 +23,8 @@ from ltsim.adjust.refit import Refit
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, shares, wide_posterior
+from ltsim.diagnose.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnose.search import Searcher
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.shapes import all_shapes
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rigid import less_rigid

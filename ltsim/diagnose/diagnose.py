@@ -22,10 +22,10 @@ from ltsim.diagnose.evidence import log_average
 from ltsim.diagnose.findings import Explained, among, gross_finding, instrument_finding, noise_finding
 from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
+from ltsim.diagnose.hypotheses import Found
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseHypothesis, most_likely
 from ltsim.diagnose.schema import Finding, Fit
-from ltsim.diagnose.sets import Found
 from ltsim.diagnose.words import summarise
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import VARIED, constants_in

@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.evidence import evidence_of, evidence_with, log_average
-from ltsim.diagnose.sets import Found
+from ltsim.diagnose.hypotheses import Found
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.law import Law

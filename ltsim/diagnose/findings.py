@@ -12,14 +12,14 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.gross import GrossFinding
 from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
+from ltsim.diagnose.curve import curve_of
 from ltsim.diagnose.detect import Detection
 from ltsim.diagnose.evidence import carried_by, stated
+from ltsim.diagnose.hypotheses import Found, Ranking
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.separate import separating_measurement
-from ltsim.diagnose.sets import Found, Ranking
-from ltsim.diagnose.told import curve_of
 from ltsim.diagnose.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect

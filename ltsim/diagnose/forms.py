@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.diagnose.evidence import evidence_with, log_average
-from ltsim.diagnose.sets import Found, Hypothesis
+from ltsim.diagnose.hypotheses import Found, Hypothesis
 from ltsim.laws.law import Law
 from ltsim.laws.names import card_of
 
@@ -28,7 +28,7 @@ EACH = 0.1
 """Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 
 
-def exactly(searcher: Searcher, law: Law, log_prior: float, base: Found) -> list[Hypothesis]:
+def in_all_forms(searcher: Searcher, law: Law, log_prior: float, base: Found) -> list[Hypothesis]:
     """A law computed exactly in all its forms: of each name that these have the likeliest, with the evidence of all."""
     sightings = searcher.space.sightings
     law = law.as_constant(sightings)

@@ -18,8 +18,8 @@ import scipy.sparse as sp
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.evidence import PRIOR, log_means, shares
+from ltsim.diagnose.hypotheses import Hypothesis
 from ltsim.diagnose.schema import Equivalent
-from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature

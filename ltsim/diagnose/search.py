@@ -21,17 +21,17 @@ from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.evidence import PRIOR, log_average, posterior
 from ltsim.diagnose.exact import Exact
-from ltsim.diagnose.forms import exactly
+from ltsim.diagnose.forms import in_all_forms
+from ltsim.diagnose.hypotheses import Found, Hypothesis, Ranking, alike
+from ltsim.diagnose.laws_tried import panels
 from ltsim.diagnose.panel import Hit, Panel
-from ltsim.diagnose.panels import panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.schema import Estimate
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
 from ltsim.diagnose.shapes import apart, between, shape_posterior
-from ltsim.diagnose.told import told_of
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.laws.law import Law
 from ltsim.laws.names import card_of
+from ltsim.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
 FLEXIBLE = 10
@@ -179,7 +179,7 @@ class Searcher:
             key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
             if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
-                found += exactly(self, law, hit.log_prior, base)
+                found += in_all_forms(self, law, hit.log_prior, base)
             else:
                 found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
         return found
@@ -188,7 +188,8 @@ class Searcher:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
         effect = hypothesis.effect
         if isinstance(effect, Law):
-            return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
+            sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
+            return tuple(Estimate(**size._asdict()) for size in sizes)
         found = shape_posterior(self, effect, others, told)
         wider = any(found[e.name].sigma > WIDER * e.sigma for e in told if e.name in found)
         rows = [found.get(e.name, e) if wider else e for e in told]

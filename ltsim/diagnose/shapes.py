@@ -15,8 +15,8 @@ from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.units import FACTOR
 
 if TYPE_CHECKING:
+    from ltsim.diagnose.hypotheses import Found
     from ltsim.diagnose.search import Searcher
-    from ltsim.diagnose.sets import Found
 
 
 def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
