@@ -106,7 +106,9 @@ def _open(
 
 def _shaped(searcher: Searcher, others: Found, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
     """An explanation with the likeliest of its shapes, and their probabilities."""
-    shapes = [] if isinstance(chosen.effect, Law) else all_shapes(searcher, chosen.effect, others, {}, plausible=True)
+    shapes = (
+        [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
+    )
     if not shapes:
         return [(chosen, 1.0)]
     weights = shares(np.array([one.log_weight for one in shapes]))

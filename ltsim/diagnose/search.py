@@ -179,7 +179,7 @@ class Searcher:
             key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
             if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
-                found += in_all_forms(self, law, hit.log_prior, base)
+                found += in_all_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
                 found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
         return found
@@ -190,7 +190,7 @@ class Searcher:
         if isinstance(effect, Law):
             sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
             return tuple(Estimate(**size._asdict()) for size in sizes)
-        found = shape_posterior(self, effect, others, told)
+        found = shape_posterior(self.exact, effect, others, told)
         wider = any(found[e.name].sigma > WIDER * e.sigma for e in told if e.name in found)
         rows = [found.get(e.name, e) if wider else e for e in told]
         if "time" in found and all(e.name != "time" for e in rows):
