@@ -28,7 +28,7 @@ from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.names import RESEMBLED
 from ltsim.laws.scatter import NoisePattern
-from ltsim.laws.words import EACH, describe
+from ltsim.laws.words import IN_ITS_OWN_WAY, describe
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -205,7 +205,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    own = EACH if law.each else ""
+    own = IN_ITS_OWN_WAY if law.each else ""
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
 

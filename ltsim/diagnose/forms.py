@@ -13,7 +13,7 @@ from ltsim.diagnose.evidence import evidence_with, log_average
 from ltsim.diagnose.exact import Exact
 from ltsim.diagnose.hypotheses import Found, Hypothesis
 from ltsim.laws.law import Law
-from ltsim.laws.names import card_of
+from ltsim.laws.names import name_of
 
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
@@ -21,7 +21,7 @@ PIECES = 0.1
 """Prior share of curves that are made of a few steps and ramps."""
 MOST_PIECES, PATIENCE = 10, 3
 """Steps and ramps at most, and those that are tried beyond the best."""
-EACH = 0.1
+OWN_WAY = 0.1
 """Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 
 
@@ -31,8 +31,8 @@ def in_all_forms(exact: Exact, law: Law, log_prior: float, base: Found, *, piece
     law = law.as_constant(sightings)
     whole = log_prior + float(np.log(len(law.driver.spreads)))
     each = law.at_each(sightings)
-    tried = _forms(exact, law, whole + (np.log(1.0 - EACH) if each else 0.0), base)
-    tried += _forms(exact, each, whole + np.log(EACH), base) if each else []
+    tried = _forms(exact, law, whole + (np.log(1.0 - OWN_WAY) if each else 0.0), base)
+    tried += _forms(exact, each, whole + np.log(OWN_WAY), base) if each else []
     tried += _in_pieces(exact, law, whole + float(np.log(PIECES)), base) if pieces else []
     found = []
     for name in {h.name: None for h in tried}:
@@ -56,7 +56,7 @@ def _forms(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypothesis
         spreads = np.array([[p.prior_sigma for p in one.parameters] for one in scales])
         logs = evidence_with(gram, score[None], spreads)
         found.append((share, scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))))
-    return [Hypothesis(best, share, value + share, card_of(best)) for share, best, value in found]
+    return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in found]
 
 
 def _in_pieces(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypothesis]:
@@ -81,4 +81,4 @@ def _in_pieces(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypoth
             best, taken = value, len(chosen)
     found, value = exact.uphill([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price
-    return [Hypothesis(found, prior, max(best + taken * price, value) + prior, card_of(found))]
+    return [Hypothesis(found, prior, max(best + taken * price, value) + prior, name_of(found))]

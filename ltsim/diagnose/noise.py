@@ -25,7 +25,7 @@ from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature
 from ltsim.laws.offered import further
 from ltsim.laws.places import Place, branches, trackers_of
-from ltsim.laws.scatter import EACH, REPEATS, NoisePattern
+from ltsim.laws.scatter import EACH_FACE, REPEATS, NoisePattern
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -169,10 +169,10 @@ COMPARED = 6
 """Families that are compared with the likeliest one."""
 
 
-def repeat_means(space: ResidualSpace, faces: str = EACH) -> sp.csr_array:
+def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
     """Rows (g, m) that add up readings of one kind, target, station and perhaps face, over the root of their number."""
     s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH))
+    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH_FACE))
     key = (3 * pair[:, None] + np.arange(3))[space.use]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1

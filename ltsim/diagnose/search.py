@@ -30,7 +30,7 @@ from ltsim.diagnose.schema import Estimate
 from ltsim.diagnose.shapes import apart, between, shape_posterior
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.laws.law import Law
-from ltsim.laws.names import card_of
+from ltsim.laws.names import name_of
 from ltsim.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
@@ -181,7 +181,7 @@ class Searcher:
                 seen.add(key)
                 found += in_all_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
-                found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
+                found.append(Hypothesis(law, hit.log_prior, hit.value, name_of(law)))
         return found
 
     def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
