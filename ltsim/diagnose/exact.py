@@ -1,4 +1,4 @@
-"""What is exactly true of an effect beside a set of findings: many of them in one go.
+"""Exact moments and evidence of effects beside a set of findings: of many effects in one go.
 
 Residuals and the columns of a set lie in the residual space: a projection is needed for a signature's products with
 itself alone, and these are the same beside every set.
@@ -22,6 +22,7 @@ from ltsim.laws.law import Law
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
 MOST_STEPS = 6
+"""Steps uphill at most."""
 AT_ONCE = 3_000_000
 """Numbers of signatures that are held at once: memory of some tens of MB."""
 

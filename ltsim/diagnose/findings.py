@@ -111,7 +111,7 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
         sentence = outside_sentence(where, effect.law)
     return Finding(
         effect=effect.name,
-        known=hypothesis.known,
+        known=not isinstance(effect, NoisePattern),
         where=where,
         parameters=tuple(rows),
         evidence=Evidence(

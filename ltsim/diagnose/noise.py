@@ -42,11 +42,6 @@ class NoiseHypothesis:
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
 
-    @property
-    def known(self) -> bool:
-        """Whether the catalogue has a card for it."""
-        return self.effect.name != NoisePattern.name
-
 
 def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""

@@ -163,7 +163,7 @@ def _ends(sightings: Sightings, name: str) -> tuple[Floats, Floats]:
 
 
 def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
-    """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far that is behind (n, 2)."""
+    """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far it is behind (n, 2)."""
     x = sightings.quantities[name]
     x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
     rows = sightings.order

@@ -55,7 +55,7 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         assert 0.2 < spread < 2.0, driver
 
 
-def test_carriers_are_derivatives_of_the_readings(sightings):
+def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
     designs = carrier_designs(sightings)
     assert "vertical index" in designs  # two faces tell it from the elevation
     assert set(designs) <= set(CARRIERS)
