@@ -5,9 +5,9 @@ averaged by its probability, no effect at all among it (Bayesian model averaging
 Science 14). The curve of a law that nobody knows is not quite right, and differences of evidence smaller than that may
 show tell nothing between laws. The covariance adds what the explanations disagree by.
 
-What laws that nobody knows do to the targets is taken off as far as it is safe: with s what they do, coordinates
-without it err by s and an error e, of which s tells nothing; taking off t s makes the sum of squares grow by
-t^2 s's - 2 t (s's + s'e), normally distributed.
+The shift s of the targets by laws that nobody knows is taken off as far as it is safe. Before, coordinates err by s and
+by an error e of which s tells nothing; taking off t s makes the sum of squares grow by t^2 s's - 2 t (s's + s'e), a
+normal variable.
 """
 
 from __future__ import annotations
@@ -32,10 +32,9 @@ from ltsim.laws.law import Law
 from ltsim.laws.scatter import NoisePattern
 
 WORSE, HARM = 0.05, 0.03
-"""Coordinates shall err by more than such a share more than without a law with at most such a chance."""
-MOST_OPEN = 12
-LEAST = 0.003
-"""Explanations less probable than this do not count."""
+"""Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
+MOST_OPEN, LEAST = 12, 0.003
+"""Explanations that are averaged at most, and the probability below which one does not count."""
 
 
 def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:

@@ -14,8 +14,8 @@ from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
 from ltsim.diagnose.curve import curve_of
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.evidence import carried_by, stated
-from ltsim.diagnose.hypotheses import Found, Ranking
+from ltsim.diagnose.evidence import carried_by, less_lookalikes
+from ltsim.diagnose.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
@@ -33,10 +33,11 @@ from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MOST_EQUIVALENTS = 3
+"""Equivalents that are stated at most."""
 NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
 IMPLAUSIBLE = 5.0
-"""Sizes beyond so many times a bad but plausible one are remarked upon."""
+"""Times a bad but plausible size from which a size is remarked upon."""
 
 
 @dataclass(frozen=True)
@@ -57,22 +58,21 @@ class Explained:
 
     def finding(self, member: int, ranking: Ranking) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
-        searcher, clock, found = self.case.searcher, self.case.recording.has_clock, self.found
+        searcher, found = self.case.searcher, self.found
         space, others = searcher.space, searcher.without(found, member)
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        probabilities = ranking.probabilities()
-        probability, rivals = among(probabilities, name)
+        probability, rivals = among(ranking.probabilities(), name)
         gain = others.residual**2 - found.residual**2
-        spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
-        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
-        told = searcher.estimates(hypothesis, others, refitted)
-        told = told if clock else tuple(without_clock(e) for e in told)
+        told = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
         if isinstance(effect, Law):
-            more = {"carrier": effect.carrier.name, "driver": describe(effect.driver, clock=clock)}
+            more = {
+                "carrier": effect.carrier.name,
+                "driver": describe(effect.driver, clock=self.case.recording.has_clock),
+            }
             more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
             law = law_words(effect, more["driver"])
             sentence = law_sentence(where, told, probability, law)
@@ -90,7 +90,7 @@ class Explained:
             parameters=told,
             evidence=Evidence(
                 chi2_drop=float(gain.sum()),
-                parameters=spent,
+                parameters=found.extension.shape[1] - others.extension.shape[1],
                 p_value=self.detection.chance(ranking.total),
                 probability=probability,
             ),
@@ -98,6 +98,12 @@ class Explained:
             equivalents=rivals,
             **_told(more),
         )
+
+    def _estimates(self, member: int, hypothesis: Hypothesis, others: Found) -> tuple[Estimate, ...]:
+        """The sizes of a member, by rows where the recording has no clock."""
+        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        told = self.case.searcher.estimates(hypothesis, others, refitted)
+        return told if self.case.recording.has_clock else tuple(without_clock(e) for e in told)
 
 
 def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
@@ -177,7 +183,7 @@ def among(chances: Mapping[str, float], name: str, *, doubted: bool = True) -> t
     A name is `doubted` where a law that looks like it may be there instead.
     """
     found = chances.get(name, 0.0)
-    probability = stated(found, name) if doubted else found
+    probability = less_lookalikes(found, name) if doubted else found
     if name in RESEMBLED:
         chances = {**chances, Law.name: chances.get(Law.name, 0.0) + found - probability}
     others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
