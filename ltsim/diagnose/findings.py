@@ -36,6 +36,8 @@ MOST_EQUIVALENTS = 3
 """Equivalents that are stated at most."""
 NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
+SURE = 2.0
+"""Standard deviations from which a size is beyond doubt."""
 IMPLAUSIBLE = 5.0
 """Times a bad but plausible size from which a size is remarked upon."""
 
@@ -130,16 +132,12 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
 
 
 def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """The observables whose noise is another one by more than twice the standard deviation of its size."""
+    """The observables whose noise differs from the stated one beyond doubt."""
     sure = [abs(v) > SURE * s for v, s in zip(hypothesis.values, hypothesis.sigma, strict=True)]
     sizes = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
     one = np.ones((len(sightings), len(OBSERVABLES)))
     acts = (hypothesis.effect.variance(sightings, one, np.where(sure, sizes, 0.0)) != one).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
-
-
-SURE = 2.0
-"""Standard deviations from which a size is beyond doubt."""
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:

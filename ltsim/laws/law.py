@@ -25,7 +25,7 @@ from ltsim.scene.sightings import Sightings
 MOST_MEMBERS = 12
 """Targets up to which each of a group may move by an amount of its own."""
 FACE = simple("face", "power")
-"""What the vertical index follows where the elevation errs by it: the sign of the face."""
+"""The sign of the face: an elevation that errs by it is the vertical index."""
 ATOMS = 41
 """Values of a covariate between which steps and ramps are tried."""
 OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
