@@ -13,6 +13,7 @@ from ltsim.adjust.gross import mistakes
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
+from ltsim.recording.slips import GON, UNIT_SLIPS, Slip
 
 MOST_LEFT_OUT = 0.5
 """Share of the pointings that may be left out before what remains is no result."""
@@ -25,15 +26,11 @@ HEALED = 0.1
 FEW_KEPT = 0.5
 """Share of its pointings that a station keeps, below which its place is in doubt."""
 MOST_NAMED = 4
-UNITS = (
-    ("the angles are in gon", (1.0, 0.9, 0.9)),
-    ("the angles are in degrees and were taken for gon", (1.0, 1.0 / 0.9, 1.0 / 0.9)),
-    ("the distances are in metres", (1e3, 1.0, 1.0)),
-    ("the distances are in inches", (25.4, 1.0, 1.0)),
-    ("the azimuths run clockwise", (1.0, -1.0, 1.0)),
-    ("the elevations are zenith angles", (1.0, 1.0, -1.0)),
+SLIPS = (
+    *(slip for slip in UNIT_SLIPS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
+    Slip("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
 )
-"""Factors on range, azimuth and elevation that a wrong reading of a file asks for."""
+"""What a whole file may be read as by mistake; none that shrinks lengths, for then any network seems to fit."""
 
 
 def require_result(adjustment: Adjustment) -> None:
@@ -45,7 +42,7 @@ def require_result(adjustment: Adjustment) -> None:
     if lost or fits:
         out = f"{left_out.sum()} of {len(left_out)} pointings would be left out"
         what = out if lost else f"sigma0 is {adjustment.sigma0:.3g}"
-        cure = f"they fit if {fits}" if fits else "check units, sense of the angles and names"
+        cure = f"they fit as {fits}" if fits else "check units, sense of the angles and names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
 
 
@@ -75,20 +72,17 @@ def _left_out(adjustment: Adjustment) -> Bools:
 
 
 def _unit_that_fits(adjustment: Adjustment) -> str:
-    """What would make the recording agree with itself; empty where nothing tried does."""
+    """As what the readings agree with each other: `gon, not degrees`; empty where nothing tried does."""
     recording, most = adjustment.recording, CONTRADICTION
     if adjustment.sigma0 > CONTRADICTION:
         most = HEALED * adjustment.sigma0
-    for words, factors in UNITS:
-        readings = recording.readings * np.array(factors)
-        if "zenith" in words:
-            readings[:, 2] += np.pi / 2
+    for slip in SLIPS:
         try:
-            found = adjust(recording.with_readings(readings))
+            found = adjust(recording.with_readings(slip.mended(recording.readings)))
         except LtsimError:
             continue
         if found.solution.converged and found.sigma0 < most and _left_out(found).mean() < FITS:
-            return words
+            return f"{slip.found}, not {slip.expected}"
     return ""
 
 

@@ -16,10 +16,13 @@ from ltsim.model.measurement import State
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4
+"""Steps of the constants at most: a refit begins where a search has found them on a grid."""
 LINEAR = 1e-5
 """Relative change of a constant over which readings change linearly: a range of 20 m has a thousand short waves."""
 HALVINGS = 4
 """How often a step that fits worse is halved, for constants that begin far off."""
+NO_WORSE = 1e-3
+"""Rise of chi-square that counts as none: that of a constant 0.03 standard deviations off its best value."""
 FELT = 1e-3
 """A shape constant whose change by a tenth moves no reading by this share of its effect is not estimated."""
 
@@ -54,7 +57,7 @@ class ShapeDirection(Signature):
         return float(getattr(self.base, self.constant.name))
 
     def moved(self, change: float) -> float:
-        """The constant after a relative change, within its bounds."""
+        """The constant after a relative change, within its bounds; at once it halves or doubles at most."""
         moved = self.now * (1 + np.clip(change, -0.5, 1.0))
         return float(np.clip(moved, self.constant.low, self.constant.high))
 
@@ -63,7 +66,7 @@ class ShapeDirection(Signature):
 class FirstOrder(Tunable):
     """An effect in its first-order form at one state of the network, where the exact one keeps a refit from ending.
 
-    A fine encoder error, say, moves by a good part of a period while the network settles.
+    An encoder error of thousands of lines, say, moves by a good part of a period while the network settles.
     """
 
     base: Tunable
@@ -165,24 +168,38 @@ def refit(
         changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
         if np.all(np.abs(changes) < LINEAR):
             break
-        for share in 0.5 ** np.arange(1 + HALVINGS):
-            moved = _reshaped(current, directions, share * changes)
-            tried = adjusted(effects=moved, start=found.state)
-            if tried.solution.converged and tried.chi2 <= found.chi2 + 1e-3:
-                break
-        else:
+        step = _step(adjusted, current, directions, changes, found)
+        if step is None:
             break
-        current, found = moved, tried
+        current, found = step
     named = tuple(e.base if isinstance(e, FirstOrder) else e for e in current)
     return Refit(found, named, _told(found, joint, current, directions))
 
 
+def _step(
+    adjusted: Callable[..., Adjustment],
+    effects: list[Tunable],
+    directions: list[list[ShapeDirection]],
+    changes: Floats,
+    before: Adjustment,
+) -> tuple[list[Tunable], Adjustment] | None:
+    """Effects with changed constants and their adjustment, halved until it fits no worse; None where it never does."""
+    for share in 0.5 ** np.arange(1 + HALVINGS):
+        moved = _reshaped(effects, directions, share * changes)
+        tried = adjusted(effects=moved, start=before.state)
+        if tried.solution.converged and tried.chi2 <= before.chi2 + NO_WORSE:
+            return moved, tried
+    return None
+
+
 def _split(effects: Sequence[Signature], extra: Floats) -> list[Floats]:
+    """The values of each effect's parameters."""
     sizes = [len(e.parameters) for e in effects]
     return np.split(extra[: sum(sizes)], np.cumsum(sizes)[:-1]) if sizes else []
 
 
 def _reshaped(effects: list[Tunable], directions: list[list[ShapeDirection]], changes: Floats) -> list[Tunable]:
+    """Effects with relative changes of their shape constants."""
     change = iter(changes.tolist())
     moves = [{d.constant.name: d.moved(next(change)) for d in group} for group in directions]
     return [effect.reshaped(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]

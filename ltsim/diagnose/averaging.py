@@ -5,9 +5,9 @@ averaged by its probability, no effect at all among it (Bayesian model averaging
 Science 14). The curve of a law that nobody knows is not quite right, and differences of evidence smaller than that may
 show tell nothing between laws. The covariance adds what the explanations disagree by.
 
-What laws that nobody knows do to the targets is taken off as far as it is safe: with s what they do, coordinates
-without it err by s and an error e, of which s tells nothing; taking off t s makes the sum of squares grow by
-t^2 s's - 2 t (s's + s'e), normally distributed.
+The shift s of the targets by laws that nobody knows is taken off as far as it is safe. Before, coordinates err by s and
+by an error e of which s tells nothing; taking off t s makes the sum of squares grow by t^2 s's - 2 t (s's + s'e), a
+normal variable.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from ltsim.adjust.refit import Refit
 from ltsim.arrays import Floats
 from ltsim.diagnose.diagnosis import Targets
 from ltsim.diagnose.evidence import posterior, shares, wide_posterior
+from ltsim.diagnose.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnose.search import Searcher
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking
 from ltsim.diagnose.shapes import all_shapes
 from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rigid import less_rigid
@@ -32,10 +32,9 @@ from ltsim.laws.law import Law
 from ltsim.laws.scatter import NoisePattern
 
 WORSE, HARM = 0.05, 0.03
-"""Coordinates shall err by more than such a share more than without a law with at most such a chance."""
-MOST_OPEN = 12
-LEAST = 0.003
-"""Explanations less probable than this do not count."""
+"""Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
+MOST_OPEN, LEAST = 12, 0.003
+"""Explanations that are averaged at most, and the probability below which one does not count."""
 
 
 def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Ranking], fitted: Refit) -> Targets:
@@ -106,7 +105,9 @@ def _open(
 
 def _shaped(searcher: Searcher, others: Found, chosen: Hypothesis) -> list[tuple[Hypothesis, float]]:
     """An explanation with the likeliest of its shapes, and their probabilities."""
-    shapes = [] if isinstance(chosen.effect, Law) else all_shapes(searcher, chosen.effect, others, {}, plausible=True)
+    shapes = (
+        [] if isinstance(chosen.effect, Law) else all_shapes(searcher.exact, chosen.effect, others, {}, plausible=True)
+    )
     if not shapes:
         return [(chosen, 1.0)]
     weights = shares(np.array([one.log_weight for one in shapes]))

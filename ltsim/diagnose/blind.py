@@ -17,19 +17,15 @@ from ltsim.remedies.words import advice
 
 OUT_OF_REACH = 10.0
 """An effect that would have to be so many times a bad but plausible size to be found is called invisible."""
-
-
 SINGLE = 1e-5
 """Share of a squared length that single precision loses."""
-
-
 Sight = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 
 def sight_of(space: ResidualSpace, cards: Cards) -> Sight:
-    """Effects that can be found here, and those that cannot with the error of the targets that they would hide.
+    """Effects that can be found here, and those that cannot, with the error of the targets that these would hide.
 
-    Of an effect with several parameters the one that is found best for its plausible size is told, at a middling place.
+    Of several parameters that one is told that needs the smallest multiple of its plausible size, at a middling place.
 
     Parameters
     ----------
@@ -62,8 +58,8 @@ def _seen(places: Sequence[tuple[Effect, Floats, Floats]]) -> list[tuple[Effect,
 def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
     hides = max(_hidden_error(space, effect, size) for size in sizes)
-    share = f"only {times:.0f} times that size" if np.isfinite(times) else "nothing"
-    reason = f"absorbed by poses, targets and instrument parameters: of a bad but plausible size {share} would show"
+    size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
+    reason = f"absorbed by poses, targets and instrument parameters: it would show {size}"
     return Undetectable(effect=effect.name, reason=reason, hides_um=hides, cure=advice("cause"))
 
 

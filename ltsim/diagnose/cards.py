@@ -132,9 +132,7 @@ class Cards:
         what it was, as for laws: the difference of a rough number and an exact one may be next to nothing, and a score
         over nothing looks like any evidence.
         """
-        values = np.zeros(len(self.effects))
-        chance = []
-        order = []
+        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.scored))
         for group in self.groups:
             scores = group.products(probe.vectors)
             if probe.fresh:
@@ -144,14 +142,9 @@ class Cards:
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
-            if not probe.scored:
-                continue
-            chance.append(simulated_evidence(turn @ trials, strength))
-            order.append(group.members)
-        if not self.effects or not probe.scored:
-            return values, np.zeros((0, probe.scored))
-        back = np.argsort(np.concatenate(order))
-        return values, log_means(np.vstack(chance)[back], self.family, len(self.families))
+            if probe.scored:
+                chance[group.members] = simulated_evidence(turn @ trials, strength)
+        return values, self.family_evidence(chance)
 
     def left(self) -> list[list[tuple[Effect, Floats, Floats]]]:
         """By family: each card with products (k, k) of its scaled signatures, whole and what the adjustment leaves."""
@@ -164,8 +157,8 @@ class Cards:
         return found
 
     def family_evidence(self, values: Floats) -> Floats:
-        """Log evidence (families,) with places and shapes averaged."""
-        return log_means(values, self.family, len(self.families))
+        """Log evidence (families, ...) with places and shapes averaged, of that of each card (h, ...)."""
+        return log_means(values, self.family, len(self.families)) if self.effects else values
 
 
 def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:

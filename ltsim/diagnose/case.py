@@ -19,6 +19,7 @@ from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import Recording
 
 REWEIGHTINGS = 2
+"""Adjustments in which the sizes of the noise settle."""
 
 
 @dataclass

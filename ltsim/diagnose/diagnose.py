@@ -22,10 +22,10 @@ from ltsim.diagnose.evidence import log_average
 from ltsim.diagnose.findings import Explained, among, gross_finding, instrument_finding, noise_finding
 from ltsim.diagnose.held_out import held_out_rms
 from ltsim.diagnose.history import History
+from ltsim.diagnose.hypotheses import Found
 from ltsim.diagnose.instruments import contradictions, instrument_entries
 from ltsim.diagnose.noise import NoiseHypothesis, most_likely
 from ltsim.diagnose.schema import Finding, Fit
-from ltsim.diagnose.sets import Found
 from ltsim.diagnose.words import summarise
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import VARIED, constants_in
@@ -35,10 +35,11 @@ from ltsim.recording.recording import Recording
 from ltsim.solve.threads import in_one_thread
 
 MOST_ROUNDS = 3
+"""Times that a change of the noise is looked for beside what was found."""
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
 ABSORBED = 10.0
-"""How much less than in the readings it is known what an unknown law does to the constants, which absorb most of it."""
+"""Times that the misfit of an unknown law counts where constants are compared, for they absorb most of such a law."""
 LEAST_GAIN = 2.0
 """Log evidence of a further finding: odds of 7 to 1 that there is one."""
 

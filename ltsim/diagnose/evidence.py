@@ -30,7 +30,7 @@ from ltsim.laws.names import INVENTED, RESEMBLED
 from ltsim.recording.recording import OBSERVABLES
 
 SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0])
-"""Sizes t tried, over a plausible one: a good part of a logarithmic scale."""
+"""Sizes t tried, over a plausible one: two and a half decades in steps of half a decade."""
 LOG_WEIGHTS = np.log(np.array([0.15, 0.2, 0.25, 0.22, 0.13, 0.05]))
 """Their prior: a size ten times a plausible one is rare, a tenth of it is common."""
 
@@ -50,8 +50,8 @@ SECOND_ALIKE = np.log(0.03)
 other second effect."""
 
 
-def stated(probability: float, name: str) -> float:
-    """The probability that is stated of a name: a card may be that of a law without one that looks like it.
+def less_lookalikes(probability: float, name: str) -> float:
+    """The probability of a name less that of a law without a card that looks like it.
 
     Half a law more is counted for each card, for nobody has seen all laws.
     """

@@ -1,4 +1,4 @@
-"""What is exactly true of an effect beside a set of findings: many of them in one go.
+"""Exact moments and evidence of effects beside a set of findings: of many effects in one go.
 
 Residuals and the columns of a set lie in the residual space: a projection is needed for a signature's products with
 itself alone, and these are the same beside every set.
@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.evidence import evidence_of, evidence_with, log_average
-from ltsim.diagnose.sets import Found
+from ltsim.diagnose.hypotheses import Found
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.law import Law
@@ -22,6 +22,7 @@ from ltsim.laws.law import Law
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
 MOST_STEPS = 6
+"""Steps uphill at most."""
 AT_ONCE = 3_000_000
 """Numbers of signatures that are held at once: memory of some tens of MB."""
 
@@ -37,7 +38,7 @@ class Exact:
     """Moments and evidence of effects in one residual space."""
 
     def __init__(self, space: ResidualSpace) -> None:
-        self._space = space
+        self.space = space
         self._pointing = np.nonzero(space.use)[0]
         self._grams: dict[Tunable, Floats] = {}
         self._carried: dict[str, Floats] = {}
@@ -77,7 +78,7 @@ class Exact:
         best, values = list(effects), self.evidence(effects, base)
         means, moving = values.copy(), list(range(len(best)))
         for _ in range(MOST_STEPS):
-            near = {i: some for i in moving if (some := best[i].finer(self._space.sightings))}
+            near = {i: some for i in moving if (some := best[i].finer(self.space.sightings))}
             means[moving] = values[moving]
             if not near:
                 break
@@ -95,7 +96,7 @@ class Exact:
     def signature(self, effect: Tunable) -> Floats:
         """Whitened signature (m, k) of an effect."""
         rows = self._rows_of(effect)
-        whole = np.zeros((self._space.size, len(effect.parameters)))
+        whole = np.zeros((self.space.size, len(effect.parameters)))
         whole[rows.place] = self._signatures([effect], rows)[0]
         return whole
 
@@ -119,7 +120,7 @@ class Exact:
             elif place == ((), ()):
                 self._rows[place] = Rows(slice(len(self._pointing)), self._pointing)
             else:
-                acting = np.flatnonzero(effect.mask(self._space.sightings)[self._pointing])
+                acting = np.flatnonzero(effect.mask(self.space.sightings)[self._pointing])
                 self._rows[place] = Rows(acting, self._pointing[acting])
         return self._rows[place]
 
@@ -127,7 +128,7 @@ class Exact:
         """Whitened signatures (r, q) of effects side by side on their rows, and the edges between them."""
         edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], Law):
-            return np.hstack([self._space.signature(effect) for effect in effects]), edges
+            return np.hstack([self.space.signature(effect) for effect in effects]), edges
         found = np.empty((len(rows.pointing), edges[-1]))
         carried: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
@@ -135,7 +136,7 @@ class Exact:
             name = effect.carrier.name
             if name not in carried:
                 carried[name] = self._moved(name)[rows.place]
-            columns = effect.columns(self._space.sightings)[rows.pointing]
+            columns = effect.columns(self.space.sightings)[rows.pointing]
             shape = len(found), carried[name].shape[1], columns.shape[1]
             np.multiply(carried[name][:, :, None], columns[:, None, :], out=found[:, low:high].reshape(shape))
         return found, edges
@@ -143,7 +144,7 @@ class Exact:
     def _moved(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings by each component of a carrier, computed once."""
         if name not in self._carried:
-            self._carried[name] = self._space.whiten(CARRIERS[name][1](self._space.sightings))
+            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
         return self._carried[name]
 
     def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:
@@ -155,5 +156,5 @@ class Exact:
         if len(new) < len(effects):
             columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
         ends = np.append(0, np.cumsum(np.diff(edges)[new]))
-        left = self._space.projection.grams(columns, ends, rows.place)
+        left = self.space.projection.grams(columns, ends, rows.place)
         self._grams.update(zip((effects[i] for i in new), left, strict=True))

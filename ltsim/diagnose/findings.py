@@ -12,14 +12,14 @@ from ltsim.adjust.adjustment import Adjustment
 from ltsim.adjust.gross import GrossFinding
 from ltsim.adjust.refit import Refit
 from ltsim.diagnose.case import Case
+from ltsim.diagnose.curve import curve_of
 from ltsim.diagnose.detect import Detection
-from ltsim.diagnose.evidence import carried_by, stated
+from ltsim.diagnose.evidence import carried_by, less_lookalikes
+from ltsim.diagnose.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnose.instruments import Contradiction
 from ltsim.diagnose.noise import NoiseHypothesis
 from ltsim.diagnose.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnose.separate import separating_measurement
-from ltsim.diagnose.sets import Found, Ranking
-from ltsim.diagnose.told import curve_of
 from ltsim.diagnose.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect
@@ -28,15 +28,18 @@ from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.names import RESEMBLED
 from ltsim.laws.scatter import NoisePattern
-from ltsim.laws.words import EACH, describe
+from ltsim.laws.words import IN_ITS_OWN_WAY, describe
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MOST_EQUIVALENTS = 3
+"""Equivalents that are stated at most."""
 NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
+SURE = 2.0
+"""Standard deviations from which a size is beyond doubt."""
 IMPLAUSIBLE = 5.0
-"""Sizes beyond so many times a bad but plausible one are remarked upon."""
+"""Times a bad but plausible size from which a size is remarked upon."""
 
 
 @dataclass(frozen=True)
@@ -57,22 +60,21 @@ class Explained:
 
     def finding(self, member: int, ranking: Ranking) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
-        searcher, clock, found = self.case.searcher, self.case.recording.has_clock, self.found
+        searcher, found = self.case.searcher, self.found
         space, others = searcher.space, searcher.without(found, member)
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        probabilities = ranking.probabilities()
-        probability, rivals = among(probabilities, name)
+        probability, rivals = among(ranking.probabilities(), name)
         gain = others.residual**2 - found.residual**2
-        spent = found.extension.shape[1] - others.extension.shape[1]
         where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
-        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
-        told = searcher.estimates(hypothesis, others, refitted)
-        told = told if clock else tuple(without_clock(e) for e in told)
+        told = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
         if isinstance(effect, Law):
-            more = {"carrier": effect.carrier.name, "driver": describe(effect.driver, clock=clock)}
+            more = {
+                "carrier": effect.carrier.name,
+                "driver": describe(effect.driver, clock=self.case.recording.has_clock),
+            }
             more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
             law = law_words(effect, more["driver"])
             sentence = law_sentence(where, told, probability, law)
@@ -90,7 +92,7 @@ class Explained:
             parameters=told,
             evidence=Evidence(
                 chi2_drop=float(gain.sum()),
-                parameters=spent,
+                parameters=found.extension.shape[1] - others.extension.shape[1],
                 p_value=self.detection.chance(ranking.total),
                 probability=probability,
             ),
@@ -98,6 +100,12 @@ class Explained:
             equivalents=rivals,
             **_told(more),
         )
+
+    def _estimates(self, member: int, hypothesis: Hypothesis, others: Found) -> tuple[Estimate, ...]:
+        """The sizes of a member, by rows where the recording has no clock."""
+        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        told = self.case.searcher.estimates(hypothesis, others, refitted)
+        return told if self.case.recording.has_clock else tuple(without_clock(e) for e in told)
 
 
 def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
@@ -111,7 +119,7 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
         sentence = outside_sentence(where, effect.law)
     return Finding(
         effect=effect.name,
-        known=hypothesis.known,
+        known=not isinstance(effect, NoisePattern),
         where=where,
         parameters=tuple(rows),
         evidence=Evidence(
@@ -124,16 +132,12 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
 
 
 def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """The observables whose noise is another one by more than twice the standard deviation of its size."""
+    """The observables whose noise differs from the stated one beyond doubt."""
     sure = [abs(v) > SURE * s for v, s in zip(hypothesis.values, hypothesis.sigma, strict=True)]
     sizes = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
     one = np.ones((len(sightings), len(OBSERVABLES)))
     acts = (hypothesis.effect.variance(sightings, one, np.where(sure, sizes, 0.0)) != one).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
-
-
-SURE = 2.0
-"""Standard deviations from which a size is beyond doubt."""
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
@@ -177,7 +181,7 @@ def among(chances: Mapping[str, float], name: str, *, doubted: bool = True) -> t
     A name is `doubted` where a law that looks like it may be there instead.
     """
     found = chances.get(name, 0.0)
-    probability = stated(found, name) if doubted else found
+    probability = less_lookalikes(found, name) if doubted else found
     if name in RESEMBLED:
         chances = {**chances, Law.name: chances.get(Law.name, 0.0) + found - probability}
     others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
@@ -205,7 +209,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    own = EACH if law.each else ""
+    own = IN_ITS_OWN_WAY if law.each else ""
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
 

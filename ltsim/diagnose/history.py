@@ -19,7 +19,7 @@ from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 
 ANYTHING = 1e3
-"""Guarantees by which a constant that has changed may have done so, when others are looked at."""
+"""Guarantees by which a constant that is known to have changed may be off, when the others are looked at."""
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
 SCATTERS = np.geomspace(0.05, 1e4, 80)

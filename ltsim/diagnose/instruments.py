@@ -12,6 +12,11 @@ from ltsim.diagnose.evidence import log_evidence
 from ltsim.diagnose.schema import Estimate, InstrumentEntry
 from ltsim.effects.effect import Parameter
 
+PRIOR_ODDS = 0.05
+"""That some constant of some instrument is not what the others, or a correction, say; shared among all constants."""
+MEDIAN = np.pi / 2
+"""Variance of a median over that of a mean, of many normal values."""
+
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
     """Constants and determined combinations of every instrument of a recording."""
@@ -28,10 +33,6 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
         parameters=tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
         determined=tuple(determined(parameters, values, covariance)),
     )
-
-
-PRIOR_ODDS = 0.05
-"""That some constant of some instrument is not what the others', or a correction, say; shared among all constants."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,3 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
             if abs(values[names.index(c.instrument), parameters.index(c.parameter)]) >= largest[c.parameter.name]
         ]
     return sorted(found, key=lambda c: -c.evidence)
-
-
-MEDIAN = np.pi / 2
-"""Variance of a median over that of a mean."""

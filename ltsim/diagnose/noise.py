@@ -18,16 +18,32 @@ import scipy.sparse as sp
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.evidence import PRIOR, log_means, shares
+from ltsim.diagnose.hypotheses import Hypothesis
 from ltsim.diagnose.schema import Equivalent
-from ltsim.diagnose.sets import Hypothesis
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature
 from ltsim.laws.offered import further
 from ltsim.laws.places import Place, branches, trackers_of
-from ltsim.laws.scatter import EACH, REPEATS, NoisePattern
+from ltsim.laws.scatter import EACH_FACE, REPEATS, NoisePattern
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
+
+EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0)
+"""Added variances that are tried, over the stated: of all readings, where a pattern is largest, of some targets. The
+fewer readings have them, the larger they must be to be seen."""
+MOST_TARGETS = 60
+"""Targets up to whose number each is tried on its own, and those that belong together."""
+COMPARED = 6
+"""Families, the likeliest among them, that are compared."""
+LEAST_SHARE = 0.05
+"""Redundancy that a mean of repeats has at least."""
+LARGEST = 400.0
+"""Upper bound of a size in units of its plausible one."""
+GRID, REACH, ZOOMS = 7, 4.0, 9
+"""Points of the grid on which the posterior of a size is summed, deviations it reaches, and how often it is drawn anew:
+sums over a bell curve are exact for spacings up to a deviation and a half, and nine grids shrink to the narrowest one
+there is."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +58,6 @@ class NoiseHypothesis:
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
 
-    @property
-    def known(self) -> bool:
-        """Whether the catalogue has a card for it."""
-        return self.effect.name != NoisePattern.name
-
 
 def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
@@ -56,19 +67,15 @@ def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple
     places = [NoisePattern(), *(NoisePattern(stations=p.stations, instruments=p.instruments) for p in trackers)]
     for at, acts, name, falling in product(places, single, [*known, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
-        yield acts[0], pattern, (2.0, 6.0, 20.0)
+        yield acts[0], pattern, GROWING
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
     for acts in (*single, OBSERVABLES):
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
-            yield "repeating", NoisePattern(acts, repeating=faces), (0.25, 0.6, 1.5, 4.0, 12.0)
-        yield "scatter", NoisePattern(acts), (0.25, 0.6, 1.5, 4.0, 12.0)
+            yield "repeating", NoisePattern(acts, repeating=faces), EVERYWHERE
+        yield "scatter", NoisePattern(acts), EVERYWHERE
         for group in groups:
-            yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), (3.0, 15.0)
-
-
-MOST_TARGETS = 60
-"""Targets up to whose number each is tried on its own, and those that belong together."""
+            yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
 
 
 def noise_hypotheses(
@@ -165,14 +172,10 @@ class NoiseBank:
         return found
 
 
-COMPARED = 6
-"""Families that are compared with the likeliest one."""
-
-
-def repeat_means(space: ResidualSpace, faces: str = EACH) -> sp.csr_array:
+def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
     """Rows (g, m) that add up readings of one kind, target, station and perhaps face, over the root of their number."""
     s = space.sightings
-    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH))
+    pair = 2 * (s.station * len(s.target_names) + s.target) + ((s.face == 2) & (faces == EACH_FACE))
     key = (3 * pair[:, None] + np.arange(3))[space.use]
     _, group, count = np.unique(key, return_inverse=True, return_counts=True)
     keep = count[group] > 1
@@ -192,18 +195,6 @@ def _grown(means: sp.csr_array, factor: Floats) -> Floats:
     """Variance (g,) of means whose members share what is above the stated variance: 1 + k v."""
     padded = np.concatenate([factor, np.ones(means.shape[1] - len(factor))])
     return 1.0 + np.maximum((means > 0).astype(np.float64) @ (padded - 1.0), 0.0)
-
-
-LEAST_SHARE = 0.05
-"""Redundancy that a mean of repeats has at least."""
-
-
-LARGEST = 400.0
-"""Upper bound of a size in units of its plausible one."""
-GRID, REACH, ZOOMS = 7, 4.0, 9
-"""Points of the grid on which the posterior of a size is summed, deviations it reaches, and how often it is
-drawn anew: sums over a bell curve are exact from spacings of a deviation and a half on, and nine grids shrink to the
-narrowest one there is."""
 
 
 def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:

@@ -21,29 +21,35 @@ from ltsim.arrays import Floats, Ints
 from ltsim.diagnose.cards import Cards, card_hypotheses
 from ltsim.diagnose.evidence import PRIOR, log_average, posterior
 from ltsim.diagnose.exact import Exact
-from ltsim.diagnose.forms import exactly
+from ltsim.diagnose.forms import in_all_forms
+from ltsim.diagnose.hypotheses import Found, Hypothesis, Ranking, alike
+from ltsim.diagnose.laws_tried import panels
 from ltsim.diagnose.panel import Hit, Panel
-from ltsim.diagnose.panels import panels
 from ltsim.diagnose.probe import Probe
 from ltsim.diagnose.schema import Estimate
-from ltsim.diagnose.sets import Found, Hypothesis, Ranking, alike
 from ltsim.diagnose.shapes import apart, between, shape_posterior
-from ltsim.diagnose.told import told_of
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.laws.law import Law
-from ltsim.laws.names import card_of
+from ltsim.laws.names import name_of
+from ltsim.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
+"""Findings that are told at most."""
 FLEXIBLE = 10
-"""Coefficients of the curve of one quantity; more can imitate several effects."""
-REFINED = 7
-"""Cards, and laws, that are computed exactly in each round."""
-CELLS = 11
-"""Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above."""
-FEW = 3
-"""The same in a large network, where each costs a solution of the whole."""
+"""Coefficients of a curve in one quantity, `MODES` and a slope; what has more can imitate several effects."""
+REFINED, FEW = 7, 3
+"""Cards, and laws, computed exactly in a round; in a large network, where each costs a solution of the whole."""
+GRID, FINER, ZOOMS = 11, 9, 2
+"""Points of the grid on which a shape is integrated, from one step of the coarse grid below to one above; points that
+are put around the best one, and how often, for the peak may be much narrower than a step."""
+BASINS, AMONG, BEHIND = 3, 40, 10.0
+"""Members of a family that are computed exactly, among its best ones, and how much log evidence they may be behind."""
 KEPT = 16
 """Projected signatures that are kept."""
+MOST_LAWS = 400
+"""Laws of all panels that are kept beside the ones computed exactly."""
+WIDER = 1.15
+"""Where shapes leave a parameter so many times less certain than the curvature at the optimum, a posterior is told."""
 
 
 class Screen(NamedTuple):
@@ -88,7 +94,7 @@ class Searcher:
         """All cards and laws beside a set, scored at once."""
         probe = self.probe.beside(base.residual, base.extension) if base.members else self.probe
         values, chance = self.cards.score(probe)
-        families = self.cards.family_evidence(values) + self._of_a_card if len(values) else values
+        families = self.cards.family_evidence(values) + self._of_a_card
         hits: list[Hit] = []
         statistic, null = log_average(families), log_average(chance + self._of_a_card)
         for panel in self.panels:
@@ -112,7 +118,7 @@ class Searcher:
         return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))))
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
-        """The best of a family of cards; its evidence is that of the family."""
+        """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
         members = np.flatnonzero(self.cards.family == family)
         members = members[np.argsort(-values[members])]
         prior = float(np.log(PRIOR["named"] / len(self.cards.families) / len(members)))
@@ -130,8 +136,8 @@ class Searcher:
     def _basins(self, members: Ints, values: Floats) -> list[int]:
         """The best members of a family, and others nearly as good at another place or shape."""
         chosen = [int(members[0])]
-        for i in members[1:40]:
-            if len(chosen) == 3 or values[i] < values[chosen[0]] - 10.0:
+        for i in members[1:AMONG]:
+            if len(chosen) == BASINS or values[i] < values[chosen[0]] - BEHIND:
                 break
             if all(apart(self.cards.effects[int(i)], self.cards.effects[j]) for j in chosen):
                 chosen.append(int(i))
@@ -152,17 +158,17 @@ class Searcher:
         low, high = shape.bracket(now)
         if not low < high:
             return effect, value
-        u = np.linspace(-1.0, 1.0, CELLS)
+        u = np.linspace(-1.0, 1.0, GRID)
 
         def tried(some: Floats) -> Floats:
             values = (between(shape, low, high, x) for x in some.tolist())
             return self.exact.evidence([effect.reshaped(**{shape.name: value}) for value in values], base)
 
         logs = tried(u)
-        for _ in range(2):
+        for _ in range(ZOOMS):
             top = int(np.argmax(logs))
             near = u[max(top - 1, 0) : top + 2]
-            more = np.setdiff1d(np.linspace(near[0], near[-1], 9), u)
+            more = np.setdiff1d(np.linspace(near[0], near[-1], FINER), u)
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
         best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[np.argmax(logs)]))})
@@ -179,17 +185,18 @@ class Searcher:
             key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
             if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
-                found += exactly(self, law, hit.log_prior, base)
+                found += in_all_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)
             else:
-                found.append(Hypothesis(law, hit.log_prior, hit.value, card_of(law)))
+                found.append(Hypothesis(law, hit.log_prior, hit.value, name_of(law)))
         return found
 
     def estimates(self, hypothesis: Hypothesis, others: Found, told: Sequence[Estimate]) -> tuple[Estimate, ...]:
         """Estimates of a refit; where shapes leave them less certain, mean and deviation over all shapes."""
         effect = hypothesis.effect
         if isinstance(effect, Law):
-            return told_of(effect, self.space.sightings, *self.coefficients(effect, others))
-        found = shape_posterior(self, effect, others, told)
+            sizes = sizes_of(effect, self.space.sightings, *self.coefficients(effect, others))
+            return tuple(Estimate(**size._asdict()) for size in sizes)
+        found = shape_posterior(self.exact, effect, others, told)
         wider = any(found[e.name].sigma > WIDER * e.sigma for e in told if e.name in found)
         rows = [found.get(e.name, e) if wider else e for e in told]
         if "time" in found and all(e.name != "time" for e in rows):
@@ -281,11 +288,3 @@ class Searcher:
 def _promising(best: float) -> float:
     """Log evidence from which a law is computed exactly beside the best: its forms can double it."""
     return 0.5 * best - 5.0
-
-
-MOST_LAWS = 400
-"""Laws of all panels that are kept beside the ones computed exactly."""
-
-
-WIDER = 1.15
-"""Where shapes leave a parameter so many times less certain than the curvature at the optimum, a posterior is told."""

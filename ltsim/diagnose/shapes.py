@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.diagnose.evidence import shares, wide_posterior
+from ltsim.diagnose.exact import Exact
+from ltsim.diagnose.hypotheses import Found
 from ltsim.diagnose.schema import Estimate
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.units import FACTOR
-
-if TYPE_CHECKING:
-    from ltsim.diagnose.search import Searcher
-    from ltsim.diagnose.sets import Found
 
 
 def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
@@ -80,7 +78,7 @@ def _gaps(effects: Sequence[Tunable]) -> dict[float, float]:
 
 
 def all_shapes(
-    searcher: Searcher, effect: Tunable, base: Found, spread: Mapping[str, float], *, plausible: bool = False
+    exact: Exact, effect: Tunable, base: Found, spread: Mapping[str, float], *, plausible: bool = False
 ) -> list[Shaped]:
     """An effect in all its shapes and at its neighbours in place, all alike at first; empty without either.
 
@@ -88,7 +86,7 @@ def all_shapes(
     the readings alone say of the effect's size, or, `plausible`, by the prior of sizes too.
     """
     shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
-    near = effect.finer(searcher.space.sightings)
+    near = effect.finer(exact.space.sightings)
     if not (shapes or near) or len(shapes) > 2:
         return []
     count = 33 if len(shapes) == 1 and not near else 15
@@ -100,8 +98,8 @@ def all_shapes(
         for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
     ]
     shaped = [one.reshaped(**constants) for one, constants, _ in points]
-    told = [wide_posterior(*moments, sizes) for moments in searcher.exact.moments(shaped, base)]
-    weighed = searcher.exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in told]
+    told = [wide_posterior(*moments, sizes) for moments in exact.moments(shaped, base)]
+    weighed = exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in told]
     found = []
     for (one, constants, widths), shape, (mean, covariance, _), evidence in zip(
         points, shaped, told, weighed, strict=True
@@ -113,14 +111,14 @@ def all_shapes(
     return found
 
 
-def shape_posterior(searcher: Searcher, effect: Tunable, base: Found, told: Sequence[Estimate]) -> dict[str, Estimate]:
+def shape_posterior(exact: Exact, effect: Tunable, base: Found, told: Sequence[Estimate]) -> dict[str, Estimate]:
     """Means and standard deviations of parameters and constants over all shapes, the finest around what is `told`.
 
     Shapes are weighed by their evidence and the room they stand for; each brings the uncertainty it leaves the
     parameters. Unlike a curvature at the optimum this holds where a likelihood is flat, skew, cut off by bounds, or has
     two tops. Empty for effects without such constants.
     """
-    shapes = all_shapes(searcher, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in told})
+    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in told})
     if not shapes:
         return {}
     weight = shares(np.array([one.log_weight for one in shapes]))

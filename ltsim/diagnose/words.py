@@ -10,10 +10,9 @@ from ltsim.diagnose.schema import Estimate, Finding, Fit, Where
 from ltsim.effects import card_of, find_effect
 
 MOST_NAMED = 4
+"""Estimates that a sentence names at most."""
 LIKELY = 0.5
 """Probability below which a name is only a suggestion."""
-
-
 COVARIATES = {
     "approach": "the move before the pointing",
     "place": "the place in the room",
@@ -118,7 +117,7 @@ def without_clock(parameter: Estimate) -> Estimate:
 
 
 def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:
-    """The first sentence of a report."""
+    """The answer in a few sentences, with which a report begins."""
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the stated noise (chi-square {before.chi2:.0f} for "
@@ -133,14 +132,16 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     first = findings[0]
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
-    open_ = f" This recording cannot exclude {_list(others)} instead." if others else ""
-    return first.sentence + open_ + more + ("" if after is before else _course(before.held_out_rms, after.held_out_rms))
+    open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
+    course = "" if after is before else _course(before.held_out_rms, after.held_out_rms, several=len(findings) > 1)
+    return first.sentence + open_ + more + course
 
 
-def _course(before: float | None, after: float | None) -> str:
+def _course(before: float | None, after: float | None, *, several: bool) -> str:
     """What became of the error on readings not used for the fit."""
     if before is None or after is None:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"
     course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
-    return f" With it in the model the error on readings not used for the fit {course} times the stated noise."
+    modelled = "With them" if several else "With it"
+    return f" {modelled} in the model the error on readings not used for the fit {course} times the stated noise."

@@ -72,7 +72,7 @@ _CIRCLES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Circles that turn off their centre."""
+"""Circles whose centre is off the axis that they turn about."""
 _READINGS = tuple(
     Carrier(name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading")
     for name in OBSERVABLES

@@ -20,13 +20,15 @@ from ltsim.scene.sightings import Sightings
 
 CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
 MODES, LOW, FINE = 9, 4, 32
-"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again."""
+"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again. At the shortest
+of its length scales the last one keeps a tenth to a third of the prior deviation of the first."""
 EDGE = 1.25
-"""Half-width of the interval on which eigenfunctions live, over that of the covariate's range: they end beyond it."""
+"""Half-width of the interval at whose ends all eigenfunctions are zero, over that of the covariate's range: where the
+range ends a curve need not be zero."""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
-"""Length scales, as far as eigenfunctions reach: over the half-width of a covariate's range; of a circle, a radian."""
+"""Length scales by number of eigenfunctions: in half-widths of the covariate's range, round a circle in radians."""
 MEMORY = ("approach-", "move-", "last-", "wound-", "lapse")
-"""What names of covariates begin with that tell of the pointing before."""
+"""How the names of covariates begin that tell of the pointing before."""
 SIMPLE = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),
@@ -42,13 +44,13 @@ SIMPLE = {
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
 PARTS = 10
-"""Into which planes part the room at first, along each axis."""
+"""Parts into which the planes that are tried first divide the room along each axis."""
 RESTING = 0.02
 """Share of its largest value up to which a column counts as zero."""
 
 
 def has_zero(x: Floats) -> bool:
-    """Whether a column comes to zero; one that does not is told from its mean (a load, but no temperature, rests)."""
+    """Whether a column rests at zero, as a load does; one that does not, a temperature say, is told from its mean."""
     return bool(np.nanmin(np.abs(x)) < RESTING * np.nanmax(np.abs(x)))
 
 
@@ -109,7 +111,7 @@ def function(sightings: Sightings, name: str, how: str, constant: float) -> Floa
 
 
 def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
-    """The same for all, and growing from the middle of some targets, or of all (n, 4); and bent (n, 10)."""
+    """One and the coordinates from the middle of some targets, or of all (n, 4); `bent`, their products too (n, 10)."""
     place = np.stack([sightings.quantities[name] for name in names], axis=1)
     ids = [i for name in around for i in sightings.target_ids[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
@@ -144,7 +146,7 @@ def past(sightings: Sightings, name: str, plane: float) -> Floats:
 
 
 CURTAIN = 0.5
-"""[m] Thickness of what sights go through, of no account but for those nearly along it."""
+"""[m] Thickness of the sheet: it matters only to sights that run nearly along it."""
 
 
 def through(sightings: Sightings, name: str, plane: float) -> Floats:
@@ -161,7 +163,7 @@ def _ends(sightings: Sightings, name: str) -> tuple[Floats, Floats]:
 
 
 def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
-    """What follows a covariate, or its amount, by and by with a memory [s], and how much it is behind (n, 2)."""
+    """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far it is behind (n, 2)."""
     x = sightings.quantities[name]
     x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
     rows = sightings.order

@@ -198,10 +198,9 @@ class Driver:
 
 
 CONSTANT = Driver("constant")
-_AXES = ("azimuth", "elevation")
 SEVERAL = {
     "field": ("x", "y", "z"),
-    "near": _AXES,
+    "near": ("azimuth", "elevation"),
     "towards": ("bearing", "elevation"),
     "late": ("last-target", "target"),
     "members": ("target",),

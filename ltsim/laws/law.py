@@ -22,6 +22,24 @@ from ltsim.laws.places import LEAST_GROUP
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
+MOST_MEMBERS = 12
+"""Targets up to which each of a group may move by an amount of its own."""
+FACE = simple("face", "power")
+"""The sign of the face: an elevation that errs by it is the vertical index."""
+ATOMS = 41
+"""Values of a covariate between which steps and ramps are tried."""
+OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
+"""Kinds of carriers that may do the same at every set-up, each in its own way."""
+ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+"""Angles of which sines, cosines and tangents are tried."""
+MOVED, NEAR = 4, 6
+"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
+nearer to each other they are not set, for a few pointings make no law."""
+SCALED = ("decay", "fading", "relaxing", "saturated", "near", "towards", "lagging")
+"""Functions and kinds with a constant that is known to a factor at first."""
+OF_SPAN = np.array([0.05, 0.15, 0.5])
+"""Constants of decays and saturations, as a share of a covariate's span."""
+
 
 @dataclass(frozen=True)
 class Law(Tunable):
@@ -86,7 +104,7 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates between those tried for a wave, edges and constants around one."""
+        """Rates and planes between those tried first, edges and constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
@@ -97,19 +115,23 @@ class Law(Tunable):
             planes = driver.constant + step * np.linspace(-0.9, 0.9, 7)
             return [replace(self, driver=replace(driver, constant=float(plane))) for plane in planes]
         if driver.kind == "pieces" and len(driver.factors) <= MOVED:
-            x = np.unique(sightings.quantities[driver.covariates[0]][self.mask(sightings) > 0])
-            gaps = np.searchsorted(x, [piece.constant for piece in driver.factors])
-            found = []
-            for i, piece in enumerate(driver.factors):
-                for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
-                    if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) < NEAR:
-                        continue
-                    moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
-                    found.append(self.in_pieces([*driver.factors[:i], moved, *driver.factors[i + 1 :]]))
-            return found
+            return self._with_one_moved(sightings)
         if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
+
+    def _with_one_moved(self, sightings: Sightings) -> list[Law]:
+        """The law with one of its steps and ramps at another gap between the values of their covariate."""
+        factors = self.driver.factors
+        x = np.unique(sightings.quantities[self.driver.covariates[0]][self.mask(sightings) > 0])
+        gaps = np.searchsorted(x, [piece.constant for piece in factors])
+        found = []
+        for i, piece in enumerate(factors):
+            for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
+                if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) >= NEAR:
+                    moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
+                    found.append(self.in_pieces([*factors[:i], moved, *factors[i + 1 :]]))
+        return found
 
     def formulas(self, sightings: Sightings) -> list[Law]:
         """Short laws that a smooth one may turn out to be."""
@@ -201,26 +223,9 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
-MOST_MEMBERS = 12
-"""Targets up to which each of a group may move by an amount of its own."""
-FACE = simple("face", "power")
-ATOMS = 41
-"""Values of a covariate between which steps and ramps are tried."""
-OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
-"""Kinds of carriers that may do the same at every set-up, each in its own way."""
-ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
-MOVED, NEAR = 4, 6
-"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
-nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "fading", "relaxing", "saturated", "near", "towards", "lagging")
-"""Functions and kinds with a constant that is known to a factor at first."""
-SHARES = np.array([0.05, 0.15, 0.5])
-"""Constants of decays and saturations, as a share of a covariate's span."""
-
-
 def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Driver]:
     """Short drivers in a covariate; `few` where several are tried together."""
-    shares = SHARES * float(np.ptp(sightings.quantities[name]))
+    times = OF_SPAN * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR
     if circular:
         for order in range(1, 4 if few else 7):
@@ -228,12 +233,12 @@ def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Dr
     tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
     if name in ANGULAR and not (circular and few):
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
-    tried += [("decay", shares)] if name == "lapse" else []
+    tried += [("decay", times)] if name == "lapse" else []
     if not few:
         tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
-        tried += [("decay", shares)] if name in CLOCKS else []
-        tried += [("relaxing", shares)] if name in (*CLOCKS, "lapse") else []
-        tried += [("abs", (1.0,)), ("saturated", shares), ("fading", shares)] if name.startswith("move-") else []
+        tried += [("decay", times)] if name in CLOCKS else []
+        tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []
+        tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
     for function, constants in tried:
         for constant in constants:
             yield simple(name, function, float(constant))

@@ -30,12 +30,12 @@ RESEMBLED = {
     "range-step": 1,
     "target-moved": 1,
 }
-"""Of so many invented laws without a card those that look like one, in the concealed samples seven to sixteen
-(experiments/20_concealed_physics; a test counts them): a card of the mean explains 85 % of what they leave, or a search
-that found nothing else called them that noise."""
+"""How many invented laws without a card there are in the concealed samples seven to sixteen, and how many of them look
+like which card (experiments/20_concealed_physics; a test counts them): one that shifts readings explains 85 % of what
+they leave, or a search that found nothing else called them that change of the noise."""
 
 
-def card_of(law: Law) -> str:
+def name_of(law: Law) -> str:
     """The name that the catalogue has for a law; `unknown` where it has none."""
     driver, carrier = law.driver, law.carrier.name
     if driver.kind == "wave" and carrier in CIRCLES.get(driver.covariates[0], ()) and driver.constant > GRADUATED:

@@ -47,7 +47,7 @@ def general_drivers(sightings: Sightings, modes: int = MODES) -> list[Driver]:
     found += visits(sightings, FEW_VISITS + 1)
     for name in CLOCKS:
         span = float(np.ptp(sightings.quantities[name]))
-        found += [simple(name, "decay", float(t)) for t in span * np.array([0.03, 0.1, 0.3, 1.0]) if span > 0]
+        found += [simple(name, "decay", float(t)) for t in span * DECAYS if span > 0]
     for name in ("move-azimuth", "move-elevation", "move-distance"):
         if np.ptp(sightings.quantities[name]) > 0:
             found.append(simple(name, "abs"))
@@ -61,18 +61,20 @@ def visits(sightings: Sightings, least: int = 2) -> list[Driver]:
     return [Driver("visits", constant=count)] if least <= count <= MOST_VISITS else []
 
 
+DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
+"""Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
 MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
-"""[s] Times by which things are tried to lag: detectors, parts of an instrument, stands, walls and floors."""
+"""[s] Lags that are tried: of detectors, of parts of an instrument, of stands, of walls and floors."""
 
 
 def lags(sightings: Sightings, names: Iterable[str]) -> list[Driver]:
-    """Drivers that follow covariates by and by."""
+    """Drivers that follow covariates with a lag."""
     varying = [name for name in names if np.ptp(sightings.quantities[name]) > 0]
     return [Driver("lagging", (name,), constant=t) for t in MEMORIES if np.ptp(sightings.time) > t for name in varying]
 
 
 FEW_VISITS, MOST_VISITS = 3, 12
-"""Set-ups beyond and up to which something may be another at each; of few, it is another at one or two of them."""
+"""Set-ups beyond and up to whose number each may have a value of its own; of few, one or two stand out."""
 _MOVES = tuple(f"{when}-{axis}" for when in ("approach", "move", "last") for axis in _AXES)
 _HEAD = (*_AXES, *_CIRCLES, "face", "wound-azimuth", *_MOVES)
 _TURNS = ("parity", "seating-parity", "repeat")
@@ -115,7 +117,7 @@ def products(sightings: Sightings) -> Iterator[Driver]:
 
 
 ANGLES = (0.12, 0.3)
-"""[rad] Within which sights pass a target, tried first."""
+"""[rad] Angles within which sights pass a target that are tried first."""
 
 
 def sights(sightings: Sightings) -> Iterator[Driver]:
@@ -138,7 +140,8 @@ MOST_LINES = 60
 """Targets up to whose number each is tried as one that sights pass, or that a list is late by."""
 WAVE_STEP = 0.6
 """Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
-MOST_CYCLES = 60
+MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
+"""Cycles over a covariate's span that a wave may have, and pointings that each must have."""
 
 
 def rates(sightings: Sightings, name: str, most: float) -> Floats:
@@ -149,7 +152,7 @@ def rates(sightings: Sightings, name: str, most: float) -> Floats:
 
 def waves(sightings: Sightings, *, visits: bool = False) -> Iterator[Driver]:
     """Waves in clock, range, angles and place; of one of the `visits`, in its clock."""
-    most = min(len(sightings) / 8, MOST_CYCLES)
+    most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES)
     if visits:
         for rate in rates(sightings, "station-time", most / len(sightings.station_names)):
             yield Driver("wave", ("station-time",), constant=float(rate))

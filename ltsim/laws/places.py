@@ -14,7 +14,7 @@ from ltsim.scene.sightings import Sightings
 NEIGHBOURS = (3, 6)
 """Targets around one that may move with it."""
 LEVEL = 5.0
-"""Weight of heights in the tree of levels."""
+"""Weight of heights in the tree of levels: a fifth of the room up counts as much as a surface turned by 60 deg."""
 LEAST_GROUP = 3
 """Targets of a group, and targets beside it, at least."""
 
@@ -64,7 +64,7 @@ def branches(s: Sightings) -> set[tuple[int, ...]]:
 
 
 def corners_of(s: Sightings) -> set[tuple[int, ...]]:
-    """Targets with a few around them."""
+    """Groups of a target and the few that stand nearest to it."""
     near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
 

@@ -12,7 +12,7 @@ from ltsim.laws.columns import MEMORY
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-REPEATS = EACH, BOTH = ("in each face", "in both faces")
+REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
 """How amounts may repeat: what errs on the way to a target is in the ranges of both faces."""
 
 
@@ -48,7 +48,7 @@ class NoisePattern(NoiseSignature):
     def law(self) -> str:
         """What the noise does, in words."""
         if self.repeating:
-            again = ", in both faces" if self.repeating == BOTH else ""
+            again = ", in both faces" if self.repeating == BOTH_FACES else ""
             return f"amounts without a visible law that repeat when a target is measured again{again}"
         if not self.covariates:
             return "larger noise"

@@ -1,4 +1,4 @@
-"""Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is said can be read again."""
+"""Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is told can be read."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from ltsim.recording.recording import Recording
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
 METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
+"""Covariates that are told in degrees, in minutes or seconds, in metres."""
 PARITIES = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
@@ -60,11 +61,11 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
-UNITS = {"near": "azimuth", "towards": "azimuth", "lagging": "time"}
-"""Covariates in whose unit the constant of a driver is told that follows another one."""
+UNIT_OF = {"near": "azimuth", "towards": "azimuth", "lagging": "time"}
+"""Covariates whose unit the constant of such a driver has: an angle, a time."""
 LEAST = {"min": 2.0, "m": 1.0}
-"""Values from which a unit is used that has a smaller one beside it."""
-EACH = ", in its own way at each set-up"
+"""Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
+IN_ITS_OWN_WAY = ", in its own way at each set-up"
 """Said after the driver of a law that has coefficients of its own for each set-up."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
@@ -98,7 +99,7 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
-    unit = UNITS.get(driver.kind, name)
+    unit = UNIT_OF.get(driver.kind, name)
     value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
     return phrase.format(x=PARITIES.get(name, name), k=f"{k:.4g}", value=value)
 
@@ -125,7 +126,7 @@ def read_law(
     """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
     if carrier not in CARRIERS:
         raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(CARRIERS)}")
-    driver, each = read_driver(words.removesuffix(EACH), recording), words.endswith(EACH)
+    driver, each = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording), words.endswith(IN_ITS_OWN_WAY)
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
@@ -159,7 +160,7 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         many = {"visits": len(np.unique(recording.station)), "late": len(recording.targets)}
         k = constant or {"smooth": modes, "field": 2.0, **many}.get(kind, 0.0)
         if "k" in said or "value" in said:
-            k = _constant(words, UNITS.get(kind, name), said, recording.has_clock)
+            k = _constant(words, UNIT_OF.get(kind, name), said, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power") and kind not in PLANES:
                 raise ModelError(f"'{words}': expected a number above zero")
         along = SEVERAL.get(kind) or (("distance", name) if kind in PLANES else (name,) if name else ())

@@ -47,7 +47,7 @@ def test_a_sound_recording_has_no_doubts() -> None:
 
 def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
     recording = noisy()
-    with pytest.raises(NetworkError, match=r"contradict each other .* they fit if the angles are in gon"):
+    with pytest.raises(NetworkError, match=r"contradict each other .* they fit as gon, not degrees"):
         adjust_network(recording.with_readings(recording.readings * [1.0, 200 / 180, 200 / 180]))
 
 

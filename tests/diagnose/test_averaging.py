@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.diagnose.averaging import HARM, WORSE, averaged_targets, safe_share, together
 from ltsim.diagnose.case import Case
-from ltsim.diagnose.sets import Hypothesis, Ranking
+from ltsim.diagnose.hypotheses import Hypothesis, Ranking
 from ltsim.geometry.rigid import less_rigid
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.drivers import smooth

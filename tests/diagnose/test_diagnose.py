@@ -163,6 +163,7 @@ def test_a_stand_that_is_pumped_up_again_and_again_swings():
 
 
 def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
+    """Root mean square difference of coordinates after the best rigid fit [m]."""
     rotation, translation = align(points, truth)
     return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))
 
@@ -370,11 +371,5 @@ def test_targets_are_no_worse_than_those_of_the_right_explanation():
     change = on_readings(sightings, distance=np.sin(3 * sightings.azimuth))
     hidden, _ = strengthened(recording, state, change)
     found = diagnose(hidden)
-    assert rigid(found.targets.points, state.points) < 1.05 * rigid(found.baseline.state.points, state.points)
+    assert rigid_gap(found.targets.points, state.points) < 1.05 * rigid_gap(found.baseline.state.points, state.points)
     assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)
-
-
-def rigid(points, truth):
-    """Root mean square distance after the best rigid fit."""
-    rotation, translation = align(points, truth)
-    return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))

@@ -9,7 +9,7 @@ from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.evidence import PRIOR
 from ltsim.diagnose.noise import NoiseBank, noise_hypotheses, repeat_means
-from ltsim.laws.scatter import BOTH, NoisePattern
+from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.networks import network
@@ -107,6 +107,6 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         evidence = evidence_of(bank, left, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more["alike"] > 10.0 > -10.0 > more["each"]
-    found = NoisePattern(("distance",), repeating=BOTH)
+    found = NoisePattern(("distance",), repeating=BOTH_FACES)
     assert (found.carrier, found.driver) == ("distance", "station and target")
     assert "in both faces" in found.law

@@ -8,11 +8,11 @@ import pytest
 from ltsim.adjust import adjust
 from ltsim.adjust.residual_space import ResidualSpace
 from ltsim.diagnose.cards import Cards
-from ltsim.diagnose.evidence import PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
+from ltsim.diagnose.evidence import LOG_WEIGHTS, PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
 from ltsim.diagnose.exact import Exact
-from ltsim.diagnose.panels import panels
+from ltsim.diagnose.hypotheses import MISFIT, Found, Hypothesis, Ranking
+from ltsim.diagnose.laws_tried import panels
 from ltsim.diagnose.probe import Probe
-from ltsim.diagnose.sets import MISFIT, Found, Hypothesis, Ranking
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
@@ -66,13 +66,18 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
 
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     probe, found, _ = made
-    law = Law((), (), CARRIERS["elevation"][0], simple("time", "power"))
-    extension = space.project(space.signature(law))
-    extension /= np.linalg.norm(extension)
-    residual = space.residual - extension @ (extension.T @ space.residual)
-    hits = [h for p in found for h in p.score(probe.beside(residual, extension))[0]]
-    same = [h for h in hits if h.carrier == law.carrier and h.driver == law.driver and not h.place.stations]
-    assert all(h.value < h.log_prior + 0.1 for h in same)
+    law = Law((), (), CARRIERS["elevation"][0], simple("move-elevation", "abs"))
+    left = space.project(space.signature(law))
+    left /= np.linalg.norm(left)
+    residual = space.residual + 20.0 * left[:, 0]
+    gains = []
+    for extension in (np.zeros((space.size, 0)), left):
+        beside = probe.beside(residual - extension @ (extension.T @ residual), extension)
+        hits = [h for panel in found for h in panel.score(beside)[0] if not (h.place.stations or h.place.targets)]
+        same = (h for h in hits if (h.carrier.name, h.driver) == (law.carrier.name, law.driver))
+        gains.append(max((h.value - h.log_prior for h in same), default=-np.inf))
+    assert gains[0] > 100.0
+    assert gains[1] < 0.1
 
 
 def test_many_effects_at_once_are_each_what_it_is_alone(space):
@@ -139,8 +144,7 @@ def test_evidence_is_that_of_the_dense_covariance():
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = signature.T @ signature
     found = posterior(gram, signature.T @ residual, np.ones(2))
-    single = [log_average(np.array([log])) for log in logs]
-    assert min(single) < found[2] < max(single)
+    assert found[2] == pytest.approx(float(log_average(np.array(logs) + LOG_WEIGHTS)))
     strength, turn = np.linalg.eigh(gram)
     assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
 

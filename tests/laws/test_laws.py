@@ -14,7 +14,7 @@ from ltsim.effects.motions import station_design
 from ltsim.laws.carriers import CARRIERS, carrier_designs
 from ltsim.laws.drivers import Driver, simple, smooth
 from ltsim.laws.law import Law
-from ltsim.laws.names import card_of
+from ltsim.laws.names import name_of
 from ltsim.laws.offered import general_drivers, moves, products, sights, waves
 from ltsim.laws.places import LEAST_GROUP, branches
 from ltsim.laws.sizes import sizes_of
@@ -55,7 +55,7 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         assert 0.2 < spread < 2.0, driver
 
 
-def test_carriers_are_derivatives_of_the_readings(sightings):
+def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
     designs = carrier_designs(sightings)
     assert "vertical index" in designs  # two faces tell it from the elevation
     assert set(designs) <= set(CARRIERS)
@@ -75,10 +75,10 @@ def test_laws_are_effects_like_any_other(sightings):
     assert not design[sightings.station != 1].any()
     short = law.formulas(sightings)
     assert {d.driver.function for d in short} >= {"power", "decay"}
-    assert card_of(Law((), (), law.carrier, simple("station-time", "decay", 900.0))) == "index-drift"
+    assert name_of(Law((), (), law.carrier, simple("station-time", "decay", 900.0))) == "index-drift"
     wave = Law((), (), CARRIERS["elevation"][0], Driver("wave", ("elevation",), constant=107.35))
-    assert card_of(wave) == "encoder-interpolation"
-    assert card_of(law) == "unknown"
+    assert name_of(wave) == "encoder-interpolation"
+    assert name_of(law) == "unknown"
 
 
 def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):

@@ -1,27 +1,24 @@
-"""Laws in the models of diagnosis.json: sizes with their uncertainty, and the curve."""
+"""The curve of a law, as a diagnosis writes it down: what its carrier does over the covariate that it follows."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.diagnose.schema import Curve, Estimate
+from ltsim.diagnose.schema import Curve
 from ltsim.laws.columns import waves_of
 from ltsim.laws.law import Law
-from ltsim.laws.sizes import sizes_of
 from ltsim.scene.sightings import Sightings
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600
 """Points at which a curve is written down, those of each cycle of a wave, and at most."""
 
 
-def told_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Estimate, ...]:
-    """The sizes of a law."""
-    return tuple(Estimate(**size._asdict()) for size in sizes_of(law, sightings, mean, covariance))
-
-
 def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> Curve | None:
-    """What the carrier does over the law's covariate where and how it does most; None where it follows several."""
+    """The curve at the set-up where the law does most, and in that direction; None where it follows several covariates.
+
+    The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
+    """
     driver = law.driver
     if len(driver.covariates) != 1:
         return None

@@ -1,4 +1,4 @@
-"""The space of laws: which carriers follow which drivers where, and how the prior is shared among them."""
+"""Which laws are tried in a recording: carriers, drivers and places, and how the prior is shared among them."""
 
 from __future__ import annotations
 
@@ -18,29 +18,12 @@ from ltsim.laws.places import Place, branches, corners_of, each, together, track
 
 MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""
+GROUPED = range(12, 101)
+"""Numbers of targets with which groups of them are tried: few make hardly a group, of many there are too many."""
 ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
-
 FEW_RATES = 18
 """Rates of waves, the slowest ones, that a group of targets is tried with."""
-
-SHARES = {
-    "anywhere": 0.35,  # any carrier, any driver, the whole recording
-    "station": 0.15,  # the same at one set-up
-    "instrument": 0.10,  # the same at all set-ups of one instrument
-    "product": 0.12,  # a reading that follows two drivers
-    "sight": 0.03,  # a reading that errs on the way to the target, or that a list has one row late
-    "wave": 0.08,  # a reading that swings
-    "swing": 0.02,  # one set-up that swings in time
-    "swing of a group": 0.02,  # targets that belong together that do
-    "sway": 0.02,  # anything else that swings in time
-    "structure": 0.04,  # targets that move together, more the farther across the room
-    "target": 0.04,  # one target
-    "group": 0.02,  # targets that belong together
-    "tilt": 0.04,  # the same, more the farther across the group
-    "corner": 0.02,  # a target and those around it
-}
-"""How the prior of laws without a card is shared."""
 KINDS = {
     "reading": 0.5,
     "instrument": 0.17,
@@ -58,54 +41,66 @@ AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.25, "circle": 0.05, "stand": 0
 """The same for what happens to one of several instruments."""
 AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
+Request = tuple[float, Sequence[Driver], tuple[Place, ...], Mapping[str, float]]
+"""A share of the prior, and the drivers, places, and kinds or names of carriers, among which it is shared."""
 
 
 def panels(space: ResidualSpace, mass: float) -> list[Panel]:
     """All panels of a recording; their priors sum to `mass`."""
+    asked = [request for request in _requests(space) if request[1] and request[2]]
+    whole = sum(share for share, *_ in asked)
     made = _Maker(space)
+    for share, drivers, where, kinds in asked:
+        made.ask(drivers, where, kinds, mass * share / whole)
+    return made.panels()
+
+
+def _requests(space: ResidualSpace) -> list[Request]:
+    """How the prior of laws without a card is shared: what is offered here takes all of it."""
     s = space.sightings
     everywhere = (Place((), (), np.arange(len(s))),)
-    stations: tuple[Place, ...] = ()
-    targets: tuple[Place, ...] = ()
-    if 1 < len(s.station_names) <= MOST_PLACES:
-        stations = tuple(Place((name,), (), rows) for name, rows in each(s.station_names, s.station))
-    if 1 < len(s.target_names) <= MOST_PLACES:
-        targets = tuple(Place((), (name,), rows) for name, rows in each(s.target_names, s.target))
+    stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
+    targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
     instruments = trackers_of(s, space.adjustment.recording.instruments)
-    some = 12 <= len(s.target_names) <= 100
+    some = len(s.target_names) in GROUPED
     groups, corners = (tuple(together(s, sets(s))) if some else () for sets in (branches, corners_of))
     general = general_drivers(s)
     stay = float(np.median([len(place.rows) for place in stations] or [0]))
     there = general if stay > ROOM * MODES else general_drivers(s, LOW)
     clock = [smooth(n, LOW) for n in ("time", *further(s)) if np.ptp(s.quantities[n]) > 0]
-    plain = [CONSTANT, *(simple(n, "power") for n in ("time", "distance", "elevation") if np.ptp(s.quantities[n]) > 0)]
+    plain = [simple(n, "power") for n in ("time", "distance", "elevation") if np.ptp(s.quantities[n]) > 0]
     plain += [*(simple(n, "power") for n in further(s)), *lags(s, further(s))]
+    local = [CONSTANT, *plain, *clock]
     swings = [d for d in waves(s) if d.covariates == ("time",)]
-    bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain[1:]], 2)]
-    requests = [
-        ("anywhere", general, everywhere, KINDS),
-        ("station", there, stations, AT_SET_UPS),
-        ("instrument", general, instruments, AT_INSTRUMENTS),
-        ("product", list(products(s)), everywhere, {"reading": 1.0}),
-        ("sight", list(sights(s)), everywhere, {"reading": 1.0}),
-        ("wave", list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),
-        ("swing", list(waves(s, visits=True)), stations, {"stand": 0.5, "reading": 0.5}),
-        ("swing of a group", swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),
-        ("sway", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
-        ("structure", bent, everywhere, {"target": 1.0}),
-        ("target", [*plain, *clock], targets, AT_TARGETS),
-        ("group", [*plain, *clock, *visits(s)], groups, AT_TARGETS),
-        ("tilt", across_the_room([*plain[1:], *clock, *visits(s)], 1), groups, {"target": 1.0}),
-        ("corner", [*plain, *clock], corners, AT_TARGETS),
+    bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain], 2)]
+    tilting = across_the_room([*plain, *clock, *visits(s)], 1)
+    reading = {"reading": 1.0}
+    return [
+        (0.35, general, everywhere, KINDS),  # any carrier, any driver, the whole recording
+        (0.15, there, stations, AT_SET_UPS),  # the same at one set-up
+        (0.10, general, instruments, AT_INSTRUMENTS),  # the same at all set-ups of one instrument
+        (0.12, list(products(s)), everywhere, reading),  # a reading that follows two drivers
+        (0.03, list(sights(s)), everywhere, reading),  # that errs on the way to the target, or a list one row late
+        (0.08, list(waves(s)), everywhere, {"reading": 0.8, "vertical index": 0.2}),  # a reading that swings
+        (0.02, list(waves(s, visits=True)), stations, {"stand": 0.5, "reading": 0.5}),  # one set-up that swings in time
+        (0.02, swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),  # targets that belong together that do
+        (0.02, swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),  # anything else that swings in time
+        (0.04, bent, everywhere, {"target": 1.0}),  # targets that move together, more the farther across the room
+        (0.04, local, targets, AT_TARGETS),  # one target
+        (0.02, [*local, *visits(s)], groups, AT_TARGETS),  # targets that belong together
+        (0.04, tilting, groups, {"target": 1.0}),  # the same, more the farther across the group
+        (0.02, local, corners, AT_TARGETS),  # a target and those around it
     ]
-    asked = [r for r in requests if r[1] and r[2]]
-    whole = sum(SHARES[name] for name, *_ in asked)
-    for name, drivers, where, kinds in asked:
-        made.ask(drivers, where, kinds, mass * SHARES[name] / whole)
-    return made.panels()
+
+
+def _few(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of which each is tried on its own: none where there is one, or too many."""
+    return names if 1 < len(names) <= MOST_PLACES else ()
 
 
 class _Maker:
+    """Panels in the making: laws that are alike but for their place are scored together."""
+
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings
         self._sigma, self._use = space.sigma, space.use
