@@ -30,10 +30,11 @@ def in_all_forms(exact: Exact, law: Law, log_prior: float, base: Found, *, piece
     sightings = exact.space.sightings
     law = law.as_constant(sightings)
     whole = log_prior + float(np.log(len(law.driver.spreads)))
+    tried = _in_pieces(exact, law, whole + float(np.log(PIECES)), base) if pieces else []
+    whole += float(np.log(1.0 - PIECES)) if tried else 0.0
     each = law.at_each(sightings)
-    tried = _forms(exact, law, whole + (np.log(1.0 - OWN_WAY) if each else 0.0), base)
+    tried += _forms(exact, law, whole + (np.log(1.0 - OWN_WAY) if each else 0.0), base)
     tried += _forms(exact, each, whole + np.log(OWN_WAY), base) if each else []
-    tried += _in_pieces(exact, law, whole + float(np.log(PIECES)), base) if pieces else []
     found = []
     for name in {h.name: None for h in tried}:
         alike = [h for h in tried if h.name == name]
