@@ -121,6 +121,10 @@ def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, 
     return np.hstack([np.ones((len(place), 1)), place, *more])
 
 
+SEEN = 0.03
+"""Least rms of a bell over the pointings, before it is sized: what no sight comes near has no error there."""
+
+
 def near(sightings: Sightings, target: str, width: float, *, far: bool = False) -> Floats:
     """A bell about the line of sight to a target, of a width [rad], and its slopes to the left and upwards (n, 3).
 
@@ -129,10 +133,12 @@ def near(sightings: Sightings, target: str, width: float, *, far: bool = False) 
     point = sightings.points[sightings.target_ids[target][0]]
     there = point - sightings.position[sightings.station]
     there = np.broadcast_to(there.mean(axis=0), there.shape) if far else there
-    there = there / np.linalg.norm(there, axis=1)[:, None]
+    away = np.linalg.norm(there, axis=1)
+    there = there / np.maximum(away, 1e-300)[:, None]
     ahead, *across = (np.sum(there * axis, axis=1) for axis in sightings.unit_vectors)
-    bell = np.exp(-0.5 * (np.arctan2(np.hypot(*across), ahead) / width) ** 2)
-    bell /= np.sqrt(np.mean(bell**2))
+    angle = np.where(away > 0.0, np.arctan2(np.hypot(*across), ahead), np.pi)  # a station may stand at a target
+    bell = np.exp(-0.5 * (angle / width) ** 2)
+    bell /= max(float(np.sqrt(np.mean(bell**2))), SEEN)
     return np.stack([bell, *(bell * side / width for side in across)], axis=1)
 
 

@@ -94,3 +94,12 @@ def test_a_list_that_is_one_row_late_has_the_target_before(sightings):
     at = amount[shuffled.target]
     np.testing.assert_allclose(found[rows[1:]], at[rows[:-1]] - at[rows[1:]])
     assert found[rows[0]] == 0.0
+
+
+def test_a_station_at_a_target_and_a_direction_in_which_nobody_looks_have_columns(sightings):
+    position = sightings.position.copy()
+    position[1] = sightings.points[3]
+    found = near(replace(sightings, position=position), sightings.target_names[3], 0.2)
+    assert np.isfinite(found).all()
+    assert np.abs(found[sightings.station == 1]).max() < 1e-6
+    assert np.abs(near(sightings, sightings.target_names[3], 1e-4, far=True)).max() < 1e-3
