@@ -132,9 +132,10 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
 
 
 def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
-    """The observables whose noise differs from the stated one beyond doubt."""
-    sure = [abs(v) > SURE * s for v, s in zip(hypothesis.values, hypothesis.sigma, strict=True)]
+    """The observables whose noise is beyond doubt larger than stated, or smaller where that is what was found."""
     sizes = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+    found = np.array(hypothesis.values) / sizes
+    sure = found * np.sign(found[np.argmax(np.abs(found))]) > SURE * np.array(hypothesis.sigma) / sizes
     one = np.ones((len(sightings), len(OBSERVABLES)))
     acts = (hypothesis.effect.variance(sightings, one, np.where(sure, sizes, 0.0)) != one).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)

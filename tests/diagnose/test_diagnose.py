@@ -241,6 +241,14 @@ def test_a_noisy_station_is_noise_and_not_a_shift():
     assert found.after.held_out_rms == pytest.approx(1.0, abs=0.1)
 
 
+def test_noise_of_the_azimuth_is_told_in_the_azimuth():
+    recording, _ = workshop(19, faces=2)
+    readings = recording.readings.copy()
+    readings[:, 1] += 2.0 * stream(19, "more").standard_normal(len(readings)) * recording.sigma()[:, 1]
+    found = diagnose(recording.with_readings(readings))
+    assert [f.where.observables for f in found.findings] == [("azimuth",)]
+
+
 def test_one_bad_reading_is_an_outlier():
     recording, _ = workshop(8)
     readings = recording.readings.copy()
