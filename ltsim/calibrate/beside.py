@@ -22,7 +22,7 @@ from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunabl
 from ltsim.errors import ModelError
 from ltsim.laws.law import Law
 from ltsim.laws.sizes import sizes_of
-from ltsim.laws.words import describe
+from ltsim.laws.words import IN_ITS_OWN_WAY, describe
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.units import FACTOR
@@ -86,7 +86,8 @@ def estimated_beside(
         if freedom:
             stated.append(wanted.stated)
             found, fit = _settled(adjusted, [*fit.effects, best], stated)
-        place = best.place if freedom else wanted.effect.place
+        told = best if freedom else wanted.effect
+        place = "" if isinstance(told, Law) and told.each else told.place
         drop = max(before - found.chi2, 0.0)
         name, tried = name_of(best, found), len(tries)
         fits.append(FittedEffectEntry(effect=name, where=place, chi2_drop=drop, freedom=freedom, tried=tried))
@@ -124,7 +125,8 @@ def name_of(effect: Signature, adjustment: Adjustment) -> str:
     """The name of an effect; that of a law are its words."""
     if not isinstance(effect, Law):
         return effect.name
-    return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}"
+    own = IN_ITS_OWN_WAY if effect.each else ""
+    return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}{own}"
 
 
 def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:

@@ -75,6 +75,13 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
     assert read_calibration(tmp_path / "cal").effects == found.effects
 
 
+def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
+    words = "vertical index ~ station-time, in its own way at each set-up"
+    (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
+    assert (law.effect, law.where, law.freedom) == (words, "", len(drifting.stations))
+    assert law.sentence.startswith(f"{words}: swing")
+
+
 def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> None:
     wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "place of targets ~ time:T02"]
     _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
