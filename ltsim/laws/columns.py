@@ -145,9 +145,7 @@ def near(sightings: Sightings, target: str, width: float, *, far: bool = False) 
 def past(sightings: Sightings, name: str, plane: float) -> Floats:
     """The length (n, 1) of each sight beyond a plane [m] across one of the room's axes."""
     there, here = _ends(sightings, name)
-    beyond = np.maximum(np.stack([there, here]) - plane, 0.0)
-    share = np.minimum(np.abs(beyond[0] - beyond[1]) / np.maximum(np.abs(there - here), 1e-300), 1.0)
-    share = np.where(np.minimum(there, here) >= plane, 1.0, share)
+    share = np.clip((np.maximum(there, here) - plane) / np.maximum(np.abs(there - here), 1e-300), 0.0, 1.0)
     return sized((share * sightings.range_)[:, None])
 
 

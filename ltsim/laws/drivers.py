@@ -206,6 +206,8 @@ SEVERAL = {
     "members": ("target",),
 }
 """Kinds of drivers with covariates of their own."""
+BELLS = ("near", "towards")
+"""Kinds of drivers that are largest in the direction of a target."""
 PLANES = ("past", "through")
 """Kinds of drivers whose constant is where a plane stands across an axis."""
 

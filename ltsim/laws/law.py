@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.laws.carriers import CARRIERS, Carrier
-from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, PARTS
+from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, PARTS, one_each
 from ltsim.laws.drivers import CLOCKS, CONSTANT, PLANES, Driver, pieces, simple, smooth
 from ltsim.laws.offered import MOST_VISITS, WAVE_STEP
 from ltsim.laws.places import LEAST_GROUP
@@ -100,7 +100,7 @@ class Law(Tunable):
         columns = columns * self.mask(sightings)[:, None]
         if not self.each:
             return columns
-        at = np.array([sightings.station == sightings.station_names.index(name) for name in self.stations]).T
+        at = one_each(sightings.station, [sightings.station_names.index(name) for name in self.stations])
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
@@ -186,15 +186,15 @@ class Law(Tunable):
 
         It does where it changes sign with the face, or on a single face whatever is pointed at.
         """
-        index, driver = CARRIERS["vertical index"][0], self.driver
+        if self.carrier.name != "elevation":
+            return self
+        index, driver = replace(CARRIERS["vertical index"][0], size=self.carrier.size), self.driver
         names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
         one_face = not np.ptp(sightings.face)
-        if self.carrier.name == "elevation" and one_face and names <= {*CLOCKS, *sightings.covariates}:
-            return replace(self, carrier=replace(index, size=self.carrier.size))
+        if one_face and names <= {*CLOCKS, *sightings.covariates}:
+            return replace(self, carrier=index)
         face, *rest = driver.factors or (driver, CONSTANT)
-        if self.carrier.name == "elevation" and face == FACE and len(rest) == 1:
-            return replace(self, carrier=replace(index, size=self.carrier.size), driver=rest[0])
-        return self
+        return replace(self, carrier=index, driver=rest[0]) if face == FACE and len(rest) == 1 else self
 
     def at_each(self, sightings: Sightings) -> Law | None:
         """The law with coefficients of its own for each set-up, where that can be."""

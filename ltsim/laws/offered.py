@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.laws.columns import LOW, MODES, PARTS
-from ltsim.laws.drivers import CLOCKS, CONSTANT, SEVERAL, Driver, simple, smooth
+from ltsim.laws.drivers import BELLS, CLOCKS, CONSTANT, PLANES, SEVERAL, Driver, simple, smooth
 from ltsim.scene.sightings import Sightings
 
 _AXES = ("azimuth", "elevation")
@@ -123,15 +123,12 @@ ANGLES = (0.12, 0.3)
 def sights(sightings: Sightings) -> Iterator[Driver]:
     """What errs on the way: near a line of sight, beyond a plane, in a curtain; a list that is one row late."""
     count = len(sightings.target_names)
-    for name, angle, kind in product(
-        sightings.target_names if count <= MOST_LINES else (), ANGLES, ("near", "towards")
-    ):
+    for name, angle, kind in product(sightings.target_names if count <= MOST_LINES else (), ANGLES, BELLS):
         yield Driver(kind, SEVERAL[kind], constant=angle, around=(name,))
     for axis, name in enumerate("xyz"):
         low, high = (float(end(sightings.points[:, axis])) for end in (np.min, np.max))
         for plane in np.linspace(low, high, PARTS + 1)[1:-1] if high > low else ():
-            yield Driver("past", ("distance", name), constant=float(plane))
-            yield Driver("through", ("distance", name), constant=float(plane))
+            yield from (Driver(kind, ("distance", name), constant=float(plane)) for kind in PLANES)
     if 1 < count <= MOST_LINES:
         yield Driver("late", SEVERAL["late"], constant=count)
 
@@ -150,10 +147,10 @@ def rates(sightings: Sightings, name: str, most: float) -> Floats:
     return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > 0 else np.zeros(0)
 
 
-def waves(sightings: Sightings, *, visits: bool = False) -> Iterator[Driver]:
-    """Waves in clock, range, angles and place; of one of the `visits`, in its clock."""
+def waves(sightings: Sightings, *, of_a_visit: bool = False) -> Iterator[Driver]:
+    """Waves in clock, range, angles and place; of one visit, in its clock."""
     most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES)
-    if visits:
+    if of_a_visit:
         for rate in rates(sightings, "station-time", most / len(sightings.station_names)):
             yield Driver("wave", ("station-time",), constant=float(rate))
         return

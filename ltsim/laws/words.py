@@ -11,7 +11,7 @@ import numpy as np
 from ltsim.errors import ModelError
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.columns import LOW, MODES
-from ltsim.laws.drivers import CLOCKS, PLANES, SEVERAL, Driver, pieces
+from ltsim.laws.drivers import BELLS, CLOCKS, PLANES, SEVERAL, Driver, pieces
 from ltsim.laws.law import Law
 from ltsim.laws.offered import FOLLOWED
 from ltsim.recording.recording import Recording
@@ -61,7 +61,7 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
-UNIT_OF = {"near": "azimuth", "towards": "azimuth", "lagging": "time"}
+UNIT_OF = {"lagging": "time", **dict.fromkeys(BELLS, "azimuth")}
 """Covariates whose unit the constant of such a driver has: an angle, a time."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
@@ -92,10 +92,8 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words."""
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
-    said = {"near": driver.around, "towards": driver.around, **dict.fromkeys(PLANES, driver.covariates[1:])}.get(
-        driver.kind, driver.covariates
-    )
-    name, k, how = "".join(said[:1]), driver.constant, driver.function
+    said = driver.around if driver.kind in BELLS else driver.covariates  # of a plane its axis, which stands last
+    name, k, how = "".join(said[-1:]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
@@ -132,8 +130,7 @@ def read_law(
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
         constants = {"field": 1.0, "members": float(len(targets))}
         factors = (
-            replace(f, around=targets, constant=constants.get(f.kind, f.constant)) if f.kind in constants else f
-            for f in driver.factors
+            replace(f, around=targets, constant=constants[f.kind]) if f.kind in constants else f for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
     return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
@@ -153,7 +150,7 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         if not (found := re.fullmatch(pattern, words)):
             continue
         said: dict[str, str] = found.groupdict()
-        near = kind in ("near", "towards") and said["x"] in recording.targets
+        near = kind in BELLS and said["x"] in recording.targets
         name = said["x"] if near else names.get(said.get("x", ""))
         if name is None or (how == "turn" and not name.endswith(ANGLES)):
             continue
