@@ -72,7 +72,7 @@ def _requests(space: ResidualSpace) -> list[Request]:
     plain += [*(simple(n, "power") for n in further(s)), *lags(s, further(s))]
     local = [CONSTANT, *plain, *clock]
     swinging = list(waves(s))
-    swings, pumped = [d for d in swinging if d.covariates == ("time",)], list(waves(s, of_a_visit=True))
+    swings, of_visits = [d for d in swinging if d.covariates == ("time",)], list(waves(s, of_a_visit=True))
     bent = [*across_the_room(swings, 1), *across_the_room([*clock, *plain], 2)]
     tilting = across_the_room([*plain, *clock, *visits(s)], 1)
     reading = {"reading": 1.0}
@@ -83,7 +83,7 @@ def _requests(space: ResidualSpace) -> list[Request]:
         (0.12, list(products(s)), everywhere, reading),  # a reading that follows two drivers
         (0.03, list(sights(s)), everywhere, reading),  # that errs on the way to the target, or a list one row late
         (0.08, swinging, everywhere, {"reading": 0.8, "vertical index": 0.2}),  # a reading that swings
-        (0.02, pumped, stations, {"stand": 0.5, "reading": 0.5}),  # one set-up that swings in time
+        (0.02, of_visits, stations, {"stand": 0.5, "reading": 0.5}),  # one set-up that swings in time
         (0.02, swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),  # targets that belong together that do
         (0.02, swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),  # anything else that swings in time
         (0.04, bent, everywhere, {"target": 1.0}),  # targets that move together, more the farther across the room

@@ -127,6 +127,9 @@ def read_law(
     driver, each = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording), words.endswith(IN_ITS_OWN_WAY)
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
+    driver = Driver("product", factors=(driver,)) if driver.kind == "members" else driver
+    if not targets and any(factor.kind == "members" for factor in driver.factors):
+        raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
         constants = {"field": 1.0, "members": float(len(targets))}
         factors = (

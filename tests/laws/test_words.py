@@ -85,6 +85,14 @@ def test_a_group_tilts_and_the_whole_bends(recording: Recording) -> None:
     assert read_law("place of targets", words, recording).driver.factors[1].constant == 2
 
 
+def test_another_amount_for_each_target_goes_with_targets(recording: Recording) -> None:
+    law = read_law("height of targets in their nests", "the target, another at each", recording, targets=("T01", "T02"))
+    assert len(law.parameters) == 2
+    for words in ("the target, another at each", "time times the target, another at each"):
+        with pytest.raises(ModelError, match=r"goes with some targets, .*:TARGET,TARGET"):
+            read_law("place of targets", words, recording)
+
+
 def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
     law = read_law("elevation", "exp(-station-time / 8 min), in its own way at each set-up", recording)
     assert law.each and law.stations == recording.stations
