@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import construction
 from ltsim.model.measurement import MeasurementModel, State

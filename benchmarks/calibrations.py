@@ -32,18 +32,18 @@ from benchmarks.peers import (
     scipy_analytic,
     scipy_differences,
 )
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
-from ltsim.campaign.distance import BatchDistance
-from ltsim.campaign.engine import Bench, Engine, recording_of
-from ltsim.campaign.rows import run_task, shard_rows, task_of
-from ltsim.campaign.spec import Campaign
-from ltsim.campaign.store import Store
-from ltsim.campaign.truth import BLOCK, Block
+from ltsim.campaigns.distance import BatchDistance
+from ltsim.campaigns.engine import Bench, Engine, recording_of
+from ltsim.campaigns.rows import run_task, shard_rows, task_of
+from ltsim.campaigns.spec import Campaign
+from ltsim.campaigns.store import Store
+from ltsim.campaigns.truth import BLOCK, Block
 from ltsim.cli.terminal import table
-from ltsim.evaluate.clouds import on_points
+from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import misalignment
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulation.scenario import load_scenario
 
 SEED = 11
 

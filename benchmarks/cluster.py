@@ -21,7 +21,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ltsim.campaign.campaign import Workers, run_campaign
+from ltsim.campaigns.campaign import Workers, run_campaign
 
 JOBS, SHARD, HUGE = 2, 8192, 10**9
 FILE = """

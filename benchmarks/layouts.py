@@ -21,9 +21,9 @@ from multiprocessing.synchronize import Barrier
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ltsim.plan.search import Searcher
-from ltsim.plan.spec import load_plan
-from ltsim.plan.workshop import objective_of, site_of
+from ltsim.planning.search import Searcher
+from ltsim.planning.spec import load_plan
+from ltsim.planning.workshop import objective_of, site_of
 from ltsim.randomness import stream
 
 PROCESSES, BATCH, SECONDS, REPEATS = 2, 64, 4.0, 3

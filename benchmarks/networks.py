@@ -6,15 +6,15 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.truth import Truth
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.truth import Truth
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Gauge, GaugeDistance, Setup
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulation.scenario import load_scenario
 
 
 def workshop() -> Truth:

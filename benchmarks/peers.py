@@ -15,8 +15,8 @@ import numpy as np
 import scipy.linalg
 from scipy.optimize import least_squares
 
-from ltsim.adjust.prior import prior_sigmas
-from ltsim.adjust.rows import GaugeRows
+from ltsim.adjustment.prior import prior_sigmas
+from ltsim.adjustment.rows import GaugeRows
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector

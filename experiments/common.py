@@ -18,15 +18,15 @@ from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.campaign.calibrators import Calibrator, calibrator_of
-from ltsim.campaign.cell import fitted_construction, truth_of
-from ltsim.campaign.engine import Bench, Calibrated
-from ltsim.campaign.spec import Campaign, Method, load_campaign
-from ltsim.campaign.truth import Block, Truth
+from ltsim.campaigns.calibrators import Calibrator, calibrator_of
+from ltsim.campaigns.cell import fitted_construction, truth_of
+from ltsim.campaigns.engine import Bench, Calibrated
+from ltsim.campaigns.spec import Campaign, Method, load_campaign
+from ltsim.campaigns.truth import Block, Truth
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
-from ltsim.report.style import svg
-from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.pages.style import svg
+from ltsim.simulation.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 HELD_OUT = ROOT / "experiments" / "held_out.toml"

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.calibrate.distance_solver import Estimate
-from ltsim.calibrate.equation_9 import solve_equation_9
-from ltsim.campaign.distance import CLOSED, BatchDistance
-from ltsim.campaign.single import Single
-from ltsim.campaign.truth import Block
+from ltsim.calibration.distance_solver import Estimate
+from ltsim.calibration.equation_9 import solve_equation_9
+from ltsim.campaigns.distance import CLOSED, BatchDistance
+from ltsim.campaigns.single import Single
+from ltsim.campaigns.truth import Block
 
 CAP = 30
 

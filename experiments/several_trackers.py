@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ltsim.simulate.scenario import Scenario, scenario_from
+from ltsim.simulation.scenario import Scenario, scenario_from
 
 HALL = (50_000, 30_000, 8_000)
 """[mm]"""

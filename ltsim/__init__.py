@@ -4,9 +4,7 @@ The front door: `import ltsim as lt`, then `lt.read`, `lt.simulate`, `lt.calibra
 of `__all__`, each loaded when it is first used. `lt.effects` is the room of the physical effects.
 """
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -75,34 +73,3 @@ if not TYPE_CHECKING:  # a type checker would take any name for one of this modu
 def __dir__() -> list[str]:
     """The names of the front door, for completion."""
     return [*__all__, "__version__"]
-
-
-class _Room(ModuleType):
-    """A room that bears the name of a verb: calling it calls the verb, once Python has bound it to that name."""
-
-    __doc__ = property(lambda self: self._verb.__doc__)  # help() shows the verb
-
-    @property
-    def _verb(self) -> Any:
-        return _load(self.__name__.rpartition(".")[2])
-
-    @property
-    def __signature__(self) -> Any:
-        from inspect import signature
-
-        return signature(self._verb)
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        return self._verb(*arguments, **options)
-
-
-class _FrontDoor(ModuleType):
-    """The package itself: makes rooms callable that would hide a verb."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name in _HOME and isinstance(value, ModuleType):
-            value.__class__ = _Room
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _FrontDoor

@@ -85,7 +85,7 @@ def test_every_name_is_there_and_no_other():
 
 
 def test_a_verb_stays_callable_when_the_room_of_its_name_was_imported():
-    import ltsim.simulate.simulator as module
+    import ltsim.simulation.simulator as module
 
     assert module.simulate is not lt.simulate
     assert len(lt.simulate("paper-workshop", seed=7).recording) == 140

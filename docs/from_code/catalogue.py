@@ -7,15 +7,15 @@ from matplotlib.figure import Figure
 
 from from_code.keys import markdown
 from from_code.pictures import Pictures
-from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.calibrate import adjust_network
+from ltsim.calibration import adjust_network
 from ltsim.effects import CATALOGUE, Effect, ShapeParameter, card_of
-from ltsim.report.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg_uri
+from ltsim.pages.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg_uri
 from ltsim.scene.sightings import Sightings
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.simulator import simulate
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.simulator import simulate
 from ltsim.units import DEGREE, FACTOR, MICROMETRE
 
 AXES = {

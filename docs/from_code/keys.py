@@ -21,7 +21,7 @@ def tables(model: str) -> str:
     Parameters
     ----------
     model : str
-        As in ``ltsim.plan.spec:PlanFile``.
+        As in ``ltsim.planning.spec:PlanFile``.
     """
     module, _, name = model.partition(":")
     return sections(getattr(import_module(module), name), _toml, "##", defaults=True)

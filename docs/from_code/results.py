@@ -5,9 +5,9 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 from from_code.keys import about, json_place, markdown, sections, unit
+from ltsim.pages import schemas
 from ltsim.recording.result_table import ResultTable
-from ltsim.report import schemas
-from ltsim.simulate.truth import TruthFile
+from ltsim.simulation.truth import TruthFile
 
 
 def files() -> str:

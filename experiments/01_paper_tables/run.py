@@ -25,14 +25,14 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import Bench
-from ltsim.campaign.spec import Campaign, Method
-from ltsim.evaluate.clouds import in_first_frame, on_points
-from ltsim.evaluate.criteria import coordinate_differences, distance_differences, pair_distances
-from ltsim.evaluate.verification import coordinate_errors, distance_errors
-from ltsim.report.figures import Distribution, distributions
-from ltsim.simulate.gauge import nominal_points
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Bench
+from ltsim.campaigns.spec import Campaign, Method
+from ltsim.evaluation.clouds import in_first_frame, on_points
+from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
+from ltsim.evaluation.verification import coordinate_errors, distance_errors
+from ltsim.pages.figures import Distribution, distributions
+from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent

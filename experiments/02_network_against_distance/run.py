@@ -31,14 +31,14 @@ from experiments.common import (
 )
 from experiments.printed import Printed
 from ltsim.arrays import Floats
-from ltsim.calibrate import calibrate_network
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import Calibrated, Engine, recording_of
-from ltsim.campaign.spec import Campaign, Method
-from ltsim.campaign.truth import Truth
+from ltsim.calibration import calibrate_network
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Calibrated, Engine, recording_of
+from ltsim.campaigns.spec import Campaign, Method
+from ltsim.campaigns.truth import Truth
 from ltsim.model.construction import misalignment
-from ltsim.report.figures import Mean, by_setting
-from ltsim.simulate.scenario import load_scenario
+from ltsim.pages.figures import Mean, by_setting
+from ltsim.simulation.scenario import load_scenario
 
 HERE = Path(__file__).resolve().parent
 JUDGED = (

@@ -26,18 +26,18 @@ from experiments.common import (
     write_figure,
     write_table,
 )
-from ltsim.adjust import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import Calibrated, recording_of
-from ltsim.campaign.spec import Campaign, Method
-from ltsim.campaign.truth import Block, Truth
-from ltsim.evaluate.clouds import on_points
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Calibrated, recording_of
+from ltsim.campaigns.spec import Campaign, Method
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import Construction, misalignment
+from ltsim.pages.figures import Mean, by_setting
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
-from ltsim.report.figures import Mean, by_setting
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent

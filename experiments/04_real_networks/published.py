@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from defusedxml.ElementTree import parse
 
-from ltsim.adjust import Adjustment
+from ltsim.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.recording import Recording

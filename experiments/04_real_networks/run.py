@@ -17,12 +17,12 @@ import numpy as np
 from scipy import stats
 
 from experiments.common import Made, Options, run_steps, show_table
-from ltsim.adjust import Adjustment, adjust
-from ltsim.adjust.precision import ellipsoids
-from ltsim.adjust.problem import NetworkProblem
-from ltsim.adjust.verdict import verdict
-from ltsim.calibrate import calibrate_network
-from ltsim.calibrate.choice import Choice
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.precision import ellipsoids
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.verdict import verdict
+from ltsim.calibration import calibrate_network
+from ltsim.calibration.choice import Choice
 from ltsim.effects import BASELINE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector

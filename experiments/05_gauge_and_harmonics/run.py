@@ -27,12 +27,12 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.campaign.calibrators import Batch, Calibrator, calibrator_of
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.distance import BatchDistance
-from ltsim.campaign.engine import Engine
-from ltsim.campaign.spec import Campaign, Method
-from ltsim.campaign.truth import Truth
+from ltsim.campaigns.calibrators import Batch, Calibrator, calibrator_of
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.distance import BatchDistance
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.spec import Campaign, Method
+from ltsim.campaigns.truth import Truth
 from ltsim.effects import BASELINE
 from ltsim.effects.azimuth_harmonic import AzimuthHarmonic
 from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
@@ -40,10 +40,10 @@ from ltsim.effects.effect import SlotEffect
 from ltsim.effects.elevation_harmonic import ElevationHarmonic
 from ltsim.effects.elevation_second_order import ElevationSecondOrder
 from ltsim.model.construction import Construction, misalignment
-from ltsim.report.figures import Mean, by_setting
-from ltsim.simulate.gauge import frame_of
-from ltsim.simulate.scenario import Scenario, load_scenario
-from ltsim.simulate.sections import Gauge, GaugeLength
+from ltsim.pages.figures import Mean, by_setting
+from ltsim.simulation.gauge import frame_of
+from ltsim.simulation.scenario import Scenario, load_scenario
+from ltsim.simulation.sections import Gauge, GaugeLength
 from ltsim.units import MICRORADIAN, MILLIMETRE
 
 HERE = Path(__file__).resolve().parent

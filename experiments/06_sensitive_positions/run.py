@@ -26,9 +26,9 @@ from experiments.common import (
 )
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment
-from ltsim.report.figures import Mean, by_setting
-from ltsim.report.style import CYCLE, new_figure, quiet_axis, styled
-from ltsim.simulate.scenario import Scenario
+from ltsim.pages.figures import Mean, by_setting
+from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
+from ltsim.simulation.scenario import Scenario
 from ltsim.units import DEGREE, MICROMETRE
 
 HERE = Path(__file__).resolve().parent

@@ -19,7 +19,7 @@ from experiments.common import (
     write_figure,
     write_table,
 )
-from ltsim.report.figures import Mean, by_setting
+from ltsim.pages.figures import Mean, by_setting
 
 HERE = Path(__file__).resolve().parent
 

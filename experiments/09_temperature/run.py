@@ -27,12 +27,12 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.spec import Campaign, Method
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.spec import Campaign, Method
 from ltsim.model.construction import Construction
+from ltsim.pages.figures import Mean, by_setting
 from ltsim.randomness import stream
-from ltsim.report.figures import Mean, by_setting
-from ltsim.simulate.scenario import Scenario, load_scenario
+from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import PPM
 
 HERE = Path(__file__).resolve().parent

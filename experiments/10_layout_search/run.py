@@ -9,25 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.geometry.alignment import align
 from ltsim.model.construction import misalignment
-from ltsim.plan.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion
-from ltsim.plan.files import plan_file, with_layout
-from ltsim.plan.improvement import Predictor
-from ltsim.plan.information import LayoutInformation
-from ltsim.plan.planner import Plan, make_plan
-from ltsim.plan.reasons import fewest
-from ltsim.plan.search import Searcher
-from ltsim.plan.spec import PlanFile, load_plan
-from ltsim.plan.survey import Survey
-from ltsim.plan.workshop import objective_of, site_of, survey_of
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.planned import from_scenario
+from ltsim.planning.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion
+from ltsim.planning.files import plan_file, with_layout
+from ltsim.planning.improvement import Predictor
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.reasons import fewest
+from ltsim.planning.search import Searcher
+from ltsim.planning.spec import PlanFile, load_plan
+from ltsim.planning.survey import Survey
+from ltsim.planning.workshop import objective_of, site_of, survey_of
 from ltsim.randomness import stream
-from ltsim.report.figures.floor_plan import floor_plan
-from ltsim.report.planned import from_scenario
-from ltsim.simulate.scenario import Scenario
-from ltsim.simulate.simulator import simulate
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.simulator import simulate
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
 HERE = Path(__file__).resolve().parent

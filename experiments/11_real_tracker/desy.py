@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjust import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Bools, Floats
-from ltsim.evaluate.two_face import TwoFace
+from ltsim.evaluation.two_face import TwoFace
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import Construction, misalignment
 from ltsim.recording import Hints, Recording, read

@@ -9,13 +9,13 @@ import numpy as np
 
 import ltsim as lt
 from ltsim.arrays import Floats
-from ltsim.calibrate import calibrate_network
-from ltsim.calibrate.choice import Choice
-from ltsim.calibrate.worth import point_errors
-from ltsim.evaluate.two_face import compare_two_face
+from ltsim.calibration import calibrate_network
+from ltsim.calibration.choice import Choice
+from ltsim.calibration.worth import point_errors
+from ltsim.evaluation.two_face import compare_two_face
 from ltsim.randomness import stream
 from ltsim.recording import Recording
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulation.scenario import load_scenario
 
 from .desy import EPOCHS, epoch, set_up
 

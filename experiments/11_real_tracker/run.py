@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Made, Options, run_steps, show_table
-from ltsim.adjust import adjust
-from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
-from ltsim.calibrate.choice import Choice
-from ltsim.calibrate.files import history_file
-from ltsim.calibrate.history import History
-from ltsim.diagnose import diagnose
+from ltsim.adjustment import adjust
+from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.calibration.choice import Choice
+from ltsim.calibration.files import history_file
+from ltsim.calibration.history import History
+from ltsim.diagnosis import diagnose
 from ltsim.effects import BASELINE
-from ltsim.evaluate.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
+from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import Construction, misalignment
+from ltsim.pages.figures.history import history_figure
+from ltsim.pages.style import svg
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
-from ltsim.report.figures.history import history_figure
-from ltsim.report.style import svg
 
 from .desy import (
     AUTHORS,

@@ -6,18 +6,18 @@ from pathlib import Path
 
 from experiments.common import Made, Options, Row, tell, write_figure, write_table
 from ltsim.errors import NetworkError
-from ltsim.plan.criteria import d_criterion
-from ltsim.plan.files import plan_file, planned_scenario
-from ltsim.plan.information import LayoutInformation
-from ltsim.plan.planner import Plan, make_plan
-from ltsim.plan.spec import load_plan
-from ltsim.plan.survey import Survey
-from ltsim.plan.workshop import survey_of
-from ltsim.report.figures.floor_plan import floor_plan
-from ltsim.report.planned import from_scenario
-from ltsim.simulate.scenario import Scenario
-from ltsim.simulate.sections import Obstacle
-from ltsim.simulate.workshop import obstacles_of, visibility_of
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.planned import from_scenario
+from ltsim.planning.criteria import d_criterion
+from ltsim.planning.files import plan_file, planned_scenario
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.spec import load_plan
+from ltsim.planning.survey import Survey
+from ltsim.planning.workshop import survey_of
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.sections import Obstacle
+from ltsim.simulation.workshop import obstacles_of, visibility_of
 from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent

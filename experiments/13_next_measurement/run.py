@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, Row, spread_out, tell, write_table
-from ltsim.diagnose import Diagnosis, diagnose
-from ltsim.diagnose.separate import open_question
+from ltsim.diagnosis import Diagnosis, diagnose
+from ltsim.diagnosis.separate import open_question
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State, sightings_of
@@ -19,10 +19,10 @@ from ltsim.randomness import stream
 from ltsim.recording import Recording
 from ltsim.remedies.next_measurement import next_measurement
 from ltsim.remedies.remedy import Remedy
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.sections import EffectEntry
-from ltsim.simulate.simulator import simulate
-from ltsim.simulate.truth import Truth
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.sections import EffectEntry
+from ltsim.simulation.simulator import simulate
+from ltsim.simulation.truth import Truth
 from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent

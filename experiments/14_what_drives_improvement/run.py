@@ -11,11 +11,11 @@ import numpy as np
 from experiments.common import Made, Options, Row, tell, write_table
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
-from ltsim.plan.improvement import Predictor
-from ltsim.plan.information import LayoutInformation
-from ltsim.plan.sensitivity import Index, sensitivity
-from ltsim.plan.workshop import survey_of
-from ltsim.simulate.scenario import load_scenario
+from ltsim.planning.improvement import Predictor
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.sensitivity import Index, sensitivity
+from ltsim.planning.workshop import survey_of
+from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent

@@ -8,18 +8,18 @@ import numpy as np
 
 from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
 from ltsim.arrays import Floats
-from ltsim.campaign.calibrators import calibrator_of
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.cloud_kernels import rigid_fit
-from ltsim.campaign.spec import Method
-from ltsim.plan.changes import Change
-from ltsim.plan.files import plan_file, planned_scenario
-from ltsim.plan.planner import make_plan
-from ltsim.plan.spec import load_plan
-from ltsim.report.figures.reflector_changes import reflector_changes
-from ltsim.report.planned import from_scenario
-from ltsim.simulate.scenario import Scenario
-from ltsim.simulate.sections import Target
+from ltsim.campaigns.calibrators import calibrator_of
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.cloud_kernels import rigid_fit
+from ltsim.campaigns.spec import Method
+from ltsim.pages.figures.reflector_changes import reflector_changes
+from ltsim.pages.planned import from_scenario
+from ltsim.planning.changes import Change
+from ltsim.planning.files import plan_file, planned_scenario
+from ltsim.planning.planner import make_plan
+from ltsim.planning.spec import load_plan
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.sections import Target
 from ltsim.units import MICROMETRE, MILLIMETRE
 
 HERE = Path(__file__).resolve().parent

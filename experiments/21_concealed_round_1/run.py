@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, spread_out
-from ltsim.diagnose import diagnose
-from ltsim.diagnose.files import targets_csv
+from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.files import targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
 

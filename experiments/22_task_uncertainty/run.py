@@ -9,16 +9,16 @@ import numpy as np
 
 from experiments.common import Made, Options, batches, spread_out, tell, write_table
 from ltsim.arrays import Floats
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import Engine
-from ltsim.campaign.truth import BLOCK, Truth
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.truth import BLOCK, Truth
 from ltsim.model.construction import misalignment
-from ltsim.simulate.scenario import Scenario, load_scenario
-from ltsim.simulate.sections import EffectEntry
-from ltsim.uncertainty.inputs import Inputs
-from ltsim.uncertainty.measurands import Measurand, best_fit
-from ltsim.uncertainty.propagation import Propagated, expansion_of, propagate
-from ltsim.uncertainty.spec import Tasks, load_tasks
+from ltsim.simulation.scenario import Scenario, load_scenario
+from ltsim.simulation.sections import EffectEntry
+from ltsim.tasks.inputs import Inputs
+from ltsim.tasks.measurands import Measurand, best_fit
+from ltsim.tasks.propagation import Propagated, expansion_of, propagate
+from ltsim.tasks.spec import Tasks, load_tasks
 
 HERE = Path(__file__).resolve().parent
 TRIALS, SEED = 10_000, 22

@@ -22,13 +22,13 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.calibrate import calibrate_network
-from ltsim.calibrate.choice import Choice
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import Calibrated, recording_of
+from ltsim.calibration import calibrate_network
+from ltsim.calibration.choice import Choice
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Calibrated, recording_of
+from ltsim.pages.figures import Mean, by_setting
 from ltsim.recording import Recording
-from ltsim.report.figures import Mean, by_setting
-from ltsim.simulate.scenario import load_scenario
+from ltsim.simulation.scenario import load_scenario
 
 HERE = Path(__file__).resolve().parent
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from experiments.common import Made, Options, Row, batches, spread_out, stacked, tell, write_figure, write_table
 from ltsim.arrays import Floats
-from ltsim.calibrate.calibration import SHARPER
-from ltsim.campaign.cell import truth_of
-from ltsim.campaign.engine import Engine
-from ltsim.campaign.recovery import from_prior
-from ltsim.campaign.rows import z_scores
-from ltsim.report.figures import Mean, by_setting
-from ltsim.simulate.scenario import Scenario, changed, load_scenario
+from ltsim.calibration.calibration import SHARPER
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.recovery import from_prior
+from ltsim.campaigns.rows import z_scores
+from ltsim.pages.figures import Mean, by_setting
+from ltsim.simulation.scenario import Scenario, changed, load_scenario
 
 HERE = Path(__file__).resolve().parent
 INSIDE = 1.959964

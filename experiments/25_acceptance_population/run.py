@@ -14,9 +14,9 @@ from ltsim.acceptance.tests import Standard, builtin, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
+from ltsim.pages.style import CYCLE, INK, new_figure, styled
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
-from ltsim.report.style import CYCLE, INK, new_figure, styled
 
 SHEET = "leica-at500"
 TRIALS, SEED, BLOCK = 40_000, 25, 1000

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, spread_out, tell, write_table
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
-from ltsim.simulate.scenario import Scenario, changed, load_scenario
-from ltsim.simulate.simulator import simulate
-from ltsim.uncertainty.measurands import best_fit
+from ltsim.simulation.scenario import Scenario, changed, load_scenario
+from ltsim.simulation.simulator import simulate
+from ltsim.tasks.measurands import best_fit
 
 TRIALS, SEED, BLOCK = 400, 26, 25
 RANGES = ["distance"]

@@ -11,8 +11,8 @@ from ltsim.acceptance.judged import by_network, read_measured
 from ltsim.acceptance.prediction import Plan
 from ltsim.acceptance.spec import Acceptance
 from ltsim.acceptance.tests import envelope
-from ltsim.calibrate.calibration import Calibration
-from ltsim.calibrate.files import read_calibration
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.files import read_calibration
 from ltsim.errors import SetupError
 from ltsim.model.construction import of_design
 from ltsim.recording import read

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.acceptance.tests import Test, number_of, rows_of
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError, unknown_name
 from ltsim.geometry.polar import across_beam, from_polar

@@ -7,12 +7,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from ltsim.campaign import require_packages
+from ltsim.campaigns import require_packages
 from ltsim.errors import SetupError
 from ltsim.recording.settings import to_toml
 
 if TYPE_CHECKING:
-    from ltsim.campaign.statistics import Results
+    from ltsim.campaigns.statistics import Results
 
 
 def campaign(
@@ -86,7 +86,7 @@ def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 def _run(file: Path, folder: Path, jobs: int, *, resume: bool, force: bool) -> Results:
     require_packages()
-    from ltsim.campaign.campaign import Workers, run_campaign
+    from ltsim.campaigns.campaign import Workers, run_campaign
 
     run_campaign(file, folder, workers=Workers(jobs), resume=resume, force=force)
     return _results(folder)
@@ -94,6 +94,6 @@ def _run(file: Path, folder: Path, jobs: int, *, resume: bool, force: bool) -> R
 
 def _results(folder: Path) -> Results:
     require_packages()
-    from ltsim.campaign.statistics import Results
+    from ltsim.campaigns.statistics import Results
 
     return Results(folder)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltsim.calibrate import Calibration
-from ltsim.calibrate.history import History
-from ltsim.calibrate.known import Known
-from ltsim.diagnose import Diagnosis, diagnose as diagnosis_of
+from ltsim.calibration import Calibration
+from ltsim.calibration.history import History
+from ltsim.calibration.known import Known
+from ltsim.diagnosis import Diagnosis, diagnose as diagnosis_of
 from ltsim.recording.exchange import RecordingSource, recording_of
 
 

@@ -10,10 +10,10 @@ from ltsim.recording import Hints, Recording, read as read, write as write_recor
 from ltsim.recording.exchange import RecordingSource
 
 if TYPE_CHECKING:
-    from ltsim.calibrate.calibration import Calibration
-    from ltsim.diagnose.diagnosis import Diagnosis
-    from ltsim.plan.planner import Plan
-    from ltsim.simulate.truth import Truth
+    from ltsim.calibration.calibration import Calibration
+    from ltsim.diagnosis.diagnosis import Diagnosis
+    from ltsim.planning.planner import Plan
+    from ltsim.simulation.truth import Truth
 
 
 def write(
@@ -57,12 +57,12 @@ def write(
 
 def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, recording: Recording | None) -> None:
     """What is no recording; its room is loaded already, since the result came from it."""
-    from ltsim.calibrate import Calibration, write_calibration
-    from ltsim.diagnose import Diagnosis
-    from ltsim.diagnose.files import write_diagnosis
-    from ltsim.plan.files import write_plan
-    from ltsim.plan.planner import Plan
-    from ltsim.simulate.truth import Truth, write_truth
+    from ltsim.calibration import Calibration, write_calibration
+    from ltsim.diagnosis import Diagnosis
+    from ltsim.diagnosis.files import write_diagnosis
+    from ltsim.planning.files import write_plan
+    from ltsim.planning.planner import Plan
+    from ltsim.simulation.truth import Truth, write_truth
 
     match result:
         case Truth():

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ltsim.calibrate import (
+from ltsim.calibration import (
     Calibration,
     adjust_network,
     calibrate_distance,
@@ -14,13 +14,13 @@ from ltsim.calibrate import (
     correct as corrected_by,
     read_calibration,
 )
-from ltsim.calibrate.beside import Wanted
-from ltsim.calibrate.choice import Choice
-from ltsim.calibrate.history import History
-from ltsim.calibrate.known import Known
-from ltsim.calibrate.result import gross_rows
+from ltsim.calibration.beside import Wanted
+from ltsim.calibration.choice import Choice
+from ltsim.calibration.history import History
+from ltsim.calibration.known import Known
+from ltsim.calibration.result import gross_rows
 from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
-from ltsim.evaluate import Criteria, evaluate as criteria_of, read_nominal, verify as verified
+from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law
 from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
@@ -168,7 +168,7 @@ def calibrate(
 
 def _wanted(text: str, recording: Recording) -> Wanted:
     """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
-    from ltsim.simulate.physics import effect_from  # only this option needs it
+    from ltsim.simulation.physics import effect_from  # only this option needs it
 
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
@@ -273,7 +273,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     --------
     >>> import ltsim as lt
     >>> from pathlib import Path
-    >>> from ltsim.simulate.truth import nominal_csv
+    >>> from ltsim.simulation.truth import nominal_csv
     >>> found = lt.calibrate(lt.simulate("paper-workshop", seed=7).recording)
     >>> laboratory, truth = lt.simulate("paper-laboratory", seed=7)
     >>> _ = Path("cmm.csv").write_text(nominal_csv(truth))

@@ -10,16 +10,16 @@ from pathlib import Path
 from ltsim.api.files import read
 from ltsim.api.workshop import scenario
 from ltsim.notebook import Shown
+from ltsim.pages import scene3d
+from ltsim.pages.page import report as write_report
+from ltsim.pages.planned import from_scenario, with_cad
+from ltsim.pages.scene_page import scene_page
+from ltsim.pages.workshop import Workshop, from_recording
 from ltsim.recording import Recording
 from ltsim.recording.files import write_text
 from ltsim.recording.setup import About
-from ltsim.report import scene3d
-from ltsim.report.page import report as write_report
-from ltsim.report.planned import from_scenario, with_cad
-from ltsim.report.scene_page import scene_page
-from ltsim.report.workshop import Workshop, from_recording
-from ltsim.simulate.builtin import builtin_names
-from ltsim.simulate.scenario import Scenario
+from ltsim.simulation.builtin import builtin_names
+from ltsim.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True, repr=False)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltsim.plan.planner import Plan, make_plan
-from ltsim.plan.spec import load_plan
+from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.spec import load_plan
 from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
 
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from ltsim.api.workshop import ScenarioSource, scenario
-from ltsim.campaign.recovery import Errors, Recovery, errors_of, recover as trials_of
+from ltsim.campaigns.recovery import Errors, Recovery, errors_of, recover as trials_of
 from ltsim.errors import SetupError, unknown_name
 from ltsim.model.construction import construction as construction_called
-from ltsim.simulate.physics import construction_of
+from ltsim.simulation.physics import construction_of
 
 
 def recover(

@@ -9,19 +9,19 @@ from typing import Any
 from ltsim.acceptance.accept import accept as accepted
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
-from ltsim.adjust import Adjustment, adjust
-from ltsim.check.check import Check, check as check_of
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.errors import ModelError
-from ltsim.evaluate.bench import bench_file, evaluate_bench, read_bench
-from ltsim.evaluate.schema import BenchFile
+from ltsim.evaluation.bench import bench_file, evaluate_bench, read_bench
+from ltsim.evaluation.schema import BenchFile
+from ltsim.fieldcheck.check import Check, check as check_of
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.coordinates import Coordinates, holds_coordinates, read_coordinates
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
-from ltsim.uncertainty.congruence import Congruence
-from ltsim.uncertainty.epochs import compare as compared, compare_coordinates
-from ltsim.uncertainty.evaluation import Evaluation, evaluate_tasks
-from ltsim.uncertainty.spec import FORMAT, Tasks, load_tasks, tasks_from
+from ltsim.tasks.congruence import Congruence
+from ltsim.tasks.epochs import compare as compared, compare_coordinates
+from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
+from ltsim.tasks.spec import FORMAT, Tasks, load_tasks, tasks_from
 from ltsim.units import DEGREE, MICROMETRE
 
 

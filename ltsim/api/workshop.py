@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ltsim.recording import Recording
-from ltsim.simulate.scenario import Scenario, changed, load_scenario
-from ltsim.simulate.simulator import simulate as measured
-from ltsim.simulate.truth import Truth
+from ltsim.simulation.scenario import Scenario, changed, load_scenario
+from ltsim.simulation.simulator import simulate as measured
+from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
 """A scenario, its file, or the name of a built-in one."""

@@ -12,7 +12,7 @@ from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
-    from ltsim.evaluate.schema import BenchFile, EstimateEntry
+    from ltsim.evaluation.schema import BenchFile, EstimateEntry
 
 BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
 ProbeDirection = Annotated[
@@ -40,7 +40,7 @@ def bench(
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
     import ltsim as lt
-    from ltsim.evaluate.schema import BenchFile
+    from ltsim.evaluation.schema import BenchFile
     from ltsim.recording.result_file import write_result
 
     claim(out, BenchFile, force=force)

@@ -17,7 +17,7 @@ from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 
 if TYPE_CHECKING:
-    from ltsim.calibrate import Calibration
+    from ltsim.calibration import Calibration
 
 
 class Method(StrEnum):
@@ -155,7 +155,7 @@ def held_values(pairs: list[str] | None) -> dict[str, float]:
 
 def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, force: bool) -> None:
     """Make sure that a calibration, or a network `adjusted` without parameters, replaces nothing else."""
-    from ltsim.calibrate.schema import RESIDUALS, TARGETS, CalibrationFile
+    from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 
     names = (TARGETS.file, RESIDUALS.file)
     claim(out, CalibrationFile, names, force=force, own=lambda found: (found.method == "adjustment") == adjusted)
@@ -164,10 +164,10 @@ def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, forc
 
 def finish(terminal: Terminal, calibration: Calibration, out: Path | None, points: Path | None = None) -> None:
     """Write, then show."""
-    from ltsim.calibrate.files import calibration_file, write_calibration
+    from ltsim.calibration.files import calibration_file, write_calibration
 
     if points is not None:
-        from ltsim.report.points import write_points  # most runs need no export
+        from ltsim.pages.points import write_points  # most runs need no export
 
         write_points(calibration, points)
     content = calibration_file(calibration) if out is None else write_calibration(calibration, out)

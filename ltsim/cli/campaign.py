@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.campaign import require_packages
+from ltsim.campaigns import require_packages
 from ltsim.cli.options import Jobs
 from ltsim.cli.places import Force
 from ltsim.cli.terminal import Terminal, table
@@ -17,8 +17,8 @@ from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
 
 if TYPE_CHECKING:
-    from ltsim.campaign.campaign import Outcome
-    from ltsim.campaign.statistics import Results
+    from ltsim.campaigns.campaign import Outcome
+    from ltsim.campaigns.statistics import Results
 
 AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
@@ -70,16 +70,16 @@ def campaign(
     Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
     if show_example:
-        print((files("ltsim.campaign") / "example.toml").read_text(encoding="utf-8"), end="")
+        print((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"), end="")
         return 0
     if file is None:
         raise SetupError("a campaign needs a FILE; ltsim campaign --show prints one to edit")
     require_packages()
     # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
-    from ltsim.campaign.campaign import Workers, run_campaign
-    from ltsim.campaign.spec import load_campaign
-    from ltsim.campaign.statistics import Results, summary_csv
-    from ltsim.campaign.store import Store
+    from ltsim.campaigns.campaign import Workers, run_campaign
+    from ltsim.campaigns.spec import load_campaign
+    from ltsim.campaigns.statistics import Results, summary_csv
+    from ltsim.campaigns.store import Store
 
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file)

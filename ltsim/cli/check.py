@@ -18,8 +18,8 @@ from ltsim.recording.files import is_number
 from ltsim.units import MICROMETRE
 
 if TYPE_CHECKING:
-    from ltsim.check import Check, Item
-    from ltsim.check.faces import Mpe
+    from ltsim.fieldcheck import Check, Item
+    from ltsim.fieldcheck.faces import Mpe
 
 LEVEL = 0.01
 Level = Annotated[
@@ -57,8 +57,8 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    from ltsim.check import check as check_of, check_file, write_check
-    from ltsim.check.files import TWO_FACE, CheckFile
+    from ltsim.fieldcheck import check as check_of, check_file, write_check
+    from ltsim.fieldcheck.files import TWO_FACE, CheckFile
 
     claim(out, CheckFile, (TWO_FACE.file, "check.svg", "check-narrow.svg"), force=force)
     limit = mpe_of(mpe)
@@ -74,8 +74,8 @@ def check(
         found = check_of(recording, level=level, mpe=limit)
     content = check_file(found)
     if out is not None:
-        from ltsim.report.figures.check import check_figure  # most checks draw nothing
-        from ltsim.report.style import narrow, svg
+        from ltsim.pages.figures.check import check_figure  # most checks draw nothing
+        from ltsim.pages.style import narrow, svg
 
         figure = check_figure(found)
         pictures = {"check.svg": svg(figure), "check-narrow.svg": svg(narrow(figure) or figure)}
@@ -96,7 +96,7 @@ def mpe_of(text: str | None) -> Mpe | None:
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
         raise RecordError(f"--mpe {text}: expected A,B in um and um/m, for instance 20,6")
-    from ltsim.check.faces import Mpe
+    from ltsim.fieldcheck.faces import Mpe
 
     return Mpe(float(parts[0]) * MICROMETRE, float(parts[1]) * MICROMETRE)
 

@@ -14,10 +14,10 @@ from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError
 
 if TYPE_CHECKING:
-    from ltsim.adjust import Adjustment
+    from ltsim.adjustment import Adjustment
     from ltsim.recording.recording import Recording
-    from ltsim.uncertainty.comparison import ComparisonFile
-    from ltsim.uncertainty.congruence import Congruence
+    from ltsim.tasks.comparison import ComparisonFile
+    from ltsim.tasks.congruence import Congruence
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
 Stable = Annotated[
@@ -64,7 +64,7 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.recording.coordinates import holds_coordinates
-    from ltsim.uncertainty.comparison import DISPLACEMENTS, ComparisonFile, write_comparison
+    from ltsim.tasks.comparison import DISPLACEMENTS, ComparisonFile, write_comparison
 
     claim(out, ComparisonFile, (DISPLACEMENTS.file,), force=force)
     named = names_of(stable)
@@ -91,7 +91,7 @@ def compare(
 
 
 def _adjusted(recording: Recording, calibrate: bool, robust: bool) -> Adjustment:
-    from ltsim.adjust import adjust
+    from ltsim.adjustment import adjust
     from ltsim.model.construction import ideal, stated_construction
 
     made = adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust)
@@ -103,8 +103,8 @@ def _recordings(
     epochs: list[Adjustment], stable: tuple[str, ...] | None, scaled: bool, same_instrument: bool, level: float
 ) -> tuple[Congruence, ComparisonFile]:
     from ltsim.recording.result_file import SourceEntry
-    from ltsim.uncertainty.comparison import comparison_file
-    from ltsim.uncertainty.epochs import compare as compared
+    from ltsim.tasks.comparison import comparison_file
+    from ltsim.tasks.epochs import compare as compared
 
     first, later = epochs
     found = compared(first, later, stable=stable, scaled=scaled, same_instrument=same_instrument, level=level)
@@ -118,8 +118,8 @@ def _lists(
 ) -> tuple[Congruence, ComparisonFile]:
     from ltsim.recording.coordinates import read_coordinates
     from ltsim.recording.result_file import SourceEntry
-    from ltsim.uncertainty.comparison import comparison_file
-    from ltsim.uncertainty.epochs import compare_coordinates
+    from ltsim.tasks.comparison import comparison_file
+    from ltsim.tasks.epochs import compare_coordinates
 
     first, later = (read_coordinates(path) for path in paths)
     for one in (first, later):

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.campaign import require_packages
+from ltsim.campaigns import require_packages
 from ltsim.cli.options import Seed
 from ltsim.cli.places import Force, claim_empty
 from ltsim.cli.terminal import Terminal
@@ -116,7 +116,7 @@ def diagnosed(out: Path, seed: int) -> str:
 def repeated(out: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
     write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
-    from ltsim.campaign.statistics import summary_csv
+    from ltsim.campaigns.statistics import summary_csv
 
     results = lt.campaign(out / "campaign.toml", force=True)
     write_texts(out / "campaign", {"summary.csv": summary_csv(results.summary())})

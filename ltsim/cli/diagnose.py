@@ -13,7 +13,7 @@ from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
-    from ltsim.diagnose import Diagnosis
+    from ltsim.diagnosis import Diagnosis
 
 FailOnMismatch = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
@@ -49,8 +49,8 @@ def diagnose(
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
-    from ltsim.diagnose.files import COMPANIONS, write_diagnosis
-    from ltsim.diagnose.schema import DiagnosisFile
+    from ltsim.diagnosis.files import COMPANIONS, write_diagnosis
+    from ltsim.diagnosis.schema import DiagnosisFile
 
     claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = reading.open(source, terminal)
@@ -65,7 +65,7 @@ def diagnose(
 
 def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
     """One sentence first, evidence below."""
-    from ltsim.diagnose.words import percent, place
+    from ltsim.diagnosis.words import percent, place
 
     terminal.say("\n" + diagnosis.summary)
     for number, finding in enumerate(diagnosis.findings, start=1):

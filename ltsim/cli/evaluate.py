@@ -12,7 +12,7 @@ from ltsim.cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from ltsim.arrays import Bools
-    from ltsim.evaluate import Criteria
+    from ltsim.evaluation import Criteria
     from ltsim.recording import Recording
 
 
@@ -31,8 +31,8 @@ def evaluate(
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
-    from ltsim.calibrate.result import gross_rows
-    from ltsim.evaluate.schema import CriteriaFile
+    from ltsim.calibration.result import gross_rows
+    from ltsim.evaluation.schema import CriteriaFile
 
     claim(out, CriteriaFile, force=force)
     recording = reading.open(source, terminal)
@@ -45,7 +45,7 @@ def evaluate(
 
 def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
     """The criteria of a recording with the parameters of a calibration file."""
-    from ltsim.evaluate import evaluate as criteria_of
+    from ltsim.evaluation import evaluate as criteria_of
 
     if calibration is None:
         return criteria_of(recording, use=use)
@@ -55,7 +55,7 @@ def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | 
 
 def show(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
     """Write and print criteria."""
-    from ltsim.evaluate.schema import CriteriaFile
+    from ltsim.evaluation.schema import CriteriaFile
     from ltsim.recording.result_file import SourceEntry, write_result
 
     content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})

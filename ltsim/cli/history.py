@@ -17,9 +17,9 @@ from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
 
 if TYPE_CHECKING:
-    from ltsim.calibrate import Calibration
-    from ltsim.calibrate.events import Event
-    from ltsim.calibrate.history import Change, History
+    from ltsim.calibration import Calibration
+    from ltsim.calibration.events import Event
+    from ltsim.calibration.history import Change, History
     from ltsim.recording import Recording
 
 Sources = Annotated[
@@ -73,9 +73,9 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
-    from ltsim.calibrate.files import history_file
-    from ltsim.calibrate.history import History
-    from ltsim.calibrate.history_schema import HistoryFile
+    from ltsim.calibration.files import history_file
+    from ltsim.calibration.history import History
+    from ltsim.calibration.history_schema import HistoryFile
 
     claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []
@@ -87,9 +87,9 @@ def history(
     found = History.of(named, instrument, None if dates is None else [d.strip() for d in dates.split(",")])
     content = history_file(found)
     if out is not None:
+        from ltsim.pages.figures.history import history_figure
+        from ltsim.pages.style import svg
         from ltsim.recording.result_file import write_result
-        from ltsim.report.figures.history import history_figure
-        from ltsim.report.style import svg
 
         known = [course for course in content.parameters if course.constant.dof]
         content = write_result(out, content, {"history.svg": svg(history_figure(found.labels, known))})
@@ -102,7 +102,7 @@ def history(
 
 def _has_changed(found: History) -> bool:
     """An event where there are calibrations enough to tell one, otherwise any change from the first to the last."""
-    from ltsim.calibrate.events import events, knows_usual
+    from ltsim.calibration.events import events, knows_usual
 
     return bool(events(found)) if knows_usual(found) else found.change(0, len(found) - 1).joint.p_value < LEVEL
 
@@ -111,7 +111,7 @@ def _calibrations(
     terminal: Terminal, source: Path, reading: Reading, treated: dict[str, Any], *, each_set_up: bool
 ) -> list[tuple[str, Calibration]]:
     """One calibration of a file, or one a set-up of a recording."""
-    from ltsim.calibrate.schema import CalibrationFile
+    from ltsim.calibration.schema import CalibrationFile
 
     file = CalibrationFile.FILE
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
@@ -135,7 +135,7 @@ def _calibrated(recording: Recording, label: str, treated: dict[str, Any]) -> Ca
 
 def show(terminal: Terminal, found: History) -> None:
     """The course of each parameter, then what changed from one calibration to the next."""
-    from ltsim.calibrate.events import events, knows_usual
+    from ltsim.calibration.events import events, knows_usual
 
     rows = []
     silent = []
@@ -171,7 +171,7 @@ def _sentence(found: History, change: Change, stood_out: Sequence[Event]) -> str
 
 
 def _verdict(found: History, change: Change) -> str:
-    from ltsim.calibrate.events import knows_usual
+    from ltsim.calibration.events import knows_usual
 
     if change.joint.p_value >= LEVEL:
         return "no change seen"

@@ -177,9 +177,9 @@ def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 def in_axes(recording: Recording, frame: Path) -> Recording:
     """The recording with its datum in the axes of a file or a built-in scenario; raises RecordError or SetupError."""
-    from ltsim.adjust.axes import in_axes_of_points, in_axes_of_three, read_axes
+    from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three, read_axes
     from ltsim.recording.settings import read_toml
-    from ltsim.simulate.builtin import builtin_names
+    from ltsim.simulation.builtin import builtin_names
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
@@ -187,8 +187,8 @@ def in_axes(recording: Recording, frame: Path) -> Recording:
         named = read_toml(frame, "frame")
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
             return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))
-    from ltsim.simulate.scenario import load_scenario
-    from ltsim.simulate.workshop import planned
+    from ltsim.simulation.scenario import load_scenario
+    from ltsim.simulation.workshop import planned
 
     layout = planned(load_scenario(str(frame)))
     return in_axes_of_points(recording, dict(zip(layout.targets, layout.points, strict=True)), str(frame))

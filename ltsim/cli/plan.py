@@ -15,8 +15,8 @@ from ltsim.errors import SetupError
 
 if TYPE_CHECKING:
     from ltsim.effects.signature import Signature
-    from ltsim.plan.planner import Plan
-    from ltsim.plan.schema import PlanResult
+    from ltsim.planning.planner import Plan
+    from ltsim.planning.schema import PlanResult
     from ltsim.recording import Recording
     from ltsim.remedies.next_measurement import NextMeasurement
 
@@ -66,8 +66,8 @@ def plan(
 
     Example: ltsim plan paper-workshop --out my-plan
     """
-    from ltsim.plan.schema import NEXT, TABLES, NextFile, PlanResult
-    from ltsim.plan.spec import plan_names, plan_text
+    from ltsim.planning.schema import NEXT, TABLES, NextFile, PlanResult
+    from ltsim.planning.spec import plan_names, plan_text
 
     if after is not None:
         if source is not None:
@@ -89,7 +89,7 @@ def plan(
 def _search(
     terminal: Terminal, source: str, folder: Path | None, seed: int | None, starts: int | None, jobs: int
 ) -> None:
-    from ltsim.plan.files import write_plan
+    from ltsim.planning.files import write_plan
 
     with terminal.progress("searching layouts", 100) as advance:
         made = lt.plan(source, starts=starts, seed=seed, jobs=jobs, progress=_percent(advance))
@@ -104,7 +104,7 @@ def _search(
 
 def page_of(made: Plan) -> dict[str, bytes]:
     """work-order.html: the page for the shop floor."""
-    from ltsim.report.sections.work_order import work_order_page
+    from ltsim.pages.sections.work_order import work_order_page
 
     return {PAGE: work_order_page(made).encode()}
 
@@ -152,10 +152,10 @@ def pictures_of(made: Plan) -> dict[str, bytes]:
     """floor.png: the plan from above; tradeoff.png: cost against quality."""
     from io import BytesIO
 
-    from ltsim.plan.files import planned_scenario
-    from ltsim.report.figures.floor_plan import floor_plan
-    from ltsim.report.figures.trade_off import Layout, trade_off
-    from ltsim.report.planned import from_scenario
+    from ltsim.pages.figures.floor_plan import floor_plan
+    from ltsim.pages.figures.trade_off import Layout, trade_off
+    from ltsim.pages.planned import from_scenario
+    from ltsim.planning.files import planned_scenario
 
     layouts = []
     for option in made.options:
@@ -191,9 +191,9 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 
 
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
-    from ltsim.diagnose.separate import open_question
-    from ltsim.plan.files import next_csv, next_file
-    from ltsim.plan.schema import NEXT
+    from ltsim.diagnosis.separate import open_question
+    from ltsim.planning.files import next_csv, next_file
+    from ltsim.planning.schema import NEXT
     from ltsim.recording.result_file import SourceEntry, write_result
 
     terminal.say(recording.headline)

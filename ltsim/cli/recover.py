@@ -19,8 +19,8 @@ from ltsim.cli.terminal import Terminal, table
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
-    from ltsim.campaign.recovery import Recovery
-    from ltsim.campaign.schema import RecoveryFile
+    from ltsim.campaigns.recovery import Recovery
+    from ltsim.campaigns.schema import RecoveryFile
 
 Trials = Annotated[int, typer.Option("--trials", "-n", min=2, help="How many recordings to simulate.")]
 ConstructionChoice = Annotated[
@@ -79,8 +79,8 @@ def recover(
 
     Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
     """
-    from ltsim.campaign.recovery import FALSE_ALARM
-    from ltsim.campaign.schema import RecoveryFile
+    from ltsim.campaigns.recovery import FALSE_ALARM
+    from ltsim.campaigns.schema import RecoveryFile
 
     claim(out, RecoveryFile, ("trials.csv",), force=force)
     claim_file(junit, force=force)
@@ -111,7 +111,7 @@ def recover(
 
 def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
     """The outcome for a program."""
-    from ltsim.campaign.schema import CheckEntry, RecoveryFile
+    from ltsim.campaigns.schema import CheckEntry, RecoveryFile
 
     checks = result.checks()
     return RecoveryFile(
@@ -138,7 +138,7 @@ def junit_xml(result: Recovery, suite: str) -> str:
 
 def trials_csv(result: Recovery) -> str:
     """z-scores of every parameter, chi-square and the network's mean squares, one row a trial."""
-    from ltsim.campaign.schema import trials_table
+    from ltsim.campaigns.schema import trials_table
 
     return trials_table(result.names).text(
         [number, *trial.z, trial.chi2, trial.dof, trial.targets, trial.stations]

@@ -52,7 +52,7 @@ def report(
 
     Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
     """
-    from ltsim.report.page import NAME
+    from ltsim.pages.page import NAME
 
     terminal = Terminal(quiet)
     about = _about(instrument=instrument, date=date, operator=operator, customer=customer)

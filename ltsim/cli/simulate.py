@@ -13,7 +13,7 @@ from ltsim.cli.places import Force, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 from ltsim.recording.files import write_text
-from ltsim.simulate.builtin import builtin_names, builtin_text
+from ltsim.simulation.builtin import builtin_names, builtin_text
 
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help=f"A scenario file, or one of: {', '.join(builtin_names())}.")
@@ -52,7 +52,7 @@ def simulate(
     claim_recording(out, force=force)
     for file in (truth, nominal):
         claim_file(file, force=force)
-    from ltsim.simulate.truth import nominal_csv
+    from ltsim.simulation.truth import nominal_csv
 
     recording, true = lt.simulate(scenario, seed=seed)
     table = nominal_csv(true) if nominal is not None else ""
@@ -69,6 +69,6 @@ def simulate(
 
 def _spelled_out(scenario: str) -> str:
     """The scenario of a file, every setting spelled out."""
-    from ltsim.simulate.scenario import load_scenario, scenario_to_toml
+    from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 
     return scenario_to_toml(load_scenario(scenario))

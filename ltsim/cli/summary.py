@@ -11,8 +11,8 @@ from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.units import MICROMETRE
 
 if TYPE_CHECKING:
-    from ltsim.calibrate import Calibration
-    from ltsim.evaluate import Comparison, Criteria
+    from ltsim.calibration import Calibration
+    from ltsim.evaluation import Comparison, Criteria
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
@@ -27,7 +27,7 @@ MOST_SHOWN = 12
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
     """A calibration that was written before, with what it lacks said; raises RecordError."""
-    from ltsim.calibrate import read_calibration
+    from ltsim.calibration import read_calibration
 
     found = read_calibration(path)
     terminal.notes(found.notes)
@@ -149,7 +149,7 @@ def held_line(calibration: Calibration, held: list[int]) -> str:
 
 def _informed(calibration: Calibration, i: int) -> bool:
     """Whether the prior variance of a parameter fell by 5 % at least."""
-    from ltsim.calibrate.calibration import SHARPER
+    from ltsim.calibration.calibration import SHARPER
 
     return float(calibration.sigma.ravel()[i]) < SHARPER * float(calibration.prior_sigma.ravel()[i])
 

@@ -12,12 +12,12 @@ from ltsim.cli.options import Out, Reading
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import SetupError
-from ltsim.simulate.builtin import builtin_names
+from ltsim.simulation.builtin import builtin_names
 
 if TYPE_CHECKING:
     from ltsim.recording.recording import Recording
-    from ltsim.uncertainty.files import UncertaintyFile
-    from ltsim.uncertainty.spec import Tasks
+    from ltsim.tasks.files import UncertaintyFile
+    from ltsim.tasks.spec import Tasks
 
 TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
 TaskSource = Annotated[
@@ -46,11 +46,11 @@ def uncertainty(
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
-    from ltsim.calibrate.result import frame_of
+    from ltsim.calibration.result import frame_of
     from ltsim.recording.result_file import read_result
-    from ltsim.uncertainty.evaluation import evaluate_tasks
-    from ltsim.uncertainty.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
-    from ltsim.uncertainty.spec import load_tasks
+    from ltsim.tasks.evaluation import evaluate_tasks
+    from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
+    from ltsim.tasks.spec import load_tasks
 
     claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
     tasks = load_tasks(file)

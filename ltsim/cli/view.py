@@ -107,8 +107,8 @@ def view(
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
     """Serve the page of a plan until somebody presses Ctrl-C."""
-    from ltsim.view.board import PLAN, SCENARIO, Board
-    from ltsim.view.server import Door, serve
+    from ltsim.viewer.board import PLAN, SCENARIO, Board
+    from ltsim.viewer.server import Door, serve
 
     for name in (SCENARIO, PLAN):
         claim_file(out / name, force=force)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect

@@ -22,9 +22,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.reliability import noncentrality
-from ltsim.adjust.residual_space import VISIBLE, ResidualSpace, orthonormal
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.reliability import noncentrality
+from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace, orthonormal
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect, Parameter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.remedies.network import Network

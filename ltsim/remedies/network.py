@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjust.adjustment import Adjustment
-from ltsim.adjust.rows import GaugeRows
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.rows import GaugeRows
 from ltsim.arrays import Floats, Ints
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State

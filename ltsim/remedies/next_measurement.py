@@ -8,8 +8,8 @@ from itertools import chain
 
 import numpy as np
 
-from ltsim.adjust import adjust
-from ltsim.adjust.adjustment import Adjustment
+from ltsim.adjustment import adjust
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.effects.signature import Signature
 from ltsim.model.construction import stated_construction
 from ltsim.notebook import Columns, Shown

@@ -16,8 +16,8 @@ from ltsim.cli.main import run
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import read, write
 from ltsim.recording.setup import Setup
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.simulator import simulate
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.simulator import simulate
 
 START = "from ltsim.cli.main import main; main()"
 
@@ -75,7 +75,7 @@ def test_sizes_that_no_machine_holds_are_a_sentence(
 def test_an_interrupted_campaign_says_what_is_kept(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    from ltsim.campaign import campaign
+    from ltsim.campaigns import campaign
 
     real = campaign.rows_of
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.recording import read, write
 from tests.networks import network

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.simulate.builtin import builtin_text
+from ltsim.simulation.builtin import builtin_text
 
 WOBBLE = """
 [[effects]]

@@ -18,7 +18,7 @@ from ltsim.cli.terminal import digits, table
 from ltsim.effects import CATALOGUE, card_of
 from ltsim.errors import ModelError
 from ltsim.recording import read
-from ltsim.simulate.truth import read_truth
+from ltsim.simulation.truth import read_truth
 
 
 @pytest.fixture(scope="module")

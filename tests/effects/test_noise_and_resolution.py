@@ -5,8 +5,8 @@ from hypothesis import given, strategies as st
 
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.resolution import quantised
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.simulator import fieldwork, measure
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.simulator import fieldwork, measure
 from ltsim.units import ARCSECOND
 
 

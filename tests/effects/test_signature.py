@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Signature, on_readings
 from ltsim.scene.sightings import Sightings

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.calibrate.network import calibrate_network
+from ltsim.calibration.network import calibrate_network
 from ltsim.errors import NetworkError
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import construction, stated_construction, steering_mirror
 from ltsim.recording.setup import Instrument
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.simulator import simulate
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.simulator import simulate
 from tests.kinematics.test_chain import readings
 from tests.networks import network
 

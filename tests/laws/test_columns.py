@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.laws.columns import lagging, late, near, past, through
 from ltsim.scene.sightings import Sightings
 from tests.networks import network

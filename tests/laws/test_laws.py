@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.effects.motions import station_design
 from ltsim.laws.carriers import CARRIERS, carrier_designs
 from ltsim.laws.drivers import Driver, simple, smooth

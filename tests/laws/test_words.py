@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.errors import ModelError
 from ltsim.laws.columns import SIMPLE
 from ltsim.laws.drivers import CONSTANT, SEVERAL, Driver, across_the_room, pieces, simple, smooth

@@ -10,8 +10,8 @@ from ltsim.model.floor_plan import plan_rotation
 from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station
-from ltsim.simulate.scenario import load_scenario
-from ltsim.simulate.simulator import simulate
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.simulator import simulate
 from tests.networks import STATIONS, YAWS, network
 
 ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibrate import calibrate_network, correct, read_calibration, write_calibration
-from ltsim.evaluate.two_face import two_face
+from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.evaluation.two_face import two_face
 from ltsim.recording import Hints, read
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "desy-girder-at960"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import from_rotation_vector

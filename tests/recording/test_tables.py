@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibrate import adjust_network
+from ltsim.calibration import adjust_network
 from ltsim.errors import RecordError
 from ltsim.recording import Hints, Recording, read, write
 from ltsim.recording.tables import cells

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 import ltsim as lt
-from ltsim.calibrate import calibrate_network
-from ltsim.campaign.recovery import (
+from ltsim.calibration import calibrate_network
+from ltsim.campaigns.recovery import (
     FALSE_ALARM,
     Recovery,
     Trial,
@@ -20,11 +20,11 @@ from ltsim.campaign.recovery import (
     parameter_checks,
     recover,
 )
-from ltsim.evaluate.share_removed import target_error
+from ltsim.evaluation.share_removed import target_error
 from ltsim.model.construction import Construction, misalignment
-from ltsim.simulate.fieldwork import fieldwork
-from ltsim.simulate.scenario import Scenario, changed, load_scenario
-from ltsim.simulate.simulator import measure
+from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.scenario import Scenario, changed, load_scenario
+from ltsim.simulation.simulator import measure
 
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
+from tests.plan.fixtures import survey
 
-from ltsim.adjust.reliability import POWER, noncentrality, single_level
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjustment.reliability import POWER, noncentrality, single_level
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.effects.head_sag import HeadSag
@@ -16,10 +17,9 @@ from ltsim.effects.range_step import RangeStep
 from ltsim.effects.station_weather import StationWeather
 from ltsim.effects.transit_offset import TransitOffset
 from ltsim.model.construction import misalignment
-from ltsim.plan.detectability import detectability, likeness
-from ltsim.plan.information import LayoutInformation
+from ltsim.planning.detectability import detectability, likeness
+from ltsim.planning.information import LayoutInformation
 from ltsim.remedies.detectability import LEVEL, examine, search_noncentrality
-from tests.plan.fixtures import survey
 
 INFORMATION = LayoutInformation.of(survey())
 SPACE = ResidualSpace.of(INFORMATION.adjustment)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import ltsim.remedies
-from ltsim.adjust import adjust
-from ltsim.calibrate import calibrate_network
+from ltsim.adjustment import adjust
+from ltsim.calibration import calibrate_network
 from ltsim.model.construction import misalignment
 from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import known_length, near_reflectors, other_ways, returns

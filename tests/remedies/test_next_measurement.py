@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
+from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.diagnose import diagnose
-from ltsim.diagnose.separate import open_question
+from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.separate import open_question
 from ltsim.errors import ModelError
 from ltsim.model.construction import ideal, misalignment
-from ltsim.plan.criteria import d_criterion
+from ltsim.planning.criteria import d_criterion
 from ltsim.recording import Recording, write
 from ltsim.remedies.deciding import Rivals, explanation, space_of
 from ltsim.remedies.network import Network
@@ -27,10 +27,10 @@ from ltsim.remedies.remedy import (
     other_ways,
     returns,
 )
-from ltsim.simulate.scenario import Scenario, load_scenario
-from ltsim.simulate.sections import EffectEntry
-from ltsim.simulate.simulator import simulate
-from ltsim.simulate.truth import Truth
+from ltsim.simulation.scenario import Scenario, load_scenario
+from ltsim.simulation.sections import EffectEntry
+from ltsim.simulation.simulator import simulate
+from ltsim.simulation.truth import Truth
 
 
 def scenario(**values: float) -> Scenario:

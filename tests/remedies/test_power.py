@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.adjust import adjust
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.diagnose.detect import Detection, detect
-from ltsim.diagnose.evidence import log_average
-from ltsim.diagnose.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnose.probe import Probe
-from ltsim.diagnose.search import Searcher
+from ltsim.diagnosis.detect import Detection, detect
+from ltsim.diagnosis.evidence import log_average
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.probe import Probe
+from ltsim.diagnosis.search import Searcher
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import misalignment

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjust import adjust
-from ltsim.adjust.residual_space import ResidualSpace, orthonormal
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
 from ltsim.arrays import Floats
-from ltsim.diagnose.cards import card_hypotheses
+from ltsim.diagnosis.cards import card_hypotheses
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.face_confusion import FaceConfusion

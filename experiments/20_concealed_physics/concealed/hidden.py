@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjust.residual_space import ResidualSpace
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE, GROUPS
 from ltsim.effects.air_layer import AirLayer

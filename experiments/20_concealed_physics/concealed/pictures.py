@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ltsim.pages.style import MARKERS, new_figure, styled, svg
 from ltsim.recording.files import write_text
-from ltsim.report.style import MARKERS, new_figure, styled, svg
 
 from .reliability import reliability_figure
 from .score import Row

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from ltsim.report.style import MARKERS, new_figure, styled
+from ltsim.pages.style import MARKERS, new_figure, styled
 
 from .score import Row
 

@@ -1,0 +1,305 @@
+"""Everything that is known of a network after its adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.components import Component
+from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.loose import poseless, without_loose
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reliability import (
+    FAMILY_LEVEL,
+    critical_tau,
+    critical_w,
+    minimal_detectable_bias,
+    normalised,
+    redundancy_of,
+)
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.signature import Signature
+from ltsim.errors import NetworkError
+from ltsim.model.construction import Construction, ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.notebook import Shown
+from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.scene.sightings import Sightings
+from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.gauss_newton import Solution, planned, solve
+from ltsim.solve.projection import Projection, projection_of
+from ltsim.solve.threads import in_one_thread
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """One reading that does not belong, by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
+
+    row: int
+    observable: int
+    size: float
+    w: float
+
+
+@dataclass(frozen=True, repr=False)
+class Adjustment(Shown):
+    """An adjusted network."""
+
+    problem: NetworkProblem
+    solution: Solution[State]
+    gross: Bools
+    """(n,): pointings that were left out because they miss their target by far."""
+    datum: InnerDatum | None = None
+    """Datum of the covariances where it is not that of the factor (the pose of the first station)."""
+    components: tuple[Component, ...] = ()
+    """Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it."""
+    untied: tuple[str, ...] = ()
+    """Targets that the whole recording does not place, amid the others in the state."""
+    copies: int = 0
+    """Rows that repeat others to the last digit: their readings are not counted again."""
+
+    def _lines(self) -> list[str]:
+        return [
+            f"Adjustment: {self.recording.headline}",
+            f"{self.construction.name}, {self.construction.size} instrument parameters, "
+            f"{len(self.effects)} further effects; {self.solution.status.value}",
+            f"chi2/dof {self.chi2:.1f}/{self.dof}, sigma0 {self.sigma0:.3f}; "
+            f"{int(self.rejected.sum())} readings left out",
+        ]
+
+    @classmethod
+    def planned(
+        cls,
+        recording: Recording,
+        state: State,
+        construction: Construction | None = None,
+        effects: Sequence[Signature] = (),
+    ) -> Adjustment:
+        """The adjustment that pointings will have when they are made: precision does not depend on readings.
+
+        Parameters
+        ----------
+        recording : Recording
+            The pointings; their readings only say which observables are measured.
+        state : State
+            Where stations and targets will be, and the instrument's parameters.
+        construction, effects
+            Whose parameters are to be estimated; default an ideal tracker without any.
+
+        Raises
+        ------
+        NetworkError
+            When the pointings do not determine the poses and the targets that they reach.
+        """
+        model = MeasurementModel(recording, construction or ideal(), tuple(effects))
+        problem = without_loose(NetworkProblem.of(model), state)
+        lost = poseless(problem, state)
+        if lost:
+            raise NetworkError(lost)
+        try:
+            solution = planned(problem, state)
+        except SingularSystemError:
+            message = "the pointings do not determine all poses and targets; let stations share more targets"
+            if not recording.measured[:, 1:].any():
+                message = "ranges alone want four stations off one plane and six targets, or known lengths"
+            raise NetworkError(message) from None
+        return cls(problem, solution, np.zeros(len(recording), dtype=bool))
+
+    @property
+    def recording(self) -> Recording:
+        """The recording that was adjusted."""
+        return self.problem.model.recording
+
+    @property
+    def construction(self) -> Construction:
+        """The construction whose parameters were estimated."""
+        return self.problem.model.construction
+
+    @property
+    def effects(self) -> tuple[Signature, ...]:
+        """The further effects that were estimated."""
+        return self.problem.model.effects
+
+    @property
+    def state(self) -> State:
+        """Adjusted poses, targets and parameters."""
+        return self.solution.x
+
+    @property
+    def chi2(self) -> float:
+        """Weighted sum of squares of readings, known lengths and priors."""
+        return self.solution.cost
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom."""
+        return self.problem.dof
+
+    @property
+    def sigma0(self) -> float:
+        """Standard deviation of unit weight; NaN without redundancy."""
+        return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else float("nan")
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger chi2 if model and stated noise hold."""
+        return float(special.chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
+
+    @property
+    def factor(self) -> Factor:
+        """Factorised normal equations at the optimum."""
+        self.solution.require_success()
+        assert self.solution.factor is not None
+        return self.solution.factor
+
+    @cached_property
+    def projection(self) -> Projection:
+        """What the adjustment leaves of any errors of its rows (readings, known lengths, priors, datum)."""
+        return projection_of(self.solution.system, self.solution.factor)
+
+    @cached_property
+    def sightings(self) -> Sightings:
+        """Geometry of the pointings at the adjusted network."""
+        return self.problem.model.sightings(self.state)
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Observed minus adjusted readings (n, 3) [m, rad, rad]; NaN where not measured."""
+        return self.problem.residuals(self.problem.model.predict(self.state))
+
+    @cached_property
+    def redundancy(self) -> Floats:
+        """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
+        return redundancy_of(self.problem, self.factor)
+
+    @cached_property
+    def w(self) -> Floats:
+        """Normalised residuals (n, 3), standard normal where the model holds (Baarda 1968)."""
+        return normalised(self.problem, self.residuals, self.redundancy)
+
+    @property
+    def tau(self) -> Floats:
+        """Residuals over their standard deviations by the estimated sigma0 (n, 3) (Pope 1976)."""
+        return self.w / self.sigma0
+
+    @property
+    def minimal_detectable_bias(self) -> Floats:
+        """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked."""
+        return minimal_detectable_bias(self.problem, self.redundancy)
+
+    @property
+    def lost_targets(self) -> tuple[str, ...]:
+        """Targets that were measured, but that the readings in use do not determine: the rest is adjusted."""
+        measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
+        lost = self.problem.unseen_targets & (measured > 0)
+        return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
+
+    @property
+    def lost_stations(self) -> tuple[str, ...]:
+        """Stations of whose pose the readings in use leave something open: it stays where the start had it."""
+        held = np.flatnonzero(self.problem.structure.held_poses.any(axis=1))
+        return tuple(self.recording.stations[s] for s in held)
+
+    @property
+    def rejected(self) -> Bools:
+        """(n, 3) bool: measured readings that were not used."""
+        return self.recording.measured & ~self.problem.use
+
+    def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[Outlier]:
+        """Readings whose residual is too large for chance over the whole recording, largest first.
+
+        By the stated noise (|w|), or with sigma0 as `estimated` from the residuals themselves (|tau|).
+        """
+        count = int(self.problem.use.sum())
+        limit = self.sigma0 * critical_tau(count, self.dof, level) if estimated else critical_w(count, level)
+        rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
+        size = self.residuals[rows, columns] / self.redundancy[rows, columns]
+        found = [
+            Outlier(int(i), int(j), float(error), float(self.w[i, j]))
+            for i, j, error in zip(rows, columns, size, strict=True)
+        ]
+        return sorted(found, key=lambda outlier: -abs(outlier.w))
+
+    def covariance_of(self, columns: Ints) -> Floats:
+        """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
+        covariance = self.factor.kept_sets(columns)
+        return covariance if self.datum is None else self.datum.transformed(covariance, columns)
+
+    @cached_property
+    def kept_covariance(self) -> Floats:
+        """Covariance (K, K) of poses, kept targets, instrument parameters and further effects."""
+        covariance = self.factor.kept_covariance()
+        if self.datum is None:
+            return covariance
+        return self.datum.transformed(covariance[None], np.arange(len(covariance))[None])[0]
+
+    @property
+    def instrument_covariance(self) -> Floats:
+        """Covariance (p, p) of the first instrument's parameters [SI]."""
+        return self.instrument_covariance_of(0)
+
+    def instrument_covariance_of(self, instrument: int) -> Floats:
+        """Covariance (p, p) of one instrument's parameters [SI]."""
+        return self.covariance_of(self.problem.unknowns.instrument[[instrument]])[0]
+
+    @property
+    def extra_covariance(self) -> Floats:
+        """Covariance (q, q) of the further effects' parameters [SI]."""
+        return self.covariance_of(self.problem.unknowns.extra[None])[0]
+
+    @property
+    def pose_covariance(self) -> Floats:
+        """Covariance (S, 6, 6) of each station's translation [m] and rotation [rad], network frame.
+
+        NaN for what no reading in use determines and the adjustment holds.
+        """
+        covariance = self.covariance_of(self.problem.unknowns.pose)
+        held = self.problem.structure.held_poses
+        covariance[held[:, :, None] | held[:, None, :]] = np.nan
+        return covariance
+
+    @cached_property
+    def target_covariance(self) -> Floats:
+        """Covariance (T, 3, 3) [m^2] of each target; NaN where none of its readings was used."""
+        unknowns = self.problem.unknowns
+        covariance = np.empty((len(unknowns.target), 3, 3))
+        kept = unknowns.target[:, 0] < unknowns.kept
+        covariance[kept] = self.factor.kept_sets(unknowns.target[kept])
+        blocks = self.factor.block_covariance()
+        covariance[~kept] = blocks[(unknowns.target[~kept][:, 0] - unknowns.kept) // 3]
+        if self.datum is not None:
+            covariance = self.datum.transformed(covariance, unknowns.target)
+            own = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
+            covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
+        covariance[self.problem.unseen_targets] = np.nan
+        return covariance
+
+    @in_one_thread
+    def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
+        """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
+        old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
+        new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
+        problem = replace(new, gauge=old.gauge, levels=old.levels).using(old.use)
+        solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
+        return replace(self, problem=problem, solution=solution, datum=None)
+
+    def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
+        """The same state with covariances by inner constraints over some targets, by default all that are determined.
+
+        Raises
+        ------
+        ModelError
+            When a target does not exist, or these do not hold the free motions.
+        """
+        every = [name for name in self.recording.targets if name not in self.lost_targets]
+        datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
+        return replace(self, datum=datum)
+
+
+def observable_name(column: int) -> str:
+    """Name of a column of the readings."""
+    return OBSERVABLES[column]

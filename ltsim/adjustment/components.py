@@ -1,0 +1,121 @@
+"""Variance components: how large the noise of each observable (or of each instrument) and of the levels is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.model.measurement import State
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.solve.gauss_newton import Solution, solve
+
+Grouping = Literal["observable", "instrument"]
+CLOSE = 2e-3
+PASSES = 30
+ROUNDS = 6
+LEAST = 3.0
+"""Redundancy below which a group says too little about its noise: it keeps the stated one."""
+
+
+@dataclass(frozen=True)
+class Component:
+    """The noise of one group of readings."""
+
+    observable: str
+    """One of the readings, or ``level``."""
+    instrument: str
+    """'' where all instruments are one group."""
+    factor: float
+    """On the stated standard deviations."""
+    sigma: float
+    """One standard deviation of `factor`; infinite where it could not be estimated."""
+    redundancy: float
+    """Of the group's readings together."""
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the stated noise lies within three standard deviations."""
+        return not abs(self.factor - 1.0) > 3.0 * self.sigma
+
+
+def estimated_components(
+    problem: NetworkProblem,
+    solution: Solution[State],
+    grouping: Grouping,
+    find: Callable[[NetworkProblem, State], tuple[NetworkProblem, Solution[State]]],
+    use: Bools | None = None,
+) -> tuple[NetworkProblem, Solution[State], tuple[Component, ...]]:
+    """The problem with its standard deviations scaled group by group until each agrees with its residuals.
+
+    `find` solves a problem, perhaps leaving readings out; it is offered all of `use` (n, 3) again with the noise found,
+    until it leaves out the same.
+
+    References
+    ----------
+    Foerstner, Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten, AVN 86 (1979) 446: the variance of
+    a group is its weighted sum of squares over its redundancy, iterated to one. Where it converges it is the
+    maximum likelihood of the residuals (Helmert's estimate).
+    """
+    group = _groups(problem, grouping)
+    factor, redundancy = np.ones(int(group.max()) + 2), np.zeros(int(group.max()) + 2)
+    stated, available = problem, problem.use if use is None else use
+    for _ in range(ROUNDS):
+        for _ in range(PASSES):
+            if solution.factor is None:
+                return problem, solution, ()
+            square, redundancy = _sums(problem, solution, group, len(factor))
+            enough = redundancy > LEAST
+            change = np.where(enough, np.sqrt(square / np.where(enough, redundancy, 1.0)), 1.0)
+            factor = factor * np.maximum(change, 0.1)
+            problem = _scaled(stated, factor, group, problem.use)
+            solution = solve(problem, solution.x)
+            if np.max(np.abs(change - 1.0)) < CLOSE:
+                break
+        before = problem.use
+        problem, solution = find(_scaled(stated, factor, group, available), solution.x)
+        if np.array_equal(problem.use, before):
+            break
+    return problem, solution, _components(problem, grouping, factor, redundancy)
+
+
+def _scaled(stated: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
+    """The problem with other standard deviations: a factor for each group, the last for the levels."""
+    levels = replace(stated.levels, sigma=stated.levels.sigma * factor[-1])
+    return replace(stated, sigma=stated.sigma * factor[group], levels=levels).using(use)
+
+
+def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:
+    """Weighted sum of squares (count,) and redundancy (count,) of each group; the levels are the last."""
+    assert solution.factor is not None
+    share = 1.0 - solution.factor.leverage()
+    residual = problem.residual(solution.x)
+    readings, rows = slice(0, int(problem.use.sum())), problem.level_rows
+    square, redundancy = (np.bincount(group[problem.use], values[readings], count) for values in (residual**2, share))
+    square[-1], redundancy[-1] = float(np.sum(residual[rows] ** 2)), float(np.sum(share[rows]))
+    return square.astype(np.float64), redundancy.astype(np.float64)
+
+
+def _groups(problem: NetworkProblem, grouping: Grouping) -> Ints:
+    """Group (n, 3) of every reading."""
+    observable = np.broadcast_to(np.arange(3), problem.use.shape)
+    if grouping == "observable":
+        return observable
+    return 3 * problem.model.recording.instrument[:, None] + observable
+
+
+def _components(
+    problem: NetworkProblem, grouping: Grouping, factor: Floats, redundancy: Floats
+) -> tuple[Component, ...]:
+    names = problem.model.recording.instruments if grouping == "instrument" else ("",)
+    sigma = np.where(redundancy > LEAST, factor / np.sqrt(2 * np.maximum(redundancy, LEAST)), np.inf)
+    kinds = [(observable, name) for name in names for observable in OBSERVABLES]
+    kinds += [("level", "")] if len(problem.levels) else []
+    return tuple(
+        Component(observable, name, float(factor[k]), float(sigma[k]), float(redundancy[k]))
+        for k, (observable, name) in zip([*range(len(factor) - 1), -1], kinds, strict=False)
+    )

@@ -1,0 +1,172 @@
+"""The datum by inner constraints over chosen points: state and covariances that favour none of them.
+
+What no observation determines (the free rigid motions) is tied to the mean of the chosen points, at their approximate
+coordinates where those are stated. Of all datums this one gives the chosen points the smallest trace of covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import ModelError, unknown_name
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.model.measurement import State
+from ltsim.solve.blocks import Factor
+from ltsim.solve.rank import FORMED, unit_diagonal
+from ltsim.units import MILLIMETRE
+
+PASSES = 5
+
+
+@dataclass(frozen=True)
+class Tied:
+    """Points that a datum is tied to."""
+
+    columns: Ints
+    """(k, 3): their columns in the vector of unknowns."""
+    places: Floats
+    """(k, 3) [m]: where they are."""
+    stated: Floats
+    """(k, 3) [m]: approximate coordinates, NaN where none are stated and along axes that do not count."""
+    counts: Bools
+    """(k, 3): coordinates that the datum is tied to."""
+
+    @classmethod
+    def of(cls, problem: NetworkProblem, state: State, names: Sequence[str]) -> Tied:
+        """The points of these names: targets, or marks under set-ups."""
+        recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
+        targets = {name: i for i, name in enumerate(recording.targets)}
+        stations = {name: i for i, name in reversed(list(enumerate(marks.names))) if name and name not in targets}
+        columns, places, stated, axes = [], [], [], []
+        for name in names:
+            if name in targets:
+                columns.append(unknowns.target[targets[name]])
+                places.append(state.points[targets[name]])
+            elif name in stations:
+                columns.append(unknowns.pose[stations[name], :3])
+                places.append(state.position[stations[name]] - marks.offset[stations[name]])
+            else:
+                raise unknown_name("target of the datum", name, [*targets, *stations])
+            setup = recording.target_setup(name)
+            stated.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
+            axes.append([axis in setup.datum_axes for axis in "xyz"])
+        counts = np.array(axes)
+        goal = np.where(counts, np.array(stated) * MILLIMETRE, np.nan)
+        return cls(np.array(columns), np.array(places), goal, counts)
+
+
+def stated_datum(problem: NetworkProblem) -> tuple[str, ...]:
+    """Names of the points that the set-up chose for the datum and that the recording reaches."""
+    recording = problem.model.recording
+    reached = dict.fromkeys([*recording.targets, *filter(None, problem.marks.names)])
+    return tuple(name for name in reached if recording.target_setup(name).datum)
+
+
+def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
+    """The state moved freely to the stated coordinates of the datum's points, and by which angle [rad]."""
+    turned = 0.0
+    for _ in range(PASSES):
+        tied = Tied.of(problem, state, names)
+        known = np.isfinite(tied.stated)
+        if not known.any():
+            break
+        centre = tied.places[known.any(axis=1)].mean(axis=0)
+        free = _about(problem.free, centre)
+        motion = (rigid_motion(tied.places, centre) @ free)[known.ravel()]
+        gap = (tied.stated - tied.places)[known]
+        amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
+        shift, turn = (free @ amount).reshape(2, 3)
+        state = _moved(state, from_rotation_vector(turn), centre, shift)
+        turned += float(np.linalg.norm(turn))
+        if np.linalg.norm(turn) < 1e-12:
+            break
+    return state, turned
+
+
+def _moved(state: State, rotation: Floats, centre: Floats, shift: Floats) -> State:
+    def move(points: Floats) -> Floats:
+        return (points - centre) @ rotation.T + centre + shift
+
+    return State(move(state.position), rotation @ state.rotation, move(state.points), state.instrument, state.extra)
+
+
+@dataclass(frozen=True)
+class InnerDatum:
+    """An S-transformation of covariances: C' = C - G U^T - U G^T + G M G^T.
+
+    That is S C S^T with S = I - G (B^T G)^-1 B^T, where B are the rows of G that the datum ties.
+
+    References
+    ----------
+    Baarda, S-transformations and criterion matrices (1973); Koch, Parameter Estimation and Hypothesis Testing
+    in Linear Models (1999), 3.3.
+    """
+
+    motion: Floats
+    """(u, f): g, the free motions of all unknowns."""
+    carried: Floats
+    """(u, f): u."""
+    middle: Floats
+    """(f, f): m."""
+    names: tuple[str, ...] = ()
+    """The points it is tied to."""
+
+    @classmethod
+    def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:
+        """The datum that ties motions (u, f) to some unknowns; `spread` multiplies with the covariance (u, u).
+
+        Raises
+        ------
+        ModelError
+            When these unknowns do not hold the motions.
+        """
+        held = np.zeros_like(motion)
+        held[columns.ravel()] = motion[columns.ravel()]
+        square = held.T @ motion
+        if not np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > FORMED:
+            raise ModelError("these targets do not define a datum: choose at least three off one line")
+        back = np.linalg.inv(square)
+        response = spread(held)
+        return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
+
+    @classmethod
+    def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
+        """The datum tied to some points; None where no motion is free.
+
+        Raises
+        ------
+        ModelError
+            When these points do not hold the free motions.
+        """
+        if not problem.free.shape[1]:
+            return None
+        tied, unknowns = Tied.of(problem, state, names), problem.unknowns
+        centre = tied.places.mean(axis=0)
+        free = _about(problem.free, centre)
+        motion = np.zeros((unknowns.size, free.shape[1]))
+        motion[unknowns.target.ravel()] = rigid_motion(state.points, centre) @ free
+        motion[unknowns.pose[:, 3:].ravel()] = np.tile(free[3:], (len(unknowns.pose), 1))
+        motion[unknowns.pose[:, :3].ravel()] = rigid_motion(state.position, centre) @ free
+        return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
+
+    def transformed(self, covariance: Floats, columns: Ints) -> Floats:
+        """Covariances (c, k, k) of sets of unknowns (c, k), moved to this datum from that of `spread`."""
+        motion, carried = self.motion[columns], self.carried[columns]
+        across = motion @ np.swapaxes(carried, 1, 2)
+        moved: Floats = (
+            covariance - across - np.swapaxes(across, 1, 2) + motion @ self.middle @ np.swapaxes(motion, 1, 2)
+        )
+        return moved
+
+
+def _about(free: Floats, centre: Floats) -> Floats:
+    """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
+    about = free.copy()
+    about[:3] += np.cross(free[3:].T, centre).T
+    return np.linalg.qr(about)[0]

@@ -1,0 +1,187 @@
+"""Network adjustment of a recording: start, gross errors, least squares, noise, datum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.components import Component, Grouping, estimated_components
+from ltsim.adjustment.copies import copied_rows
+from ltsim.adjustment.datum import InnerDatum, moved_to_datum, stated_datum
+from ltsim.adjustment.loose import without_loose
+from ltsim.adjustment.marks import Marks
+from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.problem import WEAK, NetworkProblem
+from ltsim.adjustment.screening import screened
+from ltsim.adjustment.snooping import snooped
+from ltsim.adjustment.start import reached_network
+from ltsim.arrays import Bools, Floats
+from ltsim.effects.signature import Signature
+from ltsim.errors import ModelError, NetworkError
+from ltsim.model.construction import Construction, ideal
+from ltsim.model.measurement import MeasurementModel, State, ball_lift
+from ltsim.recording.recording import Recording
+from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.solve.threads import in_one_thread
+
+TURNED = 1e-7
+"""[rad] A network turned by more is linearised anew."""
+
+SIDEWAYS = 1e-6
+"""[share of its length, per radian] A ball's way from its target that turns by less does not turn."""
+
+
+@in_one_thread
+def adjust(
+    recording: Recording,
+    construction: Construction | None = None,
+    *,
+    effects: Sequence[Signature] = (),
+    sigma: Floats | None = None,
+    use: Bools | None = None,
+    start: State | None = None,
+    datum: Sequence[str] | None = None,
+    robust: bool = False,
+    variance_components: Grouping | None = None,
+    held_to: float = WEAK,
+    prior: ParameterPrior | None = None,
+) -> Adjustment:
+    """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
+
+    Parameters
+    ----------
+    recording : Recording
+    construction : Construction, optional
+        Default: an ideal tracker without parameters.
+    effects : sequence of Signature
+        Further effects to estimate, free but for `held_to`.
+    sigma : (n, 3) float, optional, [m, rad, rad]
+        Standard deviations of the readings; default the stated noise.
+    use : (n, 3) bool, optional
+        Readings to use; default all.
+    start : State, optional
+        Where to start; default from the recording alone. With a start no pointing is screened out.
+    datum : sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
+    robust : bool
+        Leave out readings that do not belong, found by reweighting and snooping, each tested again at the end.
+    variance_components : str, optional
+        Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
+    held_to : float
+        Standard deviation of a prior on each parameter of `effects`, in units of its plausible size; it keeps what the
+        readings hardly determine from wandering off.
+    prior : ParameterPrior, optional
+        What is known of the instrument parameters; default what the set-up states.
+
+    Returns
+    -------
+    Adjustment
+        In the frame of the first station unless control points, levels or a datum define another. Targets that the
+        readings in use do not determine are left out (`lost_targets`). Its solution
+        carries a status; an adjustment that did not converge is returned, not raised.
+
+    Raises
+    ------
+    NetworkError
+        When the readings do not tie a station to the rest, a station measures the target that it stands on, or balls
+        of several radii stand off along normals in whose frame nothing holds the network.
+    ModelError
+        When `datum` names a target that does not exist, or too few.
+    """
+    built, copied = construction or ideal(), copied_rows(recording)
+    if copied.any():
+        recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
+    model = MeasurementModel(recording, built, tuple(effects))
+    _check_marks(recording)
+    gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
+    if start is None:
+        reached, lost = reached_network(recording)
+        tied = ~lost[recording.target]
+        usable = recording.with_readings(np.where(tied[:, None], recording.readings, np.nan))
+        (position, rotation, points), gross = screened(usable, *reached)
+        parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
+        start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
+    elif len(start.extra) != model.extra_size:
+        start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
+    keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
+    chosen = keep if use is None else keep & use
+    find = snooped if robust else _solved
+    whole = NetworkProblem.of(model, sigma=sigma, use=chosen, held_to=held_to, prior=prior)
+    _check_normals(whole)
+    start = replace(start, position=whole.marks.on_marks(start.position, start.points))
+    whole = without_loose(whole, start)
+    problem, solution = find(whole, start)
+    components: tuple[Component, ...] = ()
+    if variance_components is not None:
+        given = problem, solution, variance_components
+        problem, solution, components = estimated_components(*given, find, whole.use)
+    untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
+    gross &= ~problem.use.any(axis=1)
+    found = Adjustment(problem, solution, gross, components=components, untied=untied, copies=int(copied.sum()))
+    names = _datum_names(found, datum)
+    if not names or solution.factor is None or not problem.free.shape[1]:
+        return found
+    return _in_datum(found, names)
+
+
+def _check_marks(recording: Recording) -> None:
+    """NetworkError where a set-up measures the mark under its own head: at range zero there is no direction."""
+    if not any(recording.station_setup(name).over for name in recording.stations):
+        return
+    marks = Marks.of(recording)
+    height = np.linalg.norm(marks.offset, axis=1)
+    own = marks.target[recording.station] == recording.target
+    rows = np.flatnonzero(own & recording.measured.any(axis=1) & (height[recording.station] == 0.0))
+    if len(rows):
+        station, target = recording.stations[recording.station[rows[0]]], recording.targets[recording.target[rows[0]]]
+        raise NetworkError(
+            f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
+            "state its instrument height or take the row out"
+        )
+
+
+def _check_normals(problem: NetworkProblem) -> None:
+    """NetworkError where a motion that nothing observes would turn balls of other radii about their targets."""
+    off = ball_lift(problem.model.recording)
+    if off is None:
+        return
+    turned = np.cross(problem.free[3:].T[:, None], off[None])
+    if np.any(np.abs(turned) > SIDEWAYS * np.abs(off).max()):
+        raise NetworkError(
+            "balls of several radii stand off along the normals of their nests, and nothing holds this network in the "
+            "frame of these: state three known points (known_mm), or levels where all such normals are vertical"
+        )
+
+
+def _datum_names(adjustment: Adjustment, chosen: Sequence[str] | None) -> tuple[str, ...]:
+    """The targets that were chosen for the datum, or those of the set-up that the readings determine."""
+    wanted = stated_datum(adjustment.problem) if chosen is None else chosen
+    if not wanted:
+        return ()
+    lost = adjustment.lost_targets
+    if chosen is None:
+        return tuple(name for name in wanted if name not in lost)
+    for name in chosen:
+        if name in lost:
+            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
+    return tuple(chosen)
+
+
+def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:
+    return problem, solve(problem, start)
+
+
+def _in_datum(adjustment: Adjustment, names: Sequence[str]) -> Adjustment:
+    """The adjustment with state and covariances in the datum of these targets."""
+    problem, solution = adjustment.problem, adjustment.solution
+    state, turned = moved_to_datum(problem, solution.x, names)
+    solution = replace(solution, x=state)
+    if turned > TURNED:  # The factor belongs to the frame it was computed in.
+        again = solve(problem, state)
+        solution = replace(again, iterations=solution.iterations, status=solution.status)
+    if solution.factor is None:
+        return replace(adjustment, solution=solution)
+    return replace(adjustment, solution=solution, datum=InnerDatum.of(problem, state, solution.factor, names))

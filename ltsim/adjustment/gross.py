@@ -1,0 +1,160 @@
+"""Gross errors explained: swapped reflectors, wrong units, mixed-up faces, single bad readings.
+
+A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the mistakes
+people make; what a mistake explains can be mended, the rest is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.wrong_unit import WrongUnit
+from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS
+
+CLOSE = 1e-3
+"""[m] how near a mended pointing must land."""
+
+
+@dataclass(frozen=True)
+class GrossFinding:
+    """A mistake found in some pointings.
+
+    Attributes
+    ----------
+    effect : str
+        target-swap, wrong-unit, face-confusion or outlier.
+    rows : (k,) int
+    stations, targets, observables : tuple of str
+    size : float
+        Displacement [m], or the reading's error for an outlier.
+    sentence : str
+    """
+
+    effect: str
+    rows: Ints
+    stations: tuple[str, ...]
+    targets: tuple[str, ...]
+    observables: tuple[str, ...]
+    size: float
+    sentence: str
+
+
+Mend = tuple[GrossFinding, Floats, Ints]
+"""A mistake, and what the readings (k, 3) and targets (k,) of its rows should be."""
+
+
+def explain_gross(adjustment: Adjustment) -> tuple[Recording, Bools, list[GrossFinding]]:
+    """Explain the pointings that an adjustment screened out.
+
+    Returns
+    -------
+    recording : Recording
+        With mistakes mended where they are understood.
+    use : (n, 3) bool
+        Readings to use of it.
+    findings : list of GrossFinding
+    """
+    recording, left = adjustment.recording, adjustment.gross.copy()
+    use = np.ones((len(recording), 3), dtype=bool)
+    if not left.any():
+        return recording, use, []
+    readings, target = recording.readings.copy(), recording.target.copy()
+    mends = mistakes(adjustment)
+    for finding, read, seen in mends:
+        readings[finding.rows], target[finding.rows] = read, seen
+        left[finding.rows] = False
+    outliers = _outliers(adjustment, left)
+    for finding in outliers:
+        use[finding.rows[0], [OBSERVABLES.index(o) for o in finding.observables or OBSERVABLES]] = False
+    return recording.replace(readings=readings, target=target), use, [*(one for one, *_ in mends), *outliers]
+
+
+def mistakes(adjustment: Adjustment) -> list[Mend]:
+    """Mistakes that explain pointings which an adjustment screened out: mended, they land on their target."""
+    recording, left = adjustment.recording, adjustment.gross.copy()
+    if not left.any():
+        return []
+    found = _swaps(adjustment, left)
+    for finding, *_ in found:
+        left[finding.rows] = False
+    kinds = (WrongUnit.name, UNIT_SLIPS), (FaceConfusion.name, FACE_SLIPS)
+    for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
+        readings = slip.mended(recording.readings)
+        at = np.flatnonzero(left & np.isfinite(readings).all(axis=1))
+        rows = at[_misses(adjustment, readings[at], at) < CLOSE]
+        if len(rows):
+            left[rows] = False
+            stations = tuple(sorted({recording.stations[s] for s in recording.station[rows]}))
+            targets = tuple(sorted({recording.targets[t] for t in recording.target[rows]}))
+            size = float(_misses(adjustment, recording.readings[rows], rows).max())
+            where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
+            sentence = f"{len(rows)} pointings at station {where} hold {slip.cause}."
+            observables = tuple(OBSERVABLES[c] for c in slip.columns)
+            finding = GrossFinding(effect, rows, stations, targets, observables, size, sentence)
+            found.append((finding, readings[rows], recording.target[rows]))
+    return found
+
+
+def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+    """Points (k, 3) in the network frame that readings (k, 3) in place of those of some rows (k,) say of targets."""
+    station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
+    local = adjustment.construction.point(readings, adjustment.state.instrument[instrument])
+    turned = np.einsum("nij,nj->ni", adjustment.state.rotation[station], local)
+    placed: Floats = turned + adjustment.state.position[station]
+    lift = adjustment.problem.model.geometry(adjustment.state).lift
+    return placed if lift is None else placed - lift[rows]
+
+
+def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
+    """How far (k,) [m] such points lie from their targets."""
+    goal = adjustment.state.points[adjustment.recording.target[rows]]
+    miss: Floats = np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1)
+    return miss
+
+
+def _swaps(adjustment: Adjustment, rows: Bools) -> list[Mend]:
+    """Pairs of targets that were exchanged at a station (or one that was taken for another)."""
+    recording, points = adjustment.recording, adjustment.state.points
+    at = np.flatnonzero(rows & recording.measured.all(axis=1))
+    if not len(at):
+        return []
+    gaps = np.linalg.norm(_placed(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
+    nearest = np.argmin(gaps, axis=1)
+    lands = gaps[np.arange(len(at)), nearest] < CLOSE
+    pairs: dict[tuple[int, int, int], list[int]] = {}
+    for i in np.flatnonzero(lands & (nearest != recording.target[at])):
+        a, b = sorted((int(recording.target[at[i]]), int(nearest[i])))
+        pairs.setdefault((int(recording.station[at[i]]), a, b), []).append(int(i))
+    found = []
+    for (s, a, b), members in pairs.items():
+        station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
+        gap = float(np.linalg.norm(points[a] - points[b]))
+        sentence = (
+            f"At station {station} the reflectors {names[0]} and {names[1]}, {gap:.2f} m apart, "
+            f"were exchanged in {len(members)} pointings."
+        )
+        finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
+        found.append((finding, recording.readings[at[members]], nearest[members]))
+    return found
+
+
+def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:
+    """Pointings that nothing explains: which reading is off, where it is one only."""
+    recording, found = adjustment.recording, []
+    expected = adjustment.problem.model.predict(adjustment.state)
+    arms = np.stack([np.ones(len(rows)), expected[:, 0] * np.cos(expected[:, 2]), expected[:, 0]], axis=1)
+    lengths = np.abs(adjustment.residuals * arms)
+    for row in np.flatnonzero(rows):
+        station, target = recording.stations[recording.station[row]], recording.targets[recording.target[row]]
+        large = np.flatnonzero(np.nan_to_num(lengths[row]) > CLOSE)
+        observables = (OBSERVABLES[large[0]],) if len(large) == 1 else ()
+        size, what = float(np.nanmax(lengths[row])), observables[0] if observables else "pointing"
+        sentence = f"The {what} from {station} to {target} (row {row + 1}) is off by {size * 1e3:.1f} mm."
+        found.append(GrossFinding("outlier", np.array([row]), (station,), (target,), observables, size, sentence))
+    return found

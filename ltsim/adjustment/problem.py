@@ -1,0 +1,267 @@
+"""A recording as a least-squares problem: whitened residuals and their design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.adjustment.marks import Marks
+from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
+from ltsim.adjustment.rows import ControlRows, GaugeRows, LevelRows, free_motions
+from ltsim.adjustment.structure import Structure
+from ltsim.adjustment.unknowns import Unknowns
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.geometry.polar import wrap
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.measurement import MeasurementModel, Prediction, State
+from ltsim.solve.blocks import BlockSystem
+from ltsim.solve.design import Design, Pattern, as_dense
+
+DATUM_SIGMA = np.full(6, 1e-8)
+"""Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
+station's frame wants one far below the sigmas of the network, the numbers one not too far."""
+WEAK = 300.0
+"""Prior sigmas to which further effects are held: far beyond any plausible size."""
+
+
+@dataclass(frozen=True)
+class NetworkProblem:
+    """Unknown poses, targets, instrument parameters and further effects of a recording.
+
+    Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
+    points, known marks under stations, levels, what no reading determines (held where it is), priors of the instrument
+    parameters, weak priors of the further effects, datum.
+    """
+
+    model: MeasurementModel
+    sigma: Floats
+    """(n, 3): standard deviations of the readings."""
+    prior: ParameterPrior
+    """Of the instrument parameters."""
+    extra_sigma: Floats
+    """(q,): of the further effects' parameters; infinite for none."""
+    free: Floats
+    """(6, f): rigid motions that only the datum holds."""
+    use: Bools
+    """(n, 3): readings in use."""
+    gauge: GaugeRows
+    control: ControlRows
+    levels: LevelRows
+    marks: Marks
+    known_marks: ControlRows
+    structure: Structure
+    """What these and the set-up fix."""
+
+    @classmethod
+    def of(
+        cls,
+        model: MeasurementModel,
+        *,
+        sigma: Floats | None = None,
+        use: Bools | None = None,
+        held_to: float = WEAK,
+        prior: ParameterPrior | None = None,
+    ) -> NetworkProblem:
+        """The problem of a model; `use` (n, 3) leaves readings out, further effects are `held_to` so many priors.
+
+        The `prior` of the instrument parameters is by default what the set-up states.
+        """
+        recording = model.recording
+        marks = Marks.of(recording)
+        used = recording.measured if use is None else recording.measured & use
+        gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
+        known_marks = ControlRows.of_stations(recording, marks)
+        return cls(
+            model=model,
+            sigma=recording.sigma() if sigma is None else sigma,
+            prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
+            extra_sigma=held_to * _plausible_sizes(model),
+            free=free_motions(control, known_marks, levels),
+            use=used,
+            gauge=gauge,
+            control=control,
+            levels=levels,
+            marks=marks,
+            known_marks=known_marks,
+            structure=Structure.of(model, used, gauge, control, levels, marks, known_marks),
+        )
+
+    def using(self, use: Bools) -> NetworkProblem:
+        """The problem with other readings (n, 3) in use."""
+        rows = self.gauge, self.control, self.levels, self.marks, self.known_marks
+        return replace(self, use=use, structure=Structure.of(self.model, use, *rows, unknowns=self.unknowns))
+
+    def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
+        """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
+        found, mine, theirs = (
+            replace(self, model=model, sigma=model.recording.sigma()),
+            self.model.recording,
+            model.recording,
+        )
+        if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
+            vars(found)["_pattern"] = self._pattern
+        return found
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """Places of the unknowns."""
+        return self.structure.unknowns
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """Prior standard deviations (I, p) [SI] of the instrument parameters; infinite for none."""
+        return self.prior.sigma
+
+    @property
+    def unseen_targets(self) -> Bools:
+        """(T,) True where no reading to a target is in use and no set-up stands on it."""
+        return self.structure.unseen
+
+    def residuals(self, readings: Floats) -> Floats:
+        """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
+        gap = self.model.recording.readings - readings
+        gap[:, 1:] = wrap(gap[:, 1:])
+        return gap
+
+    def residual(self, state: State) -> Floats:
+        """Whitened residual (m,) of all rows at a state."""
+        return self._residual_rows(state, self.model.predict(state))
+
+    def _residual_rows(self, state: State, readings: Floats) -> Floats:
+        pointings = (self.residuals(readings) / self.sigma)[self.use]
+        stated = self.gauge.predict(state.points) + self._gauge_by_extra(state) @ state.extra
+        gauge = self.gauge.whitened(self.gauge.length - stated)
+        control = self.control.residual(state.points)
+        marks = self.known_marks.residual(state.position)
+        levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
+        held = np.zeros(self.structure.held)
+        prior = self.prior.residual(state.instrument)
+        extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
+        datum = np.zeros(self.free.shape[1])
+        return np.concatenate([pointings, gauge, control, marks, levels.ravel(), held, prior, extra, datum])
+
+    def retract(self, state: State, step: Floats) -> State:
+        """The state after a step."""
+        return self.unknowns.retract(state, step)
+
+    def linearise(self, state: State) -> BlockSystem:
+        """The whitened system at a state."""
+        return self.system(state, self.model.linearised(state))
+
+    def system(self, state: State, prediction: Prediction) -> BlockSystem:
+        """The whitened system at a state whose readings are predicted already."""
+        design = self._pattern.filled(self._values(state, prediction))
+        if self.gauge.root is not None:
+            design = self._with_shared_errors(design)
+        return BlockSystem(design, self._residual_rows(state, prediction.readings), self.unknowns.kept)
+
+    def _with_shared_errors(self, design: Design) -> Design:
+        """The design with the rows of lengths that share errors made independent of one another."""
+        first = int(self.use.sum())
+        last = first + len(self.gauge)
+        lengths = self.gauge.uncorrelated(as_dense(design[first:last]))
+        if isinstance(design, np.ndarray):
+            return np.vstack([design[:first], lengths, design[last:]])
+        return sp.vstack([design[:first], sp.csr_array(lengths), design[last:]], format="csr")
+
+    @cached_property
+    def _pattern(self) -> Pattern:
+        """Where the entries of the design are: the same at every state."""
+        return Pattern(self._columns(), self.unknowns.size)
+
+    def _columns(self) -> list[Ints]:
+        """Columns (rows, width) of each kind of row, in the order of the system."""
+        recording, unknowns = self.model.recording, self.unknowns
+        at = [
+            unknowns.pose[recording.station],
+            unknowns.target[recording.target],
+            unknowns.instrument[recording.instrument],
+        ]
+        everywhere = np.broadcast_to(unknowns.extra, (len(recording), len(unknowns.extra)))
+        pointings = np.repeat(np.concatenate([*at, everywhere], axis=1)[:, None, :], 3, axis=1)[self.use]
+        ends = [unknowns.target[self.gauge.first], unknowns.target[self.gauge.second]]
+        gauge = np.concatenate([*ends, np.broadcast_to(unknowns.extra, (len(self.gauge), len(unknowns.extra)))], axis=1)
+        anchors = unknowns.pose[self.structure.anchors].ravel()
+        return [
+            pointings,
+            gauge,
+            np.repeat(unknowns.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
+            np.repeat(unknowns.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
+            np.repeat(unknowns.pose[self.levels.station, 3:], 2, axis=0),
+            self.structure.held_columns,
+            self._prior_columns(),
+            unknowns.extra[np.isfinite(self.extra_sigma)][:, None],
+            np.broadcast_to(anchors, (self.free.shape[1], len(anchors))),
+        ]
+
+    def _values(self, state: State, prediction: Prediction) -> list[Floats]:
+        """Whitened derivatives (rows, width) that belong to `_columns`."""
+        by_instrument = prediction.by_instrument
+        if self.prior.held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
+            by_instrument = np.where(self.prior.held[self.model.recording.instrument][:, None], 0.0, by_instrument)
+        by = [prediction.by_pose, prediction.by_target, by_instrument, prediction.by_extra]
+        pointings = np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None]
+        direction = self.gauge.directions(state.points)
+        gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
+        return [
+            pointings,
+            gauge / self.gauge.sigma[:, None],
+            self.control.weights(),
+            self.known_marks.weights(),
+            self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
+            self.structure.held_directions(state) / DATUM_SIGMA[0],
+            self.prior.roots if self.prior.correlated else 1.0 / self.prior_sigma[np.isfinite(self.prior_sigma)],
+            1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
+            self._datum_values(state),
+        ]
+
+    def _prior_columns(self) -> Ints:
+        """Columns (m, 1) of the prior's rows, or (m, p) where it correlates parameters."""
+        own = self.unknowns.instrument
+        if self.prior.correlated:
+            return np.repeat(own, own.shape[1], axis=0)
+        return own[np.isfinite(self.prior_sigma)][:, None]
+
+    def _gauge_by_extra(self, state: State) -> Floats:
+        """Change (g, q) of the known lengths per unit of the further effects' parameters."""
+        ends = self.gauge.first, self.gauge.second
+        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.effects]
+        return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
+
+    def _datum_values(self, state: State) -> Floats:
+        """Rows (f, 6 a) that hold the anchors against the free rigid motions."""
+        anchors, turned = self.structure.anchors, self.structure.anchors_turn
+        motion = self.free / np.linalg.norm(self.free, axis=0)
+        turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
+        shift = motion[:3].T[:, None, :] + _crossed(turn, state.position[anchors])
+        rows = np.concatenate([shift, turn if turned else np.zeros_like(shift)], axis=2)
+        return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
+
+    @cached_property
+    def level_rows(self) -> slice:
+        """The rows of the system that are levels, two a station."""
+        first = int(self.use.sum()) + len(self.gauge) + self.control.count + self.known_marks.count
+        return slice(first, first + 2 * len(self.levels))
+
+    @property
+    def dof(self) -> int:
+        """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
+        priors = int(np.isfinite(self.prior_sigma).sum())
+        lengths = int(np.isfinite(self.gauge.sigma).sum())
+        known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
+        unknown = self.unknowns.size - self.free.shape[1] - self.structure.held
+        return int(self.use.sum()) + known - unknown
+
+
+def _crossed(turn: Floats, position: Floats) -> Floats:
+    """Cross products (f, a, 3) of turns (f, a, 3) with positions (a, 3)."""
+    return (cross_matrix(turn) @ position[:, :, None])[..., 0]
+
+
+def _plausible_sizes(model: MeasurementModel) -> Floats:
+    """Sizes (q,) of a bad but plausible case of each parameter of the further effects."""
+    sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
+    return np.array(sizes, dtype=np.float64)

@@ -1,0 +1,114 @@
+"""What single readings tell: redundancy, normalised residuals, and how large an error of each would be found."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy import optimize, special
+
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.solve.blocks import Factor
+
+FAMILY_LEVEL = 0.01
+"""Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
+SINGLE_LEVEL = 0.001
+"""Of a test of one thing that was named beforehand."""
+POWER = 0.8
+"""Share of recordings in which what is called detectable is found."""
+UNCHECKED = 1e-6
+"""Redundancy below which no other reading checks a reading: its residual is rounding error."""
+
+
+def redundancy_of(problem: NetworkProblem, factor: Factor) -> Floats:
+    """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
+    share = np.full(problem.use.shape, np.nan)
+    share[problem.use] = 1.0 - factor.leverage()[: int(problem.use.sum())]
+    return share
+
+
+def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
+    """Residuals over their own standard deviations (n, 3); 0 where nothing checks a reading, NaN where unused."""
+    checked = problem.use & (redundancy > UNCHECKED)
+    w = np.where(problem.use, 0.0, np.nan)
+    w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
+    return w
+
+
+def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
+    """Limit of |w| for `count` readings tested together (Sidak)."""
+    return float(-special.ndtri(0.5 * single_level(count, level)))
+
+
+def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
+    """Limit of |tau| = |w| / sigma0 for `count` readings tested together with a sigma0 of `dof` degrees of freedom.
+
+    References
+    ----------
+    Pope, The statistics of residuals and the detection of outliers, NOAA TR NOS 65 NGS 1 (1976):
+    tau = sqrt(f) t / sqrt(f - 1 + t^2), t of Student with f - 1 degrees of freedom.
+    """
+    if dof < 2:
+        return float("inf")
+    t = float(-special.stdtrit(dof - 1, 0.5 * single_level(count, level)))
+    return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t)) if np.isfinite(t) else float(np.sqrt(dof))
+
+
+def single_level(count: int, level: float) -> float:
+    """Level of one test of `count` that together have `level` (Sidak)."""
+    return float(-np.expm1(np.log1p(-level) / max(count, 1)))
+
+
+@lru_cache
+def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = POWER, hypotheses: int = 1) -> float:
+    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `power`.
+
+    Parameters
+    ----------
+    dof : int
+        Of the test; in one degree of freedom it is the two-sided test of a normal variable.
+    level : float
+        False-alarm rate of all that is tested together.
+    hypotheses : int
+        How many share it (Sidak): who searches more must find more.
+
+    References
+    ----------
+    Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
+    """
+    from scipy.stats import ncx2  # half a second to load, and most adjustments ask for no power
+
+    limit = special.chdtri(dof, single_level(hypotheses, level))
+    return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
+
+
+def minimal_detectable_bias(
+    problem: NetworkProblem, redundancy: Floats, *, level: float = FAMILY_LEVEL, power: float = POWER
+) -> Floats:
+    """Smallest error (n, 3) [m, rad, rad] of each reading that the search for outliers finds with a power.
+
+    The search tests all readings in use together at a level; infinite where nothing checks a reading.
+
+    References
+    ----------
+    Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
+    """
+    needed = noncentrality(level=level, power=power, hypotheses=int(problem.use.sum()))
+    bias = np.where(problem.use, np.inf, np.nan)
+    checked: Bools = problem.use & (redundancy > UNCHECKED)
+    bias[checked] = np.sqrt(needed / redundancy[checked]) * problem.sigma[checked]
+    return bias
+
+
+def surprise(drop: Floats | float, rank: Ints | int) -> Floats:
+    """Minus the logarithm of the chance of a chi-square above `drop`; 0 for rank 0.
+
+    Where the chance is too small for a float, by the first terms of Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
+    """
+    a, x = np.maximum(rank, 1) / 2.0, np.maximum(drop, 0.0) / 2.0
+    far = x > 300.0
+    beyond = np.where(far, x, 301.0)
+    tail = beyond - (a - 1) * np.log(beyond) + special.gammaln(a) - np.log1p((a - 1) / beyond)
+    near = -np.log(special.gammaincc(a, np.where(far, 0.0, x)))
+    return np.asarray(np.where(np.asarray(rank) > 0, np.where(far, tail, near), 0.0))

@@ -1,0 +1,220 @@
+"""Rows of the adjustment that are not pointings: gauge lengths, priors, control points, levels, datum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from ltsim.adjustment.marks import Marks
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.measurement import verticals
+from ltsim.recording.lengths import KnownLengths
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Target, symmetric
+from ltsim.units import ARCSECOND, MILLIMETRE
+
+VERTICAL = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class GaugeRows:
+    """Known lengths brought to the workshop (`KnownLengths`)."""
+
+    first: Ints
+    second: Ints
+    length: Floats
+    """(g,) [m]."""
+    sigma: Floats
+    """(g,) [m]: infinite for a length without weight."""
+    certificate: Floats
+    """(g,) [m]: the part of `sigma` that each length has alone."""
+    shared: dict[str, Floats]
+    """(g,) [m]: change of the lengths by one standard deviation of what several share, by its name."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> GaugeRows:
+        """The gauge of a recording."""
+        known = KnownLengths.of(recording)
+        return cls(known.first, known.second, known.length, known.sigma, known.certificate, known.shared)
+
+    def without(self, idle: Bools) -> GaugeRows:
+        """The same rows, some of them (g,) without weight."""
+        return replace(self, sigma=np.where(idle, np.inf, self.sigma))
+
+    @cached_property
+    def root(self) -> Floats | None:
+        """Lower triangular root (g, g) of the correlation of the lengths; None where they share nothing."""
+        if not self.shared:
+            return None
+        together = np.array([*self.shared.values()]) / self.sigma
+        correlation = together.T @ together
+        np.fill_diagonal(correlation, 1.0)
+        return np.asarray(np.linalg.cholesky(correlation), dtype=np.float64)
+
+    @property
+    def spread(self) -> Floats:
+        """(g, g) [m]: change of the lengths by independent standard deviations, the inverse of `whitened`."""
+        return np.diag(self.sigma) if self.root is None else self.sigma[:, None] * self.root
+
+    def whitened(self, values: Floats) -> Floats:
+        """Values (g,) or (g, q) [m] in independent standard deviations: their errors are uncorrelated and of size 1."""
+        single = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
+        return self.uncorrelated(single)
+
+    def uncorrelated(self, single: Floats) -> Floats:
+        """Values (g, ...) in the standard deviation of each length as independent ones."""
+        return single if self.root is None else scipy.linalg.solve_triangular(self.root, single, lower=True)
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def predict(self, points: Floats) -> Floats:
+        """Lengths (g,) [m] between the targets at `points` (T, 3)."""
+        return np.linalg.norm(points[self.first] - points[self.second], axis=1)
+
+    def directions(self, points: Floats) -> Floats:
+        """Unit vectors (g, 3) from the second to the first target: derivative of the length."""
+        gap = points[self.first] - points[self.second]
+        return gap / np.linalg.norm(gap, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class ControlRows:
+    """Places with known coordinates: targets, or stations over marks that are no targets."""
+
+    target: Ints
+    """(k,): index of the target, or of the station."""
+    points: Floats
+    """(k, 3) [m]."""
+    axes: Bools
+    """(k, 3): coordinates that are known."""
+    root: Floats
+    """(k, 3, 3) [1 / m]: whitens the gap of the known coordinates, R' R their inverse covariance; 0 for the others."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> ControlRows:
+        """The control points of a recording."""
+        return cls._known(recording, list(enumerate(recording.targets)))
+
+    @classmethod
+    def of_stations(cls, recording: Recording, marks: Marks) -> ControlRows:
+        """The known marks under stations that are no targets themselves; `points` are those of the instruments."""
+        places = [(i, n) for i, n in enumerate(marks.names) if n and marks.target[i] < 0 and marks.first[i] == i]
+        rows = cls._known(recording, places)
+        return replace(rows, points=rows.points + marks.offset[rows.target])
+
+    @classmethod
+    def _known(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
+        known = [(i, recording.target_setup(name)) for i, name in places]
+        rows = [(i, t) for i, t in known if t.known_mm is not None]
+        axes = np.array([[axis in t.known_axes for axis in "xyz"] for _, t in rows], dtype=bool).reshape(-1, 3)
+        return cls(
+            np.array([i for i, _ in rows], dtype=np.int64),
+            np.array([t.known_mm for _, t in rows], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
+            axes,
+            np.array([_root(t, known) for (_, t), known in zip(rows, axes, strict=True)]).reshape(-1, 3, 3),
+        )
+
+    def __len__(self) -> int:
+        return len(self.target)
+
+    @property
+    def count(self) -> int:
+        """Number of known coordinates."""
+        return int(self.axes.sum())
+
+    def residual(self, points: Floats) -> Floats:
+        """Whitened residuals (count,) where the places are at `points` (T or S, 3)."""
+        gap = np.where(self.axes, self.points - points[self.target], 0.0)
+        return np.einsum("kij,kj->ki", self.root, gap)[self.axes]
+
+    def weights(self) -> Floats:
+        """Derivative (count, 3) of the whitened coordinates, with the sign of a prediction, by their place."""
+        return self.root[self.axes]
+
+    def equations(self, centre: Floats, reach: float) -> Floats:
+        """Rows (count, 6): what a rigid motion about `centre`, rotation in units of 1 / `reach`, does to them."""
+        return rigid_motion((self.points - centre) / reach)[self.axes.ravel()]
+
+
+def _root(target: Target, axes: Bools) -> Floats:
+    """The root (3, 3) [1 / m] of a target's known coordinates."""
+    if target.known_covariance_mm2 is None:
+        return np.diag(axes / (target.known_sigma_mm * MILLIMETRE))
+    at, root = np.ix_(axes, axes), np.zeros((3, 3))
+    covariance = symmetric(target.known_covariance_mm2)[at] * MILLIMETRE**2
+    root[at] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return root
+
+
+@dataclass(frozen=True)
+class LevelRows:
+    """Stations whose vertical axis follows a level: two tilts each against the direction of plumb."""
+
+    station: Ints
+    sigma: Floats
+    vertical: Floats
+    across: Floats
+
+    @classmethod
+    def of(cls, recording: Recording, used: Bools) -> LevelRows:
+        """The levelled stations of a recording that use angles (n, 3); ranges tie no axis to the network."""
+        angles = np.bincount(recording.station, used[:, 1:].any(axis=1), len(recording.stations)) > 0
+        setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
+        rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
+        station = np.array([i for i, _ in rows], dtype=np.int64)
+        vertical = verticals(recording)[station]
+        first = np.array([1.0, 0.0, 0.0]) - vertical[:, :1] * vertical
+        flat = np.linalg.norm(first, axis=1) < 1e-3
+        first[flat] = np.array([0.0, 1.0, 0.0]) - vertical[flat, 1:2] * vertical[flat]
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
+        return cls(station, sigma, vertical, np.stack([first, np.cross(vertical, first)], axis=1))
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    def predict(self, rotation: Floats) -> Floats:
+        """Components (l, 2) of the stations' vertical axes across the plumb line."""
+        axis = rotation[self.station] @ VERTICAL
+        return np.einsum("lij,lj->li", self.across, axis)
+
+    def derivative(self, rotation: Floats) -> Floats:
+        """Derivative (l, 2, 3) of these by the rotation vector in the network frame."""
+        return -self.across @ cross_matrix(rotation[self.station] @ VERTICAL)
+
+
+PARALLEL = 1e-2
+"""Plumb lines that differ by less do not tell the network's yaw (1e-2 rad are 64 km on the earth)."""
+
+
+def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) -> Floats:
+    """Rigid motions (6, f) that no control point and no level fixes, as columns of (translation, rotation).
+
+    Their number is decided by structure: none with three control points off one line, the four that keep the
+    vertical with levels alone, all six without either.
+    """
+    known = [one for one in (control, marks) if len(one)]
+    points = np.concatenate([one.points for one in known]) if known else np.zeros((1, 3))
+    centre = points.mean(axis=0)
+    reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
+    rows = [one.equations(centre, reach) for one in known]
+    if len(levels):
+        mean = levels.vertical.mean(axis=0)
+        alike = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL
+        across = levels.across[:1] if alike else levels.across
+        rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
+    if not rows:
+        return np.eye(6)
+    _, singular, right = np.linalg.svd(np.vstack(rows))
+    rank = int(np.sum(singular > ON_A_LINE * singular.max(initial=0.0)))
+    free = right[rank:].T
+    free[3:] /= reach
+    free /= np.linalg.norm(free, axis=0, keepdims=True)
+    free[:3] -= np.cross(free[3:].T, centre).T
+    return free

@@ -1,0 +1,131 @@
+"""What is in doubt, and which verdict to trust where the global test, snooping and the two sigma0 disagree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.reliability import FAMILY_LEVEL
+
+LEVEL = 0.05
+FEW = 15
+"""Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
+ONLY_A_FEW = 0.05
+"""Share of readings up to which outliers are single errors and not the noise itself."""
+
+
+class Case(Enum):
+    """How the tests agree or disagree."""
+
+    CLEAN = "clean"
+    SINGLE_ERRORS = "single errors"
+    HIDDEN_ERRORS = "single errors the sum hides"
+    LARGER_NOISE = "larger noise or a systematic effect"
+    SMALLER_NOISE = "smaller noise"
+    UNCHECKED = "nothing to test"
+    IN_DOUBT = "in doubt"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to believe."""
+
+    case: Case
+    sentence: str
+    """The verdict and why, for a person."""
+    by_estimate: bool
+    """Whether standard deviations should be multiplied with the estimated sigma0."""
+    outliers: int
+    """Readings that do not belong by the test to be trusted."""
+
+
+def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY_LEVEL) -> Verdict:
+    """The verdict on an adjustment.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+    level : float
+        Of the global test, two-sided.
+    family : float
+        Of all tests of single readings together.
+    """
+    judged, open_ = _by_tests(adjustment, level, family), doubts(adjustment)
+    if not open_:
+        return judged
+    sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
+    case = Case.IN_DOUBT if judged.case is Case.CLEAN else judged.case
+    return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
+
+
+def _by_tests(adjustment: Adjustment, level: float, family: float) -> Verdict:
+    dof, sigma0 = adjustment.dof, adjustment.sigma0
+    if dof <= 0:
+        return Verdict(
+            Case.UNCHECKED, "There is no redundancy: nothing can be tested, the stated noise holds.", False, 0
+        )
+    low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
+    by_w, by_tau = adjustment.outliers(family), adjustment.outliers(family, estimated=True)
+    shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
+    if low <= sigma0 <= high:
+        return _noise_holds(shown, len(by_w))
+    if sigma0 < low:
+        return _noise_is_smaller(shown, dof, len(by_w), len(by_tau))
+    return _noise_is_larger(adjustment, shown, high, len(by_w), len(by_tau))
+
+
+def _noise_holds(shown: str, by_w: int) -> Verdict:
+    if not by_w:
+        return Verdict(Case.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False, 0)
+    sentence = (
+        f"Trust the test of single readings: {_readings(by_w)} although {shown} passes, "
+        "because one sum over many readings hardly feels a few wrong ones."
+    )
+    return Verdict(Case.HIDDEN_ERRORS, sentence, False, by_w)
+
+
+def _noise_is_smaller(shown: str, dof: int, by_w: int, by_tau: int) -> Verdict:
+    if dof < FEW:
+        sentence = f"Trust the stated noise: {shown} is smaller, but so few degrees of freedom prove little."
+        return Verdict(Case.SMALLER_NOISE, sentence, False, by_w)
+    sentence = (
+        f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too lenient; "
+        f"by the tau-test {_readings(by_tau)}."
+    )
+    return Verdict(Case.SMALLER_NOISE, sentence, True, by_tau)
+
+
+def _noise_is_larger(adjustment: Adjustment, shown: str, high: float, by_w: int, by_tau: int) -> Verdict:
+    """Single errors where leaving them out heals the global test, larger noise where it does not."""
+    dof, used = adjustment.dof, int(adjustment.problem.use.sum())
+    rest = adjustment.chi2 - sum(o.w**2 for o in adjustment.outliers())
+    healed = dof > by_w and rest <= high**2 * (dof - by_w)
+    if by_w and healed and by_w <= max(1, ONLY_A_FEW * used):
+        sentence = (
+            f"Trust the test of single readings: {shown} fails only because {_readings(by_w)}; "
+            "without them the stated noise holds."
+        )
+        return Verdict(Case.SINGLE_ERRORS, sentence, False, by_w)
+    if dof < FEW:
+        sentence = (
+            f"Trust the global test: {shown}, noise or model are wrong; with so few degrees of freedom neither "
+            "the estimated sigma0 nor a test of single readings says by how much or where."
+        )
+        return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)
+    sentence = (
+        f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
+        f"effect is missing from the model, and of the {by_w} readings that the w-test blames {by_tau or 'none'} stand "
+        "out from the noise they show."
+    )
+    return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)
+
+
+def _readings(count: int) -> str:
+    if not count:
+        return "no reading is out of place"
+    return "one reading is out of place" if count == 1 else f"{count} readings are out of place"

@@ -1,0 +1,82 @@
+"""The same recording with the instrument's errors taken out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.adjustment.start import reached_network
+from ltsim.arrays import Bools, Floats
+from ltsim.calibration.calibration import Calibration
+from ltsim.errors import NetworkError, RecordError
+from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.model.construction import Construction, ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.recording import Recording
+
+
+def correct(recording: Recording, calibration: Calibration, *, again: bool = False) -> Recording:
+    """What an ideal tracker would have read: the calibrated points, as readings on the same face.
+
+    The set-up of the result says that its instruments are corrected. A row without a range (or without an angle) is
+    corrected at the place where the network puts its target, which needs to be known to a millimetre only.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the same instrument; any network.
+    calibration : Calibration
+    again : bool
+        Correct readings too that the set-up says are corrected.
+
+    Raises
+    ------
+    RecordError
+        When the calibration does not know the recording's instruments, or the readings are corrected already.
+    NetworkError
+        When rows lack a range or an angle and the network cannot be solved.
+    """
+    if not again and any(recording.instrument_of(name).corrected for name in recording.stations):
+        raise RecordError("the set-up says that the readings are corrected (corrected = true); once is right")
+    values = calibration.values_for(recording)
+    readings = corrected_readings(recording, calibration.construction, values)
+    setup = recording.setup
+    instruments = {name: i.model_copy(update={"corrected": True}) for name, i in setup.instruments.items()}
+    marked = setup.model_copy(
+        update={
+            "instrument": setup.instrument.model_copy(update={"corrected": True}),
+            "instruments": instruments,
+        }
+    )
+    return recording.replace(setup=marked, readings=readings)
+
+
+def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:
+    """Ideal raw readings (n, 3) at the points that the raw ones describe; NaN where not measured."""
+    raw = np.where(recording.measured, recording.readings, _filler(recording))
+    ideal = to_face(to_polar(construction.point(raw, values)), recording.face)
+    change = ideal - raw
+    change[:, 1:] = wrap(change[:, 1:])
+    return np.where(recording.measured, raw + change, np.nan)
+
+
+def _filler(recording: Recording) -> Floats:
+    """Readings (n, 3) of an ideal tracker at the start network, for rows that lack one; zeros if none does."""
+    incomplete: Bools = np.asarray(~recording.measured.all(axis=1))
+    if not incomplete.any():
+        return np.zeros(recording.readings.shape)
+    try:
+        (position, rotation, points), lost = reached_network(recording)
+    except NetworkError as problem:
+        raise _placeless(incomplete, str(problem)) from None
+    untied: Bools = incomplete & recording.measured.any(axis=1) & lost[recording.target]
+    if untied.any():
+        name = recording.targets[recording.target[int(np.argmax(untied))]]
+        raise _placeless(untied, f"nothing ties target {name} to it")
+    model = MeasurementModel(recording, ideal())
+    return model.predict(State(position, rotation, points, np.zeros((1, 0))))
+
+
+def _placeless(rows: Bools, why: str) -> NetworkError:
+    return NetworkError(
+        f"row {int(np.argmax(rows)) + 1} lacks a range or an angle and its place in the network is not known: {why}"
+    )

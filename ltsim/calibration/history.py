@@ -1,0 +1,355 @@
+"""Calibrations of one instrument over time: the course of its parameters, and whether it has changed.
+
+Two calibrations that share a prior are not independent: where the readings say nothing both give the prior's zero,
+and their agreement means nothing. All tests here therefore use the joint covariance of the estimates that one
+unchanged instrument would give, drawn from the prior and measured anew each time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import linalg, special
+
+from ltsim.arrays import Floats
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.dates import days_of
+from ltsim.calibration.evidence import Evidence, evidence
+from ltsim.chances import p_is
+from ltsim.errors import RecordError
+from ltsim.model.construction import Construction
+from ltsim.notebook import Columns, Shown
+from ltsim.remedies.undetermined import SILENT
+
+RESOLVED = 1e-12
+"""Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
+ROUNDS, SETTLED = 2000, 1e-4
+LEVEL = 0.01
+"""Chance that an unchanged instrument shows any changed parameter between two calibrations (Holm over them)."""
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """A chi-square statistic, its degrees of freedom, and the chance of a larger one without any change."""
+
+    chi2: float
+    dof: int
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger chi2 for an instrument that has not changed; 1 without degrees of freedom."""
+        return float(special.chdtrc(self.dof, max(self.chi2, 0.0))) if self.dof else 1.0
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """As `history.json` has it."""
+        return {**vars(self), "p_value": self.p_value}
+
+
+@dataclass(frozen=True)
+class Change:
+    """Later minus earlier calibration."""
+
+    first: str
+    second: str
+    """Labels."""
+    difference: Floats
+    sigma: Floats
+    """(p,) [SI]: of each parameter, and what noise alone would make of it; 0 where neither calibration tells anything.
+    """
+    joint: ChiSquare
+    """Of all parameters together."""
+
+    @property
+    def p_values(self) -> Floats:
+        """(p,) two-sided, of each parameter by itself."""
+        z = np.divide(self.difference, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
+        return 2.0 * special.ndtr(-np.abs(z))
+
+    def changed(self, level: float = LEVEL) -> list[int]:
+        """Places of the parameters that changed, by Holm's procedure at `level` over all of them."""
+        order = np.argsort(self.p_values)
+        found: list[int] = []
+        for rank, k in enumerate(order):
+            if self.p_values[k] > level / (len(order) - rank):
+                break
+            found.append(int(k))
+        return sorted(found)
+
+
+@dataclass(frozen=True)
+class Population:
+    """What an instrument's parameters are like from one calibration to the next."""
+
+    mean: Floats
+    """(p,) [SI]."""
+    covariance: Floats
+    """(p, p) [SI], of the mean."""
+    spread: Floats
+    """(p,) [SI]: standard deviation of the parameters themselves between calibrations, without that of their estimates.
+    """
+
+
+@dataclass(frozen=True, repr=False)
+class History(Shown):
+    """Calibrations of one instrument in the order of time."""
+
+    labels: tuple[str, ...]
+    """One a calibration."""
+    calibrations: tuple[Calibration, ...]
+    """Each of one instrument, all with the same construction."""
+    days: Floats | None = None
+    """(K,): days since the first; None where not all are dated."""
+
+    @classmethod
+    def of(
+        cls,
+        named: Sequence[tuple[str, Calibration]],
+        instrument: str | None = None,
+        dates: Sequence[str] | None = None,
+    ) -> History:
+        """A history of labelled calibrations; `instrument` chooses where a calibration holds several.
+
+        `dates` (ISO form, one a calibration) stand in for those of the recordings behind them.
+
+        Raises
+        ------
+        RecordError
+            When there are fewer than two, the constructions differ, the instrument is not clear, a parameter has no
+            uncertainty, or the dates are none or out of order.
+        """
+        if len(named) < 2:
+            raise RecordError(f"found {len(named)} calibration(s), expected at least two to compare")
+        constructions = {c.construction.names for _, c in named}
+        if len(constructions) > 1:
+            raise RecordError("the calibrations hold different parameters, expected one construction for all")
+        if not named[0][1].construction.size:
+            raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
+        for label, calibration in named:
+            if calibration.informed:
+                message = "was calibrated with earlier calibrations as its prior (--prior)"
+                raise RecordError(f"{label} {message}; expected calibrations that know nothing of each other")
+        chosen = _estimated([one_instrument(calibration, instrument, label) for label, calibration in named])
+        for (label, _), calibration in zip(named, chosen, strict=True):
+            unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
+            if len(unsure):
+                name = calibration.construction.names[unsure[0]]
+                raise RecordError(f"{label} states no uncertainty of {name}; expected one above 0 for every parameter")
+        labels = tuple(label for label, _ in named)
+        stated = dates if dates is not None else [c.recording.measured if c.recording else None for _, c in named]
+        return cls(labels, chosen, days_of(labels, stated))
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    @property
+    def construction(self) -> Construction:
+        """The construction all calibrations share."""
+        return self.calibrations[0].construction
+
+    @cached_property
+    def values(self) -> Floats:
+        """(K, p) [SI]."""
+        return np.array([c.values[0] for c in self.calibrations])
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """(K, p) standard deviations [SI]."""
+        return np.array([c.sigma[0] for c in self.calibrations])
+
+    @cached_property
+    def prior_sigma(self) -> Floats:
+        """(p,) the widest prior sigma of each parameter [SI], the unit of all that is computed here."""
+        return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
+
+    @cached_property
+    def _evidence(self) -> list[Evidence]:
+        return [evidence(c.values[0], c.covariance, c.prior_sigma[0], self.prior_sigma) for c in self.calibrations]
+
+    @cached_property
+    def _told(self) -> Floats:
+        """(p, r) orthonormal combinations, in prior sigmas, that the calibrations tell something about on average."""
+        remaining = np.mean([e.remaining for e in self._evidence], axis=0)
+        values, vectors = linalg.eigh(remaining)
+        return vectors[:, 1.0 - values > SILENT]
+
+    @cached_property
+    def _joint(self) -> Floats:
+        """Covariance (K, p, K, p) of the estimates of an unchanged instrument, in prior sigmas.
+
+        Estimate i is C_i N_i x + noise with covariance C_i N_i C_i, x drawn once from the prior.
+        """
+        own = np.array([e.remaining for e in self._evidence])
+        pull = np.array([e.remaining @ e.information for e in self._evidence])
+        joint: Floats = np.einsum("iab,jcb->iajc", pull, pull)
+        for i in range(len(self)):
+            joint[i, :, i] += pull[i] @ own[i]
+        return joint
+
+    def _lines(self) -> list[str]:
+        since = self.change(0, len(self) - 1).joint
+        return [
+            f"History: {len(self)} calibrations, {self.labels[0]} to {self.labels[-1]}",
+            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_is(since.p_value)}",
+        ]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"values": lambda: self._course(self.values), "sigmas": lambda: self._course(self.sigma)}
+
+    def _course(self, numbers: Floats) -> Columns:
+        """A row a calibration, a column a parameter."""
+        columns = {f"{p.name} [{p.unit}]": numbers[:, k] / p.factor for k, p in enumerate(self.construction.parameters)}
+        return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
+
+    def change(self, first: int, second: int) -> Change:
+        """What calibration number `second` says against number `first`."""
+        contrast = np.zeros((1, len(self)))
+        contrast[0, [first, second]] = -1.0, 1.0
+        gap, spread = self._contrasted(contrast, np.eye(self.construction.size))
+        variance = np.where(self._gain > SILENT, np.diag(spread), 0.0)
+        difference, sigma = gap * self.prior_sigma, np.sqrt(variance) * self.prior_sigma
+        joint = _test(*self._contrasted(contrast, self._told))
+        return Change(self.labels[first], self.labels[second], difference, sigma, joint)
+
+    @cached_property
+    def _gain(self) -> Floats:
+        """(p,) mean share of each parameter's prior variance that the readings removed."""
+        return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
+
+    def changes(self) -> list[Change]:
+        """Each calibration against the one before."""
+        return [self.change(i, i + 1) for i in range(len(self) - 1)]
+
+    def constancy(self, parameter: int | None = None) -> ChiSquare:
+        """Whether one set of values explains all calibrations: of all parameters, or of one by its place."""
+        contrast = np.diff(np.eye(len(self)), axis=0)
+        if parameter is None:
+            return _test(*self._contrasted(contrast, self._told))
+        if not self._gain[parameter] > SILENT:
+            return ChiSquare(0.0, 0)
+        return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
+
+    def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
+        """Contrasts (m, K) of combinations (p, r) of the parameters, and their covariance without a change."""
+        values = contrast @ (self.values / self.prior_sigma) @ combination
+        half: Floats = np.einsum("mi,iajb,as->msjb", contrast, self._joint, combination, optimize=True)
+        spread: Floats = np.einsum("msjb,nj,bt->msnt", half, contrast, combination, optimize=True)
+        return values.ravel(), spread.reshape(values.size, values.size)
+
+    @cached_property
+    def population(self) -> Population:
+        """Mean and spread of the parameters over the calibrations, the spread by the restricted likelihood.
+
+        By expectation-maximisation with the mean as an unknown of its own (Patterson and Thompson, Biometrika 58
+        (1971) 545): a mean found from the same few calibrations does not make them look alike. The mean keeps the
+        prior, which alone speaks of combinations that no calibration tells: they are as little known of many
+        calibrations as of one. Where no calibration tells anything of a parameter, its spread is the prior sigma.
+        """
+        information = np.array([e.information for e in self._evidence])
+        told = np.array([e.told for e in self._evidence])
+        one, variance = np.eye(self.construction.size), np.ones(self.construction.size)
+        mean, of_mean = np.zeros(self.construction.size), one
+        for _ in range(ROUNDS):
+            # With N and V: what an estimate keeps of the mean, and the covariance of the estimate and of the mean.
+            keeps = np.linalg.inv(one + variance[:, None] * information)
+            of_mean = np.linalg.inv(np.einsum("kab,kbc->ac", information, keeps) + one)
+            mean = of_mean @ np.einsum("kba,kb->a", keeps, told)
+            single = np.einsum("kab,kb->ka", keeps, variance * told + mean)
+            apart = keeps - one
+            left = keeps * variance + apart @ of_mean @ np.swapaxes(apart, 1, 2)
+            spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", left), axis=0)
+            spread = np.maximum(spread, RESOLVED)
+            settled = np.max(np.abs(np.log(spread / variance))) < SETTLED
+            variance = spread
+            if settled:
+                break
+        silent = self._gain < SILENT
+        mean, variance = np.where(silent, 0.0, mean), np.where(silent, 1.0, variance)
+        unit = self.prior_sigma
+        return Population(mean * unit, of_mean * np.outer(unit, unit), np.sqrt(variance) * unit)
+
+    def informed(self, calibration: Calibration) -> Calibration:
+        """A calibration with the history's population as its prior instead of the maker's.
+
+        For a calibration that is not part of the history. Parameters that hardly vary are taken from the history,
+        those that do from the calibration, each by its weight.
+        """
+        known, unit = self.population, self.prior_sigma
+        own = one_instrument(calibration, None, "the calibration")
+        spread = known.spread / unit
+        said = evidence(own.values[0], own.covariance, own.prior_sigma[0], unit)
+        covariance = np.linalg.inv(said.information + np.diag(spread**-2))
+        values = covariance @ (said.told + known.mean / unit * spread**-2)
+        return replace(
+            own,
+            values=(values * unit)[None],
+            covariance=covariance * np.outer(unit, unit),
+            prior_sigma=known.spread[None],
+            correction=None,
+        )
+
+
+def one_instrument(calibration: Calibration, instrument: str | None, label: str) -> Calibration:
+    """The part of a calibration that belongs to one instrument, without its network.
+
+    Raises
+    ------
+    RecordError
+        When it holds several and none of them is named `instrument`.
+    """
+    names = calibration.instruments
+    if len(names) == 1:
+        return calibration
+    if instrument not in names:
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: say which (--instrument)")
+    i, size = names.index(instrument), calibration.construction.size
+    at = slice(i * size, (i + 1) * size)
+    return replace(
+        calibration,
+        instruments=(instrument,),
+        values=calibration.values[i : i + 1],
+        prior_sigma=calibration.prior_sigma[i : i + 1],
+        covariance=calibration.covariance[at, at],
+        held=calibration.held[i : i + 1],
+        correction=None,
+    )
+
+
+def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
+    """Calibrations (of one instrument) with the parameters that none of them held.
+
+    Raises
+    ------
+    RecordError
+        When there is none.
+    """
+    held = np.any([c.held[0] for c in calibrations], axis=0)
+    if not held.any():
+        return tuple(calibrations)
+    if held.all():
+        raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
+    keep = np.flatnonzero(~held)
+    return tuple(
+        replace(
+            c,
+            construction=c.construction.only(keep),
+            values=c.values[:, keep],
+            prior_sigma=c.prior_sigma[:, keep],
+            covariance=c.covariance[np.ix_(keep, keep)],
+            held=c.held[:, keep],
+            correction=None,
+        )
+        for c in calibrations
+    )
+
+
+def _test(gap: Floats, spread: Floats) -> ChiSquare:
+    """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
+    values, vectors = linalg.eigh(0.5 * (spread + spread.T))
+    kept = values > RESOLVED * max(float(values[-1]), 0.0)
+    z = (vectors[:, kept].T @ gap) / np.sqrt(values[kept])
+    return ChiSquare(float(z @ z), int(kept.sum()))

@@ -1,0 +1,182 @@
+"""The paper's distance objective (Sensors 2021, 21, 7479, eq. 9 and 10) in matrix form.
+
+Distances between all pairs of targets are compared between all pairs of stations, and those of the gauge with their
+known lengths. Distances need no poses. A station's two faces count as two stations: averaged, they would hide
+what flips with the face.
+
+For least squares the sum over pairs of stations is the number of stations times the sum of squares of deviations from
+the mean over stations, which makes the objective linear in the number of stations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.adjustment.rows import GaugeRows
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+
+LARGEST = 2e8
+"""Most numbers that one matrix may hold."""
+
+
+@dataclass(frozen=True)
+class Distances:
+    """All distances within each set (a station and a face) at some parameters, and their derivatives."""
+
+    length: Floats
+    """(D,) [m]."""
+    group: Ints
+    """(D,): which pair of targets."""
+    setting: Ints
+    """(D,): which set."""
+    by_parameter: Floats
+    """(D, q): per prior sigma of each parameter."""
+    by_reading: sp.csr_array
+    """(D, 3 n): per standard deviation of each reading."""
+
+
+@dataclass(frozen=True)
+class DistanceProblem:
+    """A recording seen through its distances."""
+
+    recording: Recording
+    """Rows without a range or an angle are not used."""
+    construction: Construction
+    prior_sigma: Floats
+    """(I, p): the unknowns are in units of these."""
+
+    @cached_property
+    def gauge(self) -> GaugeRows:
+        """Known lengths in the workshop."""
+        return GaugeRows.of(self.recording)
+
+    @cached_property
+    def sets(self) -> Ints:
+        """(n,) int: station and face of each row as one number from 0."""
+        _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
+        return number.astype(np.int64)
+
+    @cached_property
+    def _averaging(self) -> tuple[sp.csr_array, Floats]:
+        """Matrix (M, n) that averages repeats into one point a set and target, and (M, 2) set and target."""
+        count = len(self.recording.targets)
+        key = self.sets * count + self.recording.target
+        whole = np.flatnonzero(self.recording.measured.all(axis=1))
+        kept, inverse, repeats = np.unique(key[whole], return_inverse=True, return_counts=True)
+        entries = (1.0 / repeats[inverse], (inverse, whole))
+        matrix = sp.csr_array(sp.coo_array(entries, shape=(len(kept), len(key))))
+        return matrix, np.stack([kept // count, kept % count], axis=1)
+
+    @cached_property
+    def _pairs(self) -> tuple[Ints, Ints, Ints, Ints]:
+        """First and second averaged point, pair of targets and set of every distance."""
+        owner = self._averaging[1]
+        count = len(self.recording.targets)
+        first, second = [], []
+        for number in range(int(self.sets.max(initial=-1)) + 1):
+            at = np.flatnonzero(owner[:, 0] == number)
+            i, j = np.triu_indices(len(at), k=1)
+            first.append(at[i])
+            second.append(at[j])
+        a, b = np.concatenate(first), np.concatenate(second)
+        self._check_size(len(a))
+        return a, b, owner[a, 1] * count + owner[b, 1], owner[a, 0]
+
+    def _check_size(self, count: int) -> None:
+        if count * (self.prior_sigma.size + 8) > LARGEST:
+            raise NetworkError(f"the distance objective would hold {count} distances, too many; use the network method")
+
+    def at(self, unknowns: Floats) -> Distances:
+        """All distances at unknowns (I p,) in units of the prior sigmas."""
+        point, by_reading, by_value = self._points(self.recording.readings, unknowns)
+        _, _, group, setting = self._pairs
+        length, unit, by_parameter = self._lengths(point, by_value)
+        return Distances(length, group, setting, by_parameter, self._by_reading(unit, by_reading))
+
+    def by_parameter(self, readings: Floats, unknowns: Floats) -> Floats:
+        """Derivative (D, q) of all distances by the unknowns (q,) when the readings are others (n, 3)."""
+        point, _, by_value = self._points(readings, unknowns)
+        return self._lengths(point, by_value)[2]
+
+    def _lengths(self, point: Floats, by_value: Floats) -> tuple[Floats, Floats, Floats]:
+        """Distances (D,), their directions (D, 3) and their derivatives (D, q) by the unknowns."""
+        averaging, _ = self._averaging
+        a, b, _, _ = self._pairs
+        points = averaging @ point
+        gap = points[a] - points[b]
+        length = np.linalg.norm(gap, axis=1)
+        unit = gap / length[:, None]
+        means = (averaging @ by_value.reshape(len(point), -1)).reshape(len(points), 3, -1)
+        return length, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
+
+    def lengths(self, points: Floats) -> Floats:
+        """All distances (D, B) within sets, in the order of `at`, of points (n, 3, B) in the instruments' frames."""
+        averaging, _ = self._averaging
+        a, b, _, _ = self._pairs
+        means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
+        return np.linalg.norm(means[a] - means[b], axis=1)
+
+    def _points(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
+        """Points (n, 3), derivatives by readings (n, 3, 3) per sigma and by unknowns (n, 3, I p)."""
+        recording, (count, size) = self.recording, self.prior_sigma.shape
+        values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
+        raw = np.where(recording.measured, readings, 1.0)
+        which = recording.instrument
+        point, by_reading, by_value = self.construction.linearised(raw, values[which])
+        wide = np.zeros((len(raw), 3, count * size))
+        for i in range(count):
+            rows = which == i
+            wide[rows, :, i * size : (i + 1) * size] = by_value[rows] * self.prior_sigma[i]
+        return point, by_reading * recording.sigma()[:, None, :], wide
+
+    def _by_reading(self, unit: Floats, by_reading: Floats) -> sp.csr_array:
+        """Derivative (D, 3 n) of the distances by the whitened readings."""
+        averaging, _ = self._averaging
+        a, b, _, _ = self._pairs
+        n = len(by_reading)
+        along = [sp.diags_array(unit[:, i]) for i in range(3)]
+        point_rows = sp.csr_array(averaging[a] - averaging[b])
+        row = np.repeat(np.arange(n), 3)
+        total = sp.csr_array((len(unit), 3 * n))
+        for i in range(3):
+            own = sp.csr_array(sp.coo_array((by_reading[:, i].ravel(), (row, np.arange(3 * n))), (n, 3 * n)))
+            total = total + along[i] @ (point_rows @ own)
+        return sp.csr_array(total)
+
+    def gauge_matches(self, distances: Distances) -> tuple[Ints, Ints]:
+        """Rows of `distances` that have a known length, and which."""
+        count = len(self.recording.targets)
+        low = np.minimum(self.gauge.first, self.gauge.second)
+        high = np.maximum(self.gauge.first, self.gauge.second)
+        known = {int(key): i for i, key in enumerate(low * count + high)}
+        found = [(r, known[int(g)]) for r, g in enumerate(distances.group) if int(g) in known]
+        rows, which = zip(*found, strict=True) if found else ((), ())
+        return np.array(rows, dtype=np.int64), np.array(which, dtype=np.int64)
+
+
+def centring(distances: Distances) -> tuple[sp.csr_array, Floats]:
+    """Matrix (D, D) that takes the mean over sets off each pair's distances, and each row's number of sets."""
+    _, group, count = np.unique(distances.group, return_inverse=True, return_counts=True)
+    rows = np.arange(len(group))
+    member = sp.csr_array(sp.coo_array((np.ones(len(group)), (rows, group))))
+    mean = member @ sp.diags_array(1.0 / count) @ member.T
+    return sp.csr_array(sp.eye_array(len(group)) - mean), count[group].astype(np.float64)
+
+
+def set_pairs(distances: Distances) -> tuple[Ints, Ints]:
+    """Rows of `distances` to be compared with each other: the same pair of targets from two sets, all pairs of sets."""
+    order = np.argsort(distances.group, kind="stable")
+    first, second = [], []
+    bounds = np.flatnonzero(np.diff(distances.group[order])) + 1
+    for members in np.split(order, bounds):
+        i, j = np.triu_indices(len(members), k=1)
+        first.append(members[i])
+        second.append(members[j])
+    return np.concatenate(first), np.concatenate(second)

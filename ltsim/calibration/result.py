@@ -1,0 +1,247 @@
+"""From an adjusted network to a calibration: what every method writes down in the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment, observable_name
+from ltsim.adjustment.frame import Frame
+from ltsim.adjustment.screening import gross_pointings
+from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.verdict import Case, Verdict, verdict
+from ltsim.arrays import Bools, Floats
+from ltsim.calibration.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose
+from ltsim.chances import AGREES
+from ltsim.effects.motions import exact_target_change
+from ltsim.errors import NetworkError
+from ltsim.evaluation.criteria import Criteria, evaluate
+from ltsim.geometry.rotations import quaternion
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import ball_lift
+from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
+from ltsim.remedies.determining import determining
+from ltsim.remedies.undetermined import Direction, undetermined
+from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+
+SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
+"""Unit of each column of the readings where a person reads it."""
+CONTRADICTS = 3.0
+"""Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
+MOST_NAMED = 6
+
+
+def gross_rows(recording: Recording) -> Bools:
+    """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
+    tied, reached = tied_readings(recording)
+    return gross_pointings(tied, *reached)
+
+
+def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:
+    """The recording without the readings to targets that nothing ties to the rest, and its start network."""
+    reached, lost = reached_network(recording)
+    readings = np.where(lost[recording.target][:, None], np.nan, recording.readings)
+    return recording.with_readings(readings), reached
+
+
+def fit_of(adjustment: Adjustment) -> Fit:
+    """How the adjustment ended."""
+    redundant = adjustment.dof > 0
+    status = adjustment.solution.status
+    return Fit(
+        chi2=adjustment.chi2,
+        dof=adjustment.dof,
+        sigma0=adjustment.sigma0 if redundant else None,
+        p_value=adjustment.p_value if redundant else None,
+        iterations=adjustment.solution.iterations,
+        status=status.name.lower(),
+        sentence=status.value,
+    )
+
+
+def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tuple[StationPose, ...]:
+    """Poses with standard deviations; `covariance` (S, 6, 6), default that of the adjustment."""
+    spread = adjustment.pose_covariance if covariance is None else covariance
+    sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
+    state = adjustment.state
+    return tuple(
+        StationPose(name, state.position[i], quaternion(state.rotation[i]), sigma[i, :3], sigma[i, 3:])
+        for i, name in enumerate(adjustment.recording.stations)
+    )
+
+
+def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
+    """Gross pointings first, other readings that were left out, then those by the test that the verdict trusts."""
+    recording = adjustment.recording
+    scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
+
+    def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
+        unit, factor = SHOWN_UNITS[column]
+        station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+        observable = observable_name(column)
+        return OutlierRow(i + 1, station, target, observable, size / factor, unit, w, gross, left_out)
+
+    found = []
+    for i in np.flatnonzero(adjustment.gross).tolist():
+        k = int(np.argmax(np.abs(scaled[i])))
+        found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, left_out=True))
+    single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
+    for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
+        found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
+    estimated = verdict_of(adjustment).case is Case.SMALLER_NOISE and verdict_of(adjustment).by_estimate
+    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in adjustment.outliers(estimated=estimated)))
+
+
+def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
+    """(n, 3) Readings whose residual tells an error: of a target that lost its place, those that contradict others."""
+    recording = adjustment.recording
+    lost = np.isin(recording.targets, adjustment.lost_targets)[recording.target]
+    untied = np.isin(recording.targets, adjustment.untied)[recording.target]
+    return ~untied[:, None] & (~lost[:, None] | (np.abs(scaled) > CONTRADICTS))
+
+
+def verdict_of(adjustment: Adjustment) -> Verdict:
+    """Which test to trust, the global one at the level at which fits are said to agree."""
+    return verdict(adjustment, level=AGREES)
+
+
+def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
+    """The noise that was estimated, group by group."""
+    problem, recording = adjustment.problem, adjustment.recording
+    rows = []
+    for c in adjustment.components:
+        if c.observable == "level":
+            unit, factor, sigmas = "arcsec", ARCSECOND, problem.levels.sigma
+        else:
+            column = OBSERVABLES.index(c.observable)
+            unit, factor = SHOWN_UNITS[column]
+            own = recording.instrument == recording.instruments.index(c.instrument)
+            sigmas = problem.sigma[own & problem.use[:, column], column]
+        if len(sigmas):
+            typical = float(np.median(sigmas)) / factor
+            rows.append(NoiseRow(c.observable, c.instrument, c.factor, c.sigma, c.redundancy, typical, unit))
+    return tuple(rows)
+
+
+def frame_of(adjustment: Adjustment) -> str:
+    """A sentence: what the coordinates refer to."""
+    problem, recording = adjustment.problem, adjustment.recording
+    free = problem.free.shape[1]
+    first = recording.stations[0]
+    control = [recording.targets[i] for i in problem.control.target]
+    levelled = [recording.stations[i] for i in problem.levels.station]
+    if free == 0:
+        return f"the frame of the control points {named(control)}"
+    rest = f"is {_free_axes(adjustment, first)}" + _inner(adjustment)
+    if free == 6:
+        return rest.removeprefix("is ")
+    if not control:
+        return f"z follows the levels of {named(levelled)}; the rest {rest}"
+    held = f"the control points {named(control)}" + (" and the levels" if levelled else "")
+    return f"{held}; what these leave free {rest}"
+
+
+def _free_axes(adjustment: Adjustment, first: str) -> str:
+    """What stands for the motions that no observation determines."""
+    state, frame = adjustment.state, Frame.of(adjustment.recording)
+    if adjustment.datum is not None and _stated(adjustment):
+        return "the axes in which coordinates of the datum's targets are stated"
+    if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
+        return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
+    return f"the frame of station {first}"
+
+
+def _inner(adjustment: Adjustment) -> str:
+    """How inner constraints define the datum, if they do."""
+    if adjustment.datum is None:
+        return ""
+    return f", standard deviations by inner constraints over {named(adjustment.datum.names)}"
+
+
+def _stated(adjustment: Adjustment) -> bool:
+    """Whether places are stated for targets of the datum."""
+    names = adjustment.datum.names if adjustment.datum is not None else ()
+    setups = [adjustment.recording.target_setup(name) for name in names]
+    return any(s.approximate_mm or s.known_mm for s in setups)
+
+
+def named(names: Sequence[str]) -> str:
+    """Names with commas; of many the first few."""
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def undetermined_of(
+    adjustment: Adjustment, construction: Construction, directions: list[list[Direction]], *, advise: bool
+) -> tuple[Combination, ...]:
+    """The undetermined combinations of each instrument, named, with their cures (empty unless `advise`)."""
+    instruments = adjustment.recording.instruments
+    nothing = [[""] * len(own) for own in directions]
+    sentences = determining(adjustment, construction, directions) if advise else nothing
+    found = []
+    for i, own in enumerate(directions):
+        names = construction.names_of(instruments)[i * construction.size :]
+        for direction, cure in zip(own, sentences[i], strict=True):
+            found.append(Combination(direction.coefficients(names), direction.gain, cure))
+    return tuple(found)
+
+
+def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Direction]]:
+    """Undetermined directions of each instrument; covariance (I p, I p), prior sigmas (I, p)."""
+    count, size = prior_sigma.shape
+    if not size:
+        return [[] for _ in range(count)]
+    blocks = covariance.reshape(count, size, count, size)
+    return [undetermined(blocks[i, :, i], prior_sigma[i]) for i in range(count)]
+
+
+def criteria_of(
+    recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats
+) -> Criteria | None:
+    """The paper's criteria without the pointings that were left out; None where stations cannot be compared."""
+    use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
+    recording = _one_ball(recording, adjustment)
+    try:
+        if not construction.size:
+            return evaluate(recording, use=use)
+        applied = values[0] if len(values) == 1 else values[recording.instrument]
+        return evaluate(recording, construction, applied, use=use)
+    except NetworkError:
+        return None
+
+
+def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
+    """The recording as the reference ball would have given it."""
+    off = ball_lift(recording)
+    if off is None:
+        return recording
+    readings = recording.readings + exact_target_change(adjustment.sightings, -off)
+    return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
+
+
+def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
+    """What is to be said of a network of ranges alone: whether it may be the mirror image of the hall."""
+    recording, state = adjustment.recording, adjustment.state
+    if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
+        return ()
+    every = np.arange(len(recording.stations)), np.arange(len(recording.targets))
+    if Frame.of(recording).hand(every[0], state.position, every[1], state.points)[1]:
+        return ()
+    return (
+        "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "
+        "off one plane (approximate_mm, position_mm) would",
+    )
+
+
+def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
+    """What is to be said of the range zeros where both distance meters were used."""
+    if MODE_COLUMN not in adjustment.recording.circumstances:
+        return ()
+    if not adjustment.effects:
+        return ("two distance meters were used; one range zero was assumed for both (method network tells them apart)",)
+    value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
+    zero = f"{value / MICROMETRE:.1f} +- {sigma / MICROMETRE:.1f} um"
+    return (
+        f"the interferometer's range zero less the absolute meter's, estimated beside the rest: {zero} (range-mode)",
+    )

@@ -1,0 +1,329 @@
+"""calibration.json and the tables beside it: what stands in them, for writers and readers."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+from scipy import special
+
+from ltsim.chances import p_is
+from ltsim.evaluation.schema import CriterionEntry
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
+from ltsim.recording.result_table import ResultTable, numbers, texts
+
+NotNegative = Annotated[Finite, Field(ge=0)]
+Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
+"""A standard deviation; null for what has none."""
+Positive = Annotated[Finite, Field(gt=0)]
+
+COORDINATES = (
+    *texts(target="name"),
+    *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
+    *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
+)
+TARGETS = ResultTable(
+    "targets.csv", "adjusted targets; those that the readings do not determine have no row", COORDINATES
+)
+RESIDUALS = ResultTable(
+    "residuals.csv",
+    "one row an observation that was used",
+    (
+        *numbers(row="of the recording's table, from 1"),
+        *texts(station="name", target="name"),
+        *numbers(face="1 or 2", repeat="round, from 1"),
+        *texts(observable="distance, azimuth or elevation"),
+        *numbers(".6g", residual="observed minus adjusted, in `unit`"),
+        *texts(unit="of the residual"),
+        *numbers(".4f", redundancy="share of the observation that others check, 0 to 1", w="normalised residual"),
+    ),
+)
+
+
+class FitEntry(Entry):
+    """Agreement of readings and model; the test is null without redundancy."""
+
+    chi2: Finite = 0.0
+    """Weighted sum of squares."""
+    dof: int = 0
+    """Degrees of freedom."""
+    sigma0: Known = None
+    """Square root of chi-square over degrees of freedom."""
+    p_value: Known = None
+    """Chance of as much or more in a correct model: near 1 where the readings scatter less than stated. What is printed
+    is two-sided, twice the smaller of it and of its complement.
+    """
+    iterations: int = 0
+    """Steps of Gauss-Newton."""
+    status: str = "not stated"
+    """`converged`, or why not."""
+    sentence: str = ""
+    """The same for a person."""
+    chi2_sigma: Known = None
+    """Standard deviation of chi-square to expect, where that is not the root of 2 dof."""
+
+
+class ParameterEntry(Entry):
+    """One estimate in the unit a person reads."""
+
+    name: str
+    """As `ltsim effects` and the construction name it."""
+    value: Finite
+    """Correction, truth minus reading."""
+    sigma: Sigma = None
+    """Its standard deviation."""
+    unit: str
+    """Of value and sigmas."""
+    prior_sigma: Positive | None = None
+    """What was known before, one standard deviation."""
+    held: bool = False
+    """Not estimated: held at this value."""
+    applied: Known = None
+    """What to take out of readings, where that is not the value."""
+    instrument: str = ""
+    """Where there are several."""
+
+
+class HarmonicEntry(Entry):
+    """A cosine and a sine together, as amplitude and phase; no phase where the amplitude drowns in its sigma."""
+
+    name: str
+    """Its name."""
+    amplitude: Finite
+    """Its size."""
+    sigma: Sigma
+    """Of the amplitude."""
+    unit: str
+    """Of the amplitude."""
+    phase_deg: Known = None
+    """Where its maximum is."""
+    sigma_phase_deg: Known = None
+    """Of the phase."""
+    instrument: str = ""
+    """Where there are several."""
+
+
+class CombinationEntry(Entry):
+    """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
+
+    combination: dict[str, Finite]
+    """Coefficient of each parameter."""
+    gain: Known = None
+    """Share of the prior variance that the readings removed."""
+    cure: str = ""
+    """The measurement that would determine it."""
+
+
+class DeterminedEntry(Entry):
+    """A combination of parameters that the recording determines far better than each of them."""
+
+    combination: dict[str, Finite]
+    """Coefficient of each parameter."""
+    value: Finite
+    """Its size."""
+    sigma: Known = None
+    """Its standard deviation."""
+    unit: str = ""
+    """Of both."""
+    instrument: str = ""
+    """Where there are several."""
+
+    @property
+    def terms(self) -> str:
+        """The combination in a line."""
+        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
+
+
+class StationEntry(Entry):
+    """Pose of a station: mm, quaternion x y z w from instrument to network."""
+
+    name: str
+    """Its name."""
+    position_mm: Vector
+    """In the frame that the file names."""
+    rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    """From instrument to network."""
+    sigma_position_mm: tuple[Known, Known, Known] | None = None
+    """Of each coordinate."""
+    sigma_rotation_arcsec: tuple[Known, Known, Known] | None = None
+    """About each axis."""
+
+
+class OutlierEntry(Entry):
+    """A reading that does not belong; `gross`: the largest of a whole pointing that was left out."""
+
+    row: int
+    """Of the recording's table, from 1."""
+    station: str
+    """Name of the station."""
+    target: str
+    """Name of the target."""
+    observable: str
+    """`distance`, `azimuth` or `elevation`."""
+    size: Finite
+    """How far the reading is off."""
+    unit: str
+    """Of the size."""
+    w: Finite
+    """Normalised residual."""
+    gross: bool = False
+    """The largest of a whole pointing that was left out."""
+    left_out: bool = False
+    """It did not take part in the adjustment."""
+
+
+class NoiseEntry(Entry):
+    """Noise that was found from the readings; no `factor_sigma`: too little redundancy, the factor is as stated."""
+
+    observable: str
+    """`distance`, `azimuth`, `elevation` or `level`."""
+    instrument: str = ""
+    """Where there are several."""
+    factor: Finite
+    """On the stated standard deviations."""
+    factor_sigma: Known = None
+    """Of the factor."""
+    redundancy: Finite
+    """Of the group's readings together."""
+    typical: Finite
+    """Median standard deviation of a reading."""
+    unit: str = ""
+    """Of `typical`."""
+
+
+class VerdictEntry(Entry):
+    """Which test to trust where they disagree."""
+
+    case: str = ""
+    """Which of the tests agree."""
+    sentence: str = ""
+    """The same for a person."""
+    scale_by_sigma0: bool = False
+    """Whether to scale standard deviations by sigma0."""
+
+
+class CorrectionEntry(Entry):
+    """What of the estimates is applied, and what is expected of it."""
+
+    prior_scale: Positive
+    """Most likely size of the parameters, in prior sigmas."""
+    plausible_scale: tuple[Positive, Positive]
+    """The same from and to, each with 95 %."""
+    uncorrected_um: NotNegative
+    """Expected error (rms) of a new point as it is read."""
+    corrected_um: NotNegative
+    """The same after the correction."""
+    left_out: tuple[str, ...] = ()
+    """Parameters that are not applied: targets that were held out are predicted better without them."""
+    sentences: tuple[str, ...] = ()
+    """The same for a person."""
+
+
+class FittedParameterEntry(Entry):
+    """A parameter of an effect, a constant that the readings chose, or the size of a law."""
+
+    name: str
+    """As `ltsim effects` lists it; of a law as in a diagnosis: amplitude and phase, or swing."""
+    value: Finite | str
+    """In its unit; a word for a constant that is one."""
+    sigma: Sigma = None
+    """Standard deviation."""
+    unit: str
+    """Unit of value and sigma."""
+
+
+class FittedEffectEntry(Entry):
+    """An effect, or a law, that was estimated beside the calibration, on request."""
+
+    effect: str
+    """As `ltsim effects` lists it; a law as a diagnosis tells it: carrier ~ driver."""
+    where: str = ""
+    """Stations and targets to which it is confined; empty for all."""
+    parameters: tuple[FittedParameterEntry, ...] = ()
+    """Its parameters and constants."""
+    chi2_drop: NotNegative
+    """By how much chi-square falls."""
+    freedom: int
+    """Parameters that the recording can tell from the rest."""
+    tried: int
+    """Places and constants that were tried."""
+
+    @property
+    def p_value(self) -> float:
+        """Chance of such a fall without the effect, over all that were tried."""
+        return min(1.0, self.tried * float(special.chdtrc(self.freedom, self.chi2_drop))) if self.freedom else 1.0
+
+    @property
+    def sentence(self) -> str:
+        """All of it for a person."""
+        name = f"{self.effect} at {self.where}" if self.where else self.effect
+        if not self.freedom:
+            return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
+        shown = ", ".join(
+            f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {p.value:.4g}{_more(p)}"
+            for p in self.parameters
+        )
+        tried = f", the best of {self.tried}" if self.tried > 1 else ""
+        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
+
+
+def _more(parameter: FittedParameterEntry) -> str:
+    """Uncertainty and unit."""
+    return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
+
+
+class CalibrationFile(ResultFile):
+    """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
+
+    FILE: ClassVar[str] = "calibration.json"
+    format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
+    """Which format and version this file is in."""
+    method: str = "network"
+    """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`."""
+    construction: str
+    """Which model of the instrument: `misalignment`, `dh` or `ideal`."""
+    fit: FitEntry = FitEntry()
+    """Agreement of readings and model."""
+    frame: str = ""
+    """The frame of all coordinates."""
+    parameters: tuple[ParameterEntry, ...]
+    """Estimates."""
+    covariance: tuple[tuple[Finite, ...], ...] = ()
+    """Of the parameters in their order and units."""
+    harmonics: tuple[HarmonicEntry, ...] = ()
+    """Cosines and sines as amplitude and phase."""
+    undetermined: tuple[CombinationEntry, ...] = ()
+    """What the recording does not tell."""
+    determined: tuple[DeterminedEntry, ...] = ()
+    """What it tells of several parameters together far better than of each."""
+    stations: tuple[StationEntry, ...] = ()
+    """Poses."""
+    criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
+    """The paper's criteria before and after."""
+    outliers: tuple[OutlierEntry, ...] = ()
+    """Readings that do not belong."""
+    robust: bool = False
+    """Readings that do not belong were left out."""
+    noise: tuple[NoiseEntry, ...] = ()
+    """What was found about the noise."""
+    noise_estimated: bool = False
+    """The noise was estimated from the readings, and used."""
+    verdict: VerdictEntry = VerdictEntry()
+    """Which test to trust."""
+    lost_targets: tuple[str, ...] = ()
+    """Targets that their readings do not determine."""
+    correction: CorrectionEntry | None = None
+    """What of the estimates is worth applying; null where that was not asked."""
+    effects: tuple[FittedEffectEntry, ...] = ()
+    """Effects that were estimated beside the parameters (`--with`)."""
+    informed: bool = False
+    """Earlier calibrations were the prior."""
+    notes: tuple[str, ...] = ()
+    """What a reader should know of how this came about."""
+
+    @model_validator(mode="after")
+    def _covariance_is_square(self) -> Self:
+        count = len(self.parameters)
+        if self.covariance and {len(self.covariance), *map(len, self.covariance)} != {count}:
+            raise ValueError(f"the covariance is not a square of {count} x {count} numbers")
+        return self

@@ -1,0 +1,186 @@
+"""What of a calibration is worth applying: no correction that is expected to make new points worse.
+
+The estimates and their covariance are those of the stated prior. What is taken out of readings may be less:
+
+* a term that predicts targets worse than going without it, when they take no part in its estimation
+  (`calibrate.held_out`);
+* where the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
+* where some scale that they leave plausible expects the correction to do harm, the correction of the smallest plausible
+  scale, which none of them expects to.
+
+With u the parameters in prior sigmas, N the information of the readings and b = N times the estimate by them alone,
+b is normal with covariance N + s^2 N N under a prior of s times the stated sigmas: its likelihood, free of poses and
+targets, is the restricted likelihood of s (Patterson and Thompson, Biometrika 58 (1971) 545). A prior from earlier
+calibrations has a mean; u is then the deviation from it. Without a prior the scale is all found: a combination of the
+parameters is then applied by the share, between 0 and 1, by which it is expected to improve new points most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.calibration.calibration import Correction
+from ltsim.calibration.held_out import unheld
+from ltsim.geometry.rigid import less_rigid
+
+SCALES = np.geomspace(1e-4, 1e4, 161)
+CONTRADICTS = 3.32
+"""Log-likelihood over that of the stated scale (1) that chance exceeds in one of a hundred correct priors."""
+PLAUSIBLE = 1.35
+"""Log-likelihood under the largest, within which a scale is plausible: 95 %, one-sided."""
+NOTHING = 0.02
+"""Share of the estimated correction below which it counts as none."""
+
+
+def correction_of(
+    adjustment: Adjustment, names: Sequence[str], *, informed: bool = False, wider: float | None = None
+) -> Correction:
+    """The correction that an adjustment's parameters are worth; `names` (I p) of the parameters.
+
+    Priors that were made so many times `wider` than stated stand for none: the scale is found in any case. With a
+    prior from earlier calibrations (`informed`) no term is left out, since this recording's targets are not all
+    that speaks for it, and the prior's scale may be found larger than stated but not smaller.
+    """
+    prior = adjustment.problem.prior
+    held, mean = prior.held.ravel(), prior.mean.ravel()
+    free = np.flatnonzero(~held)
+    gone = np.zeros(0, dtype=np.int64) if informed else unheld(adjustment)
+    used = np.setdiff1d(free, gone)
+    root = block_diag(*prior.roots)[np.ix_(free, free)]
+    at = adjustment.problem.unknowns.instrument.ravel()[free]
+    known = np.linalg.inv(root @ adjustment.kept_covariance[np.ix_(at, at)] @ root.T)
+    told = known @ root @ (adjustment.state.instrument.ravel() - mean)[free]
+    within = np.searchsorted(free, used)
+    unit = wider or 1.0
+    spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
+    information = (known[np.ix_(within, within)] - np.eye(len(used))) / unit**2
+    least, unstated = (1.0 if informed else 0.0), wider is not None
+    evidence = ScaledPrior(information, told[within] / unit, least=least, unstated=unstated)
+    by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
+    middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
+    applied, note = evidence.harmless(by_unit, middle)
+    before, after = evidence.errors(by_unit, applied, middle)
+    left_out = tuple(names[k] for k in gone)
+    notes = [n for n in (evidence.doubt, note) if n]
+    if left_out:
+        notes.append(f"not applied, targets that were held out are predicted better without: {', '.join(left_out)}")
+    values = mean * held
+    values[used] = spread @ applied
+    scale, plausible = evidence.scale, evidence.plausible
+    return Correction(values.reshape(prior.mean.shape), scale, plausible, before, after, left_out, tuple(notes))
+
+
+class ScaledPrior:
+    """The evidence of readings on parameters in prior sigmas under priors of other scales.
+
+    Parameters
+    ----------
+    information : (q, q) float
+    told : (q,) float
+        Information times the estimate by the readings alone.
+    least : float
+        Smallest scale that the prior may have.
+    unstated : bool
+        The scale 1 is not a statement but a unit.
+    """
+
+    def __init__(self, information: Floats, told: Floats, *, least: float = 0.0, unstated: bool = False) -> None:
+        self._unstated = unstated
+        strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
+        self._strength = np.maximum(strength, 1e-12 * max(float(strength[-1]), 1.0))
+        self._told = self._basis.T @ told
+        self._scales = SCALES[0.99 * least < SCALES]
+        ratio = 1.0 + self._scales[:, None] ** 2 * self._strength
+        gain = self._scales[:, None] ** 2 * self._told**2 / ratio
+        self._likelihood = 0.5 * np.sum(gain - np.log(ratio), axis=1)
+        self._best = int(np.argmax(self._likelihood))
+
+    @property
+    def scale(self) -> float:
+        """The most likely scale."""
+        return float(self._scales[self._best])
+
+    @property
+    def plausible(self) -> tuple[float, float]:
+        """The smallest and the largest plausible scale."""
+        near = np.flatnonzero(self._likelihood > self._likelihood[self._best] - PLAUSIBLE)
+        return float(self._scales[near[0]]), float(self._scales[near[-1]])
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the readings contradict the stated scale."""
+        stated = int(np.argmin(np.abs(np.log(self._scales))))
+        return bool(self._likelihood[self._best] - self._likelihood[stated] > CONTRADICTS)
+
+    @property
+    def followed(self) -> float:
+        """The scale to follow: the stated one unless the readings contradict it."""
+        return self.scale if self.contradicts or self._unstated else 1.0
+
+    @property
+    def doubt(self) -> str:
+        """A sentence where the readings contradict the stated scale, or none was stated."""
+        if not (self.contradicts or self._unstated):
+            return ""
+        low, high = self.plausible
+        likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
+        if not self._unstated:
+            return f"the readings contradict the stated priors: {likely}; what is applied follows the readings"
+        share = self._strength / (self._strength + self.scale**-2)
+        kept = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are applied by more than half"
+        return f"without a prior, parameters of the usual proportions and {likely}; {kept}, the others tell too little"
+
+    def estimate(self, scale: float) -> Floats:
+        """The estimate (q,) under a scale."""
+        return self._basis @ (self._told / (self._strength + scale**-2))
+
+    def harmless(self, by_unit: Floats, middle: Floats | float = 0.0) -> tuple[Floats, str]:
+        """The correction (q,) that no plausible scale expects to do harm, and a sentence where it is less.
+
+        `by_unit` (q, q) is the mean square of a new point's error as a form of the parameters' errors, `middle` (q,)
+        the prior's mean.
+        """
+        found, cautious = middle + self.estimate(self.followed), middle + self.estimate(self.plausible[0])
+        if found @ by_unit @ (found - 2.0 * cautious) <= 0.0:
+            return found, ""
+        share = float(np.sqrt((cautious @ by_unit @ cautious) / (found @ by_unit @ found)))
+        if share < NOTHING:
+            return np.zeros_like(found), "no correction is applied: it may well make new points worse"
+        return cautious, f"{100 * share:.0f} % of the correction is applied: more may well make new points worse"
+
+    def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
+        """Expected error (rms) [m] of a new point without a correction, and with what is applied."""
+        scale = self.followed
+        mean = middle + self.estimate(scale)
+        spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
+        rest = float(np.sum(spread * by_unit))
+        missed = mean - applied
+        return float(np.sqrt(mean @ by_unit @ mean + rest)), float(np.sqrt(missed @ by_unit @ missed + rest))
+
+
+def point_errors(adjustment: Adjustment) -> Floats:
+    """Mean square error of a point as a form (I p, I p) of the parameters' errors [m^2 / SI^2].
+
+    Over the pointings of each set-up, in the frame of the instrument; what a motion of the whole set-up would make
+    as well is left aside, since no calibration is needed against it.
+    """
+    recording, state = adjustment.recording, adjustment.state
+    count, size = state.instrument.shape
+    total = np.zeros((count * size, count * size))
+    whole = recording.measured.all(axis=1)
+    for number in range(len(recording.stations)):
+        rows = np.flatnonzero(whole & (recording.station == number))
+        if not len(rows):
+            continue
+        instrument = int(recording.instrument[rows[0]])
+        readings, values = recording.readings[rows], state.instrument[instrument]
+        points, _, by_value = adjustment.construction.linearised(readings, values)
+        error = less_rigid(by_value.reshape(-1, size), points)
+        own = slice(instrument * size, (instrument + 1) * size)
+        total[own, own] += error.T @ error
+    return total / max(int(whole.sum()), 1)

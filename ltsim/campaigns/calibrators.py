@@ -1,0 +1,65 @@
+"""The calibrators of a campaign behind one door: a block of trials in, calibrated trials out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ltsim.arrays import Ints
+from ltsim.campaigns.cell import fitted_construction, fitted_effects
+from ltsim.campaigns.distance import BatchDistance
+from ltsim.campaigns.engine import Calibrated, Engine
+from ltsim.campaigns.single import Single
+from ltsim.campaigns.spec import Method
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.errors import SetupError
+from ltsim.model.construction import Construction
+
+
+class Calibrator(Protocol):
+    """What a campaign needs of a method."""
+
+    @property
+    def construction(self) -> Construction:
+        """Whose parameters are estimated."""
+        ...
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block; trials that are not wanted may be left out (NaN)."""
+        ...
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
+        ...
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The batched network adjustment."""
+
+    engine: Engine
+
+    @property
+    def construction(self) -> Construction:
+        """Whose parameters are estimated."""
+        return self.engine.construction
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block whole."""
+        return self.engine.calibrate(block)
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] from the full solver."""
+        return self.engine.difference(block, trial, found)
+
+
+def calibrator_of(method: Method, truth: Truth) -> Calibrator:
+    """The calibrator that a campaign file asks for."""
+    if method.method != "network" and not truth.recorded.all():
+        raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
+    construction, effects = fitted_construction(method), fitted_effects(method)
+    if method.solver == "single":
+        return Single(truth, construction, effects, method.method)
+    if method.method != "network":
+        return BatchDistance(truth, construction, method.method)
+    return Batch(Engine(truth, construction, effects))

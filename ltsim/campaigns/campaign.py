@@ -1,0 +1,310 @@
+"""A campaign from its file to its rows: shards done by workers, written by one hand, continued after any stop.
+
+The rows are the same bytes for any number of workers, interruptions and backend, on processors of one type and with
+the same versions: the compiler and the matrix library choose their instructions by the processor, which moves the last
+bit of a sum. The manifest names type and versions.
+"""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+from joblib import Parallel, delayed, parallel_config
+
+from ltsim.campaigns.cell import fitted_construction, fitted_effects
+from ltsim.campaigns.design import label
+from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
+from ltsim.campaigns.schema import CellEntry, FactorEntry, ManifestFile
+from ltsim.campaigns.spec import Campaign, cad_files, cells_of, fingerprint, load_campaign, read_cad, scenario_file
+from ltsim.campaigns.stopping import Shard, neighbours, rounds
+from ltsim.campaigns.store import SOURCE, Store
+from ltsim.errors import SetupError, WorkerError
+from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.simulator import idle_effects
+from ltsim.workers import parallel
+
+DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
+"""Packages whose version can change a row's bytes."""
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where the work is done."""
+
+    jobs: int = 1
+    """Processes on this machine; with dask the scheduler's workers decide."""
+    backend: str = "local"
+    """`local` or `dask`."""
+    scheduler: str = ""
+    """Address of the dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that it wrote (``dask scheduler
+    --scheduler-file cluster.json``).
+    """
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did."""
+
+    folder: Path
+    shards: int
+    """Written now."""
+    kept: int
+    """Found finished."""
+    notes: tuple[str, ...]
+    """What a person should know: damaged shards that were done again, another commit than at the beginning."""
+
+
+def run_campaign(
+    file: Path,
+    folder: Path,
+    *,
+    workers: Workers | None = None,
+    resume: bool = False,
+    force: bool = False,
+    progress: Progress = lambda trials: None,
+) -> Outcome:
+    """Run or continue the campaign of a file.
+
+    Parameters
+    ----------
+    file : Path
+    folder : Path
+        For the results.
+    workers : Workers, optional
+        Default: one process, this one. The rows do not depend on it.
+    resume : bool
+        Continue what the folder holds.
+    force : bool
+        Begin anew in a folder that holds a campaign or other files of the same names; they are lost.
+    progress : callable
+        Told the number of trials that were done.
+
+    Raises
+    ------
+    SetupError
+        In one sentence, for a file that cannot be run, a folder that holds another campaign or cannot be written to.
+    """
+    campaign, scenarios = load_campaign(file)
+    factors, levels = cells_of(campaign, scenarios)
+    idle = _check(campaign, scenarios, [label(factors, own) for own in levels], file)
+    store, mark = Store(folder), fingerprint(campaign, scenarios)
+    sources = _sources(campaign, scenarios, file)
+    taken = [] if store.begun or force else store.taken(sources)
+    if taken:
+        listed = ", ".join(taken)
+        raise SetupError(f"{folder}: holds {listed} but no campaign; name another --out, or replace them with --force")
+    with store.lock():
+        notes = idle
+        if force and not resume:
+            store.clear()
+        if store.begun:
+            notes += _check_same(store, campaign, mark, file, resume=resume)
+        else:
+            store.begin(_manifest(campaign, scenarios, mark), sources)
+        store.sweep()
+        done, kept = 0, 0
+        for wanted in rounds(campaign, len(scenarios), neighbours(levels), store.rows):
+            waiting, damaged = _waiting(store, campaign, scenarios, mark, wanted, progress)
+            notes += damaged
+            done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
+            try:
+                for task, content in _results(waiting, workers or Workers()):
+                    store.write_shard(task.cell, task.shard, content)
+                    progress(rows_of(campaign, task.shard))
+            except WorkerError as problem:
+                raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
+    spared = len(scenarios) * campaign.shards - done - kept
+    if spared:
+        share = 100 * spared / (len(scenarios) * campaign.shards)
+        notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed, since their cells stopped")
+    return Outcome(folder, done, kept, tuple(notes))
+
+
+def _sources(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> dict[str, bytes]:
+    """The files that the campaign was given, to be kept with its rows: scenario, CAD files, the file itself."""
+    scenario = scenario_file(campaign, file)
+    beside = (scenario or file).resolve().parent
+    kept = {} if scenario is None else {scenario.name: scenario.read_bytes()}
+    for path in cad_files(scenarios):
+        whole = path.resolve()
+        name = whole.relative_to(beside).as_posix() if whole.is_relative_to(beside) else path.name
+        kept[name] = read_cad(path)
+    return kept | {SOURCE: file.read_bytes()}
+
+
+def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], labels: list[str], file: Path) -> list[str]:
+    """What would stop every trial is said before the first; gives notes on effects that find nothing to act on."""
+    idle = []
+    for method in campaign.methods:
+        fitted_construction(method)
+        fitted_effects(method)
+    for number, (words, scenario) in enumerate(zip(labels, scenarios, strict=True), start=1):
+        where = f"cell {number} ({words})"
+        try:
+            idle += [f"{where}: {note}" for note in idle_effects(fieldwork(scenario, campaign.seed, "campaign"))]
+        except SetupError as problem:
+            raise SetupError(f"{file}: {where}: {problem}") from None
+    return idle
+
+
+def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> list[str]:
+    """Continue only what was begun, with the versions it was begun with; a remark where code or processor differ."""
+    if not resume:
+        raise SetupError(
+            f"{store.folder}: holds a campaign; continue it with --resume, name another --out, "
+            "or begin anew with --force"
+        )
+    manifest = store.manifest()
+    now = campaign.model_dump(mode="json", by_alias=True)
+    if manifest.settings and not now.keys() <= manifest.settings.keys():
+        raise SetupError(
+            f"{store.folder}: begun by an earlier version of ltsim; its rows can be read and reported, for "
+            "further trials begin anew with another --out"
+        )
+    if manifest.fingerprint != mark:
+        before = manifest.settings
+        changed = [key for key in now if before.get(key) != now[key]] or ["the scenario"]
+        raise SetupError(
+            f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
+            f"continue with {store.folder / SOURCE}, or begin anew with another --out"
+        )
+    then, today = manifest.versions, _versions()
+    for name in DECIDING:
+        if then.get(name) != today[name]:
+            raise SetupError(
+                f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
+                "continue with the same version, or begin anew with another --out"
+            )
+    notes, (begun, now_at) = [], (manifest.commit, commit())
+    if begun != now_at:
+        notes.append(f"begun at commit {begun}, continued at {now_at}; where the solver changed, rows may differ")
+    built, here = manifest.processor, processor()
+    if built != here:
+        notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
+    return [f"{store.folder}: {note}" for note in notes]
+
+
+def _versions() -> dict[str, str]:
+    """Versions of everything that decides a row's bytes."""
+    found = {"python": platform.python_version()}
+    for name in DECIDING:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def processor() -> str:
+    """The type of this machine's processor, by which compiled code is made: with the versions it decides the bytes."""
+    return str(llvmlite.binding.get_host_cpu_name())
+
+
+def commit() -> str | None:
+    """The commit of the checkout that the package runs from; None where it is no checkout."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) -> ManifestFile:
+    factors, levels = cells_of(campaign, scenarios)
+    return ManifestFile(
+        title=campaign.title,
+        fingerprint=mark,
+        seed=campaign.seed,
+        trials=campaign.trials,
+        shard=campaign.shard,
+        methods=tuple(method.title for method in campaign.methods),
+        factors=tuple(FactorEntry(name=f.name, keys=f.keys, unit=f.unit, kind=f.kind) for f in factors),
+        cells=tuple(
+            CellEntry(cell=i, label=label(factors, own), settings=changes, levels=own)
+            for i, (changes, own) in enumerate(zip(campaign.combinations(), levels, strict=True))
+        ),
+        versions=_versions(),
+        processor=processor(),
+        commit=commit(),
+        settings=campaign.model_dump(mode="json", by_alias=True),
+        scenarios=tuple(scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios),
+    )
+
+
+def _waiting(
+    store: Store,
+    campaign: Campaign,
+    scenarios: tuple[Scenario, ...],
+    mark: str,
+    wanted: list[Shard],
+    progress: Progress,
+) -> tuple[list[Task], list[str]]:
+    """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
+    waiting, notes, known = [], [], store.digests()
+    first = {cell: task_of(campaign, scenarios[cell], mark, cell, 0) for cell in dict.fromkeys(c for c, _ in wanted)}
+    for cell, shard in wanted:
+        task = replace(first[cell], shard=shard)
+        state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
+        if state == "whole":
+            progress(rows_of(campaign, shard))
+            continue
+        if state == "damaged":
+            aside = store.set_aside(cell, shard)
+            notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
+        waiting.append(task)
+    return waiting, notes
+
+
+def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]]:
+    """Shards as they are finished, in any order."""
+    calls = ((task,) for task in tasks)
+    if workers.backend == "local":
+        jobs = min(workers.jobs, max(len(tasks), 1))
+        yield from parallel(_labelled, calls, jobs, ordered=False)
+        return
+    with _cluster(workers):
+        pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
+        yield from pool(delayed(_labelled)(*call) for call in calls)
+
+
+def _labelled(task: Task) -> tuple[Task, bytes]:
+    return task, run_task(task)
+
+
+@contextmanager
+def _cluster(workers: Workers) -> Iterator[None]:
+    """Joblib's dask backend on the scheduler's workers."""
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise SetupError("the dask backend needs the extra 'cluster': pip install ltsim[cluster]") from None
+    if not workers.scheduler:
+        raise SetupError("--backend dask needs --scheduler, an address such as tcp://127.0.0.1:8786 or a cluster file")
+    try:
+        connect: Any = Client
+        place = "scheduler_file" if Path(workers.scheduler).is_file() else "address"
+        client = connect(**{place: workers.scheduler}, timeout=30)
+    except (OSError, ValueError) as problem:
+        raise SetupError(f"no dask scheduler answers at {workers.scheduler} ({problem})") from None
+    with client, parallel_config(backend="dask", wait_for_workers_timeout=60):
+        try:
+            yield
+        except KilledWorker:
+            raise WorkerError("several workers ended at the same shard, perhaps for want of memory") from None

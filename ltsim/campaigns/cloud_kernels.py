@@ -1,0 +1,217 @@
+"""Compiled kernels on clouds of points for a block of trials: means, rigid fits, the paper's two criteria.
+
+The same quantities as in `ltsim.evaluation`, trials last. Rigid fits start from frames that agree to the size of the
+errors, so Newton's method on the rotation replaces the singular value decomposition: three steps reach rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.campaigns.compiled import at, compiled
+
+TURNS = 3
+MICRO = 1e6
+
+
+@compiled
+def station_means(points: Floats, station: Ints, target: Ints, share: Floats, out: Floats) -> None:
+    """Add points (n, 3, B) times share (n,) to the clouds (S, T, 3, B) they belong to."""
+    for i in range(len(points)):
+        cloud = out[station[i], target[i]]
+        for c in range(3):
+            source, goal = points[i, c], cloud[c]
+            for t in range(len(source)):
+                goal[t] += share[i] * source[t]
+
+
+@compiled
+def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
+    """Clouds (S, T, 3, B) from the instruments' frames to the network's by the nominal poses, in place."""
+    for s in range(len(clouds)):
+        r, place = rotation[s], position[s]
+        r00, r01, r02, p0 = r[0, 0], r[0, 1], r[0, 2], place[0]
+        r10, r11, r12, p1 = r[1, 0], r[1, 1], r[1, 2], place[1]
+        r20, r21, r22, p2 = r[2, 0], r[2, 1], r[2, 2], place[2]
+        for k in range(clouds.shape[1]):
+            x, y, z = clouds[s, k, 0], clouds[s, k, 1], clouds[s, k, 2]
+            for t in range(len(x)):
+                a, b, c = x[t], y[t], z[t]
+                x[t] = at(p0, t) + at(r00, t) * a + at(r01, t) * b + at(r02, t) * c
+                y[t] = at(p1, t) + at(r10, t) * a + at(r11, t) * b + at(r12, t) * c
+                z[t] = at(p2, t) + at(r20, t) * a + at(r21, t) * b + at(r22, t) * c
+
+
+@compiled
+def _centre(cloud: Floats, use: Bools, out: Floats) -> None:
+    """Centroid (3, B) of a cloud (T, 3, B) over the targets in use."""
+    out[:] = 0.0
+    count = 0
+    for k in range(len(cloud)):
+        if use[k]:
+            count += 1
+            for c in range(3):
+                for t in range(out.shape[1]):
+                    out[c, t] += cloud[k, c, t]
+    for c in range(3):
+        for t in range(out.shape[1]):
+            out[c, t] /= count
+
+
+@compiled
+def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
+    """Move a cloud (T, 3, B) rigidly onto a goal by least squares over the targets in use (T,)."""
+    trials = source.shape[2]
+    middle, aim = np.empty((3, trials)), np.empty((3, trials))
+    _centre(source, use, middle)
+    _centre(goal, use, aim)
+    k = np.zeros((3, 3, trials))
+    for i in range(len(source)):
+        if use[i]:
+            for a in range(3):
+                for b in range(3):
+                    for t in range(trials):
+                        k[a, b, t] += (source[i, a, t] - middle[a, t]) * (goal[i, b, t] - aim[b, t])
+    turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
+    for a in range(3):
+        turn[a, a, :] = 1.0
+    for _ in range(TURNS):
+        _turn_towards(k, more)
+        _turn_by(more, k)
+        _turn_by(more, turn)
+    for i in range(len(source)):
+        for a in range(3):
+            for t in range(trials):
+                x, y, z = (
+                    source[i, 0, t] - middle[0, t],
+                    source[i, 1, t] - middle[1, t],
+                    source[i, 2, t] - middle[2, t],
+                )
+                moved[i, a, t] = aim[a, t] + (turn[a, 0, t] * x + turn[a, 1, t] * y + turn[a, 2, t] * z)
+
+
+@compiled
+def _turn_towards(k: Floats, more: Floats) -> None:
+    """A Newton step `more` on the rotation that maximises the trace of the correlation k = sum a b^T (3, 3, B)."""
+    for t in range(k.shape[2]):
+        trace = k[0, 0, t] + k[1, 1, t] + k[2, 2, t]
+        m00, m11, m22 = trace - k[0, 0, t], trace - k[1, 1, t], trace - k[2, 2, t]
+        m01 = -0.5 * (k[0, 1, t] + k[1, 0, t])
+        m02 = -0.5 * (k[0, 2, t] + k[2, 0, t])
+        m12 = -0.5 * (k[1, 2, t] + k[2, 1, t])
+        g0, g1, g2 = k[1, 2, t] - k[2, 1, t], k[2, 0, t] - k[0, 2, t], k[0, 1, t] - k[1, 0, t]
+        c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
+        c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
+        scale = 1.0 / (m00 * c00 + m01 * c01 + m02 * c02)
+        u = scale * (c00 * g0 + c01 * g1 + c02 * g2)
+        v = scale * (c01 * g0 + c11 * g1 + c12 * g2)
+        w = scale * (c02 * g0 + c12 * g1 + c22 * g2)
+        size = u * u + v * v + w * w
+        # Cayley's form is a rotation whatever the angle, and exp to third order.
+        f = 1.0 / (1.0 + 0.25 * size)
+        d = 1.0 - 0.25 * size
+        more[0, 0, t], more[0, 1, t], more[0, 2, t] = (
+            f * (d + 0.5 * u * u),
+            f * (0.5 * u * v - w),
+            f * (0.5 * u * w + v),
+        )
+        more[1, 0, t], more[1, 1, t], more[1, 2, t] = (
+            f * (0.5 * u * v + w),
+            f * (d + 0.5 * v * v),
+            f * (0.5 * v * w - u),
+        )
+        more[2, 0, t], more[2, 1, t], more[2, 2, t] = (
+            f * (0.5 * u * w - v),
+            f * (0.5 * v * w + u),
+            f * (d + 0.5 * w * w),
+        )
+
+
+@compiled
+def _turn_by(r: Floats, columns: Floats) -> None:
+    """Turn columns (3, 3, B) by rotations (3, 3, B), in place."""
+    for b in range(3):
+        for t in range(r.shape[2]):
+            x, y, z = columns[0, b, t], columns[1, b, t], columns[2, b, t]
+            columns[0, b, t] = r[0, 0, t] * x + r[0, 1, t] * y + r[0, 2, t] * z
+            columns[1, b, t] = r[1, 0, t] * x + r[1, 1, t] * y + r[1, 2, t] * z
+            columns[2, b, t] = r[2, 0, t] * x + r[2, 1, t] * y + r[2, 2, t] * z
+
+
+@compiled
+def add_square_error(moved: Floats, goal: Floats, use: Bools, total: Floats) -> int:
+    """Add squared distances between clouds (T, 3, B) to total (B,); how many targets that were."""
+    count = 0
+    for i in range(len(moved)):
+        if use[i]:
+            count += 1
+            for c in range(3):
+                for t in range(len(total)):
+                    gap = moved[i, c, t] - goal[i, c, t]
+                    total[t] += gap * gap
+    return count
+
+
+@compiled
+def distance_criterion(clouds: Floats, seen: Bools, mean: Floats, largest: Floats) -> None:
+    """Mean and maximum (B,) [um] over pairs of targets of the mean deviation of their distance over stations."""
+    stations, targets, _, trials = clouds.shape
+    length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
+    mean[:], largest[:] = 0.0, 0.0
+    pairs = 0
+    for i in range(targets):
+        for j in range(i + 1, targets):
+            count = 0
+            middle[:] = 0.0
+            for s in range(stations):
+                if seen[s, i] and seen[s, j]:
+                    a, b, row = clouds[s, i], clouds[s, j], length[count]
+                    count += 1
+                    for t in range(trials):
+                        x, y, z = a[0, t] - b[0, t], a[1, t] - b[1, t], a[2, t] - b[2, t]
+                        row[t] = np.sqrt(x * x + y * y + z * z)
+                        middle[t] += row[t]
+            if count < 2:
+                continue
+            pairs += 1
+            spread[:] = 0.0
+            part = 1.0 / count
+            for s in range(count):
+                for t in range(trials):
+                    spread[t] += abs(length[s, t] - part * middle[t])
+            for t in range(trials):
+                value = MICRO * part * spread[t]
+                mean[t] += value
+                largest[t] = max(largest[t], value)
+    for t in range(trials):
+        mean[t] /= pairs
+
+
+@compiled
+def coordinate_criterion(placed: Floats, seen: Bools, mean: Floats, largest: Floats) -> None:
+    """Mean and maximum (B,) [um] over targets of the mean distance between their places from two stations."""
+    stations, targets, _, trials = placed.shape
+    spread = np.empty(trials)
+    mean[:], largest[:] = 0.0, 0.0
+    kept = 0
+    for i in range(targets):
+        count = 0
+        spread[:] = 0.0
+        for m in range(stations):
+            for n in range(m + 1, stations):
+                if seen[m, i] and seen[n, i]:
+                    count += 1
+                    a, b = placed[m, i], placed[n, i]
+                    for t in range(trials):
+                        x, y, z = a[0, t] - b[0, t], a[1, t] - b[1, t], a[2, t] - b[2, t]
+                        spread[t] += np.sqrt(x * x + y * y + z * z)
+        if count == 0:
+            continue
+        kept += 1
+        for t in range(trials):
+            value = MICRO * spread[t] / count
+            mean[t] += value
+            largest[t] = max(largest[t], value)
+    for t in range(trials):
+        mean[t] /= kept

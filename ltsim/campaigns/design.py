@@ -1,0 +1,141 @@
+"""What a campaign varies: its factors, points spread over ranges, and the names and values that rows carry."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ltsim.arrays import Floats
+from ltsim.randomness import stream
+from ltsim.recording.setup import Finite, Section
+from ltsim.simulation.keys import Kind, kind_of, unit_of, value_at
+from ltsim.simulation.scenario import Scenario
+from ltsim.units import unit_of_key
+
+TAKEN = frozenset(
+    {
+        "cell", "label", "method", "trial", "trials", "status", "chi2",
+        "column", "unit", "mean", "deviation", "low", "high", "least", "largest",
+    }
+)  # fmt: skip
+"""Names of columns that every campaign has."""
+DIGITS = 4
+"""Of a value that a design places: enough to tell points apart, few enough to read."""
+MOST_RANGES = 64
+
+
+class Range(Section):
+    """Where the points of a design lie along one key, in the key's unit; whole numbers where the key takes those."""
+
+    low: Finite
+    """Smallest value."""
+    high: Finite
+    """Largest value."""
+    scale: Literal["linear", "log"] = "linear"
+    """Evenly in the value, or in its logarithm."""
+
+    @model_validator(mode="after")
+    def _upward(self) -> Range:
+        if self.low >= self.high or (self.scale == "log" and self.low <= 0):
+            raise ValueError("it should have low below high, and low above 0 where the scale is log")
+        return self
+
+    def at(self, share: Floats, *, whole: bool) -> list[float]:
+        """Values at shares (n,) of the range; whole ones are equally likely."""
+        low, high = (self.low, self.high + 1.0) if whole else (self.low, self.high)
+        values = low * (high / low) ** share if self.scale == "log" else low + share * (high - low)
+        return [int(min(v, self.high)) if whole else float(f"{v:.{DIGITS}g}") for v in values]
+
+
+class Design(Section):
+    """Points spread evenly over ranges of several keys at once, where a grid would need too many cells."""
+
+    kind: Literal["latin-hypercube", "sobol"]
+    """One point in each slice of every range (McKay 1979), or a scrambled Sobol sequence (Owen 1998)."""
+    cells: Annotated[int, Field(ge=2)]
+    """How many points; of a Sobol sequence a power of two."""
+    ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MOST_RANGES)]
+    """By dotted key or name of `[link]`, tables `[design.ranges.KEY]`."""
+
+    @model_validator(mode="after")
+    def _balanced(self) -> Design:
+        if self.kind == "sobol" and self.cells & (self.cells - 1):
+            near = 2 ** round(float(np.log2(self.cells)))
+            raise ValueError(f"it should have a power of two as cells for a Sobol sequence, such as {near}")
+        return self
+
+    def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
+        """The value of every range at each point, drawn by the campaign's seed; `keys` says what each range sets."""
+        from scipy.stats import qmc  # a second to load, and few campaigns have a design
+
+        draw = stream(seed, "campaign", "design", self.kind)
+        sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
+        shares = sampler(len(self.ranges), seed=draw).random(self.cells)
+        columns = [
+            own.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
+            for k, (name, own) in enumerate(self.ranges.items())
+        ]
+        return [dict(zip(self.ranges, point, strict=True)) for point in zip(*columns, strict=True)]
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Something that a campaign varies: the column of the rows, and the keys of the scenario that take its value."""
+
+    name: str
+    keys: tuple[str, ...]
+    unit: str = ""
+    kind: Kind = "number"
+
+    def level(self, scenario: Mapping[str, Any]) -> Any:
+        """Its value in a cell, from the tables of the cell's scenario; tables as JSON, None for what is not there."""
+        value = value_at(dict(scenario), self.keys[0])
+        return json.dumps(value) if isinstance(value, (dict, list)) else value
+
+    def words(self, level: Any) -> str:
+        """The value as a person reads it, with its unit where the name does not carry it."""
+        text = level if isinstance(level, str) else "none" if level is None else f"{level:g}"
+        if isinstance(level, bool):
+            text = "yes" if level else "no"
+        return f"{text} {self.unit}" if self.unit and not unit_of_key(self.name) and level is not None else text
+
+
+def factors_of(names: Sequence[str], link: Mapping[str, Sequence[str]], scenario: Scenario) -> tuple[Factor, ...]:
+    """The factors of what a campaign file varies: dotted keys, or names of `[link]`."""
+    given = {name: tuple(link.get(name, (name,))) for name in names}
+    titles = short_names(names)
+    return tuple(
+        Factor(titles[name], keys, unit_of(scenario, keys[0]), kind_of(keys[0])) for name, keys in given.items()
+    )
+
+
+def factors_of_settings(cells: Sequence[Mapping[str, Any]]) -> tuple[Factor, ...]:
+    """The factors of cells of which only the settings are known: the keys whose values differ."""
+    keys = dict.fromkeys(key for cell in cells for key in cell)
+    varied = [key for key in keys if len({json.dumps(cell.get(key)) for cell in cells}) > 1]
+    names = short_names(varied)
+    return tuple(Factor(names[key], (key,), unit_of_key(key), kind_of(key)) for key in varied)
+
+
+def short_names(keys: Sequence[str]) -> dict[str, str]:
+    """The last words of dotted keys, as many as tell them apart from each other and from other columns."""
+    depth = dict.fromkeys(keys, 1)
+    while True:
+        names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
+        often = Counter(names.values())
+        again = [k for k in keys if (often[names[k]] > 1 or names[k] in TAKEN) and depth[k] < len(k.split("."))]
+        if not again:
+            return names
+        for key in again:
+            depth[key] += 1
+
+
+def label(factors: Sequence[Factor], levels: Mapping[str, Any]) -> str:
+    """What a cell is, in a line."""
+    return ", ".join(f"{f.name} = {f.words(levels[f.name])}" for f in factors) or "as the scenario says"

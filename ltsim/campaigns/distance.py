@@ -1,0 +1,223 @@
+"""The paper's distance objective for all trials that share a geometry.
+
+As for the network: the objective's normal matrix at the nominal network gives the steps of all trials, the gradient is
+exact at each trial's own readings and parameters, so the iteration ends at the trial's own optimum. Which combinations
+are estimated and how many are left at zero is decided once, at the nominal network.
+
+Least absolute deviations take each step from a linear program with the trial's own matrix and combinations: an edge of
+the program may be longer than what the matrices of two trials differ by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment.prior import prior_sigmas
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.calibration.distance import METHODS
+from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances
+from ltsim.calibration.objective import DistanceProblem, Distances
+from ltsim.campaigns.cloud_kernels import station_means
+from ltsim.campaigns.distance_kernels import distance_forces
+from ltsim.campaigns.engine import STATUSES, Calibrated, Engine
+from ltsim.campaigns.kernels import points_of, pull_points
+from ltsim.campaigns.network import BatchFit
+from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.single import Single
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.evaluation.clouds import on_points
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import Construction, ideal
+from ltsim.solve.absolute import least_absolute
+
+CAP = 10
+CLOSED = 3e-5
+"""Converged when no unknown moves by more than this share of its prior sigma; what remains is a hundredth of it."""
+
+
+@dataclass(frozen=True)
+class BatchDistance:
+    """Batched distance calibration."""
+
+    truth: Truth
+    construction: Construction
+    method: str = "distance"
+    """`distance`: least squares; `distance-l1`: least absolute deviations."""
+
+    @cached_property
+    def single(self) -> Single:
+        """The calibrator that users have."""
+        return Single(self.truth, self.construction, (), self.method)
+
+    @cached_property
+    def problem(self) -> DistanceProblem:
+        """The objective at the nominal network."""
+        recording = self.truth.recording
+        return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """What the estimator gives at nominal readings: zero, its covariance, and what it leaves out."""
+        return solve_distances(self.problem, METHODS[self.method])
+
+    @cached_property
+    def _distances(self) -> Distances:
+        return self.problem.at(np.zeros(self.problem.prior_sigma.size))
+
+    @cached_property
+    def _kept(self) -> Floats:
+        """Combinations (q, k) that are estimated."""
+        left = np.array([d.vector for d in self.estimate.left_out]).reshape(-1, self.problem.prior_sigma.size)
+        return np.linalg.svd(np.eye(left.shape[1]) - left.T @ left)[0][:, : left.shape[1] - len(left)]
+
+    @cached_property
+    def step_matrix(self) -> Floats:
+        """(q, q): a step in units of the prior sigmas from half a gradient, within what is estimated."""
+        rows, kept = self._mean_rows, self._kept
+        normal = rows.by_unknown.T @ rows.by_unknown
+        return kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
+
+    @cached_property
+    def _mean_rows(self) -> Rows:
+        return mean_rows(self.problem, self._distances)
+
+    @cached_property
+    def _pair_rows(self) -> Rows:
+        return pair_rows(self.problem, self._distances)
+
+    @property
+    def _program(self) -> ChainProgram:
+        return self.truth.program_of(self.construction)
+
+    @cached_property
+    def _network(self) -> Engine:
+        """The adjustment of corrected readings, which gives targets and chi2."""
+        return Engine(self.truth, ideal())
+
+    @cached_property
+    def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
+        """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
+        recording, gauge = self.truth.recording, self.problem.gauge
+        sets = self.problem.sets
+        seen = np.zeros((int(sets.max()) + 1, len(recording.targets)), dtype=np.bool_)
+        whole = recording.measured.all(axis=1)
+        seen[sets[whole], recording.target[whole]] = True
+        key = sets * len(recording.targets) + recording.target
+        count = np.bincount(key[whole], minlength=seen.size)[key]
+        share = np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
+        return sets, seen, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block; trials with a suspect pointing, or that do not converge, go to the single calibrator."""
+        values, moved = self._squares(block) if self.method == "distance" else self._absolute(block, wanted)
+        fit = self._adjusted(block, values)
+        spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
+        status = np.zeros(len(moved), dtype=np.int64)
+        found = Calibrated(values, spread, fit.points, fit.chi2, status)
+        alone = ~(moved < CLOSED) | ~fit.converged | self._network.suspect(block.deviation)
+        places = np.flatnonzero(alone & np.isin(np.arange(len(moved)), wanted))
+        if len(places):
+            one_by_one = self.single.calibrate(block, places)
+            for mine, theirs in (
+                (found.values, one_by_one.values),
+                (found.points, one_by_one.points),
+                (found.chi2, one_by_one.chi2),
+            ):
+                mine[..., places] = theirs[..., places]
+            status[places] = np.where(one_by_one.status[places] == 0, STATUSES.index("full solver"), 2)
+        return found
+
+    def _squares(self, block: Block) -> tuple[Floats, Floats]:
+        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
+        deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
+        sets, seen, share, gauge = self._membership
+        recording, trials = self.truth.recording, deviation.shape[2]
+        length = self.problem.gauge.length[:, None] + block.gauge_error
+        values = np.zeros((*self.problem.prior_sigma.shape, trials))
+        points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
+        for _ in range(CAP):
+            points_of(self._program.arrays, recording.instrument, deviation, values, points)
+            clouds = np.zeros((*seen.shape, 3, trials))
+            station_means(points, sets, recording.target, share, clouds)
+            forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
+            distance_forces(clouds, seen, gauge, length, forces, np.zeros(trials))
+            membership = (recording.instrument, sets, recording.target, share)
+            pull_points(self._program.arrays, *membership, deviation, values, forces, gradient)
+            step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
+            values += step.reshape(values.shape) * prior
+            moved = np.abs(step).max(axis=0)
+            if not np.any(moved >= CLOSED):
+                break
+        return values, moved
+
+    def _absolute(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+        """The same by least absolute deviations, for the wanted trials; the others have not moved at all (inf)."""
+        prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
+        unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
+        kept = {int(trial): self._own(self._readings(block, trial)) for trial in wanted}
+        for iteration in range(CAP):
+            active = wanted[moved[wanted] >= CLOSED]
+            if not len(active):
+                break
+            residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
+            for gap, trial in zip(residual.T, active.tolist(), strict=True):
+                by_unknown = self.problem.by_parameter(self._readings(block, trial), unknowns[:, trial])
+                design = self._pair_rows.compare @ (by_unknown @ kept[trial])
+                # Every step but the first is short.
+                near = np.zeros(design.shape[1]) if iteration else None
+                step = kept[trial] @ least_absolute(design, -gap, near=near)
+                unknowns[:, trial] += step
+                moved[trial] = np.abs(step).max()
+        return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
+
+    def _readings(self, block: Block, trial: int) -> Floats:
+        return self.truth.recording.readings + block.deviation[:, :, trial]
+
+    def _own(self, readings: Floats) -> Floats:
+        """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
+        design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
+        axes = np.linalg.eigh(design.T @ design)[1]
+        nearest = np.argsort(np.linalg.norm(self._kept.T @ axes, axis=0))[len(axes) - self._kept.shape[1] :]
+        return axes[:, nearest]
+
+    def _residual(self, block: Block, values: Floats, trials: Ints) -> Floats:
+        """The terms of eq. 9 (R, B) of some trials at their parameters (I, p, B)."""
+        deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
+        points = np.empty(deviation.shape)
+        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        change = self.problem.lengths(points) - self._distances.length[:, None]
+        rows, gauge = self._pair_rows, self.problem.gauge
+        stated = gauge.whitened(block.gauge_error[:, trials])
+        by_gauge = rows.by_noise[:, rows.by_noise.shape[1] - len(gauge) :]
+        return rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
+
+    def _adjusted(self, block: Block, values: Floats) -> BatchFit:
+        """The network of the corrected readings."""
+        deviation = block.deviation
+        points = np.empty(deviation.shape)
+        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        flat = np.hypot(x, y)
+        back = (self.truth.recording.face == 2)[:, None]
+        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
+        raw = np.stack(
+            [np.hypot(flat, z), azimuth + np.where(back, np.pi, 0.0), np.where(back, np.pi - elevation, elevation)],
+            axis=1,
+        )
+        corrected = raw - self.truth.recording.readings[:, :, None]
+        corrected[:, 1:] = wrap(corrected[:, 1:])
+        return self._network.network.fit(corrected, block.gauge_error)
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the single calibrator, over parameters and targets."""
+        other = self.single.calibrate(block, np.array([trial]))
+        if other.status[trial] != 0:
+            return float("nan")
+        values = np.abs(other.values[:, :, trial] - found.values[:, :, trial]) / found.sigma
+        truth = self.truth.state.points
+        batch = truth + found.points[:, :, trial]
+        gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self._network.sigma_targets
+        return float(max(values.max(), np.nanmax(gap)))

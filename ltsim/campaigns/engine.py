@@ -1,0 +1,205 @@
+"""Batched trials: draw, calibrate, judge. What a block of trials gives is a table of columns.
+
+Where the time of a trial goes (paper's workshop: 420 readings, 130 unknowns, one core): see benchmarks/README.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.datum import InnerDatum
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.campaigns.judge import Columns, Judge
+from ltsim.campaigns.network import BatchNetwork
+from ltsim.campaigns.truth import BLOCK, Block, Truth
+from ltsim.effects.effect import Effect
+from ltsim.errors import LtsimError
+from ltsim.evaluation.clouds import on_points
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.model.construction import Construction
+from ltsim.recording.lengths import KnownLengths
+from ltsim.recording.recording import Recording
+from ltsim.simulation.lengths import certified_by
+
+SUSPECT = 0.6e-3
+SUSPECT_FACTOR = 10.0
+"""A pointing this far off [m], and this many times further than the usual one, the full solver may screen out."""
+
+CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
+"""Status of a trial: in the batch; by the full solver, since the batch was not enough; not at all."""
+STATUSES = (CONVERGED, FULL, FAILED)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Calibrated trials of a block."""
+
+    values: Floats
+    """(I, p, B) [SI]."""
+    sigma: Floats
+    """(I, p) [SI]: predicted standard deviations."""
+    points: Floats
+    """(T, 3, B) [m]: adjusted targets less true ones, in any frame; NaN where the method gives none."""
+    chi2: Floats
+    """(B,)."""
+    status: Ints
+    """(B,): index into `STATUSES`."""
+
+
+def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
+    """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
+    recording = truth.recording.with_readings(truth.readings(block, trial))
+    known = KnownLengths.of(recording)
+    return certified_by(recording, (known.length + block.gauge_error[:, trial]) / known.factor)
+
+
+def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
+    """Adjusted targets (T, 3) [m] moved rigidly onto others; NaN for those that the readings do not determine.
+
+    Ranges have no hand: of two mirror images the one that fits better counts.
+    """
+    lost = np.isin(adjustment.recording.targets, adjustment.lost_targets)
+    points = np.where(lost[:, None], np.nan, adjustment.state.points)
+    if adjustment.recording.measured[:, 1:].any():
+        return on_points(points, goal)
+    hands = [on_points(points * hand, goal) for hand in (1.0, [1.0, 1.0, -1.0])]
+    return min(hands, key=lambda moved: float(np.nansum((moved - goal) ** 2)))
+
+
+def suspects(deviation: Floats, local: Floats) -> Bools:
+    """(B,) trials with a pointing so far off that the full solver's screening must decide about it.
+
+    Deviations (n, 3, B) are those of readings to points `local` (n, 3, B), or (n, 3, 1) where all trials share them.
+    """
+    across = np.hypot(local[:, 0], local[:, 1])
+    miss = deviation * np.stack([np.ones_like(across), across, np.sqrt(np.sum(local**2, axis=1))], axis=1)
+    far: Bools = np.max(np.abs(miss), axis=(0, 1)) > SUSPECT
+    for trial in np.flatnonzero(far):
+        size = np.linalg.norm(miss[:, :, trial], axis=1)
+        far[trial] = size.max() > SUSPECT_FACTOR * np.median(size)
+    return far
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Network calibrations of trials that share a geometry."""
+
+    truth: Truth
+    construction: Construction
+    """Whose parameters are estimated."""
+    effects: tuple[Effect, ...] = ()
+    """Further effects that are estimated."""
+
+    @cached_property
+    def network(self) -> BatchNetwork:
+        """The factorised network."""
+        truth = self.truth
+        program = truth.program_of(self.construction)
+        built, recorded = self.construction, truth.recorded
+        return BatchNetwork(truth.recording, truth.state, built, program, self.effects, recorded=recorded)
+
+    def suspect(self, deviation: Floats) -> Bools:
+        """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
+        return suspects(deviation, self.truth.sightings.local[:, :, None])
+
+    def calibrate(self, block: Block) -> Calibrated:
+        """Calibrate a block; trials for which the batch is not enough go to the full solver."""
+        fit = self.network.fit(block.deviation, block.gauge_error)
+        status = np.zeros(len(fit.chi2), dtype=np.int64)
+        found = Calibrated(fit.values, self.network.sigma_values, fit.points, fit.chi2, status)
+        for trial in np.flatnonzero(~fit.converged | self.suspect(block.deviation)):
+            self._by_full_solver(block, int(trial), found)
+        return found
+
+    def _by_full_solver(self, block: Block, trial: int, found: Calibrated) -> None:
+        adjustment = self.full(block, trial)
+        if adjustment is None or not adjustment.solution.converged:
+            found.status[trial] = STATUSES.index(FAILED)
+            for array in (found.values, found.points, found.chi2):
+                array[..., trial] = np.nan
+            return
+        found.status[trial] = STATUSES.index(FULL)
+        found.values[:, :, trial] = adjustment.state.instrument
+        truth = self.truth.state.points
+        found.points[:, :, trial] = placed_on(adjustment, truth) - truth
+        found.chi2[trial] = adjustment.chi2
+
+    def full(self, block: Block, trial: int) -> Adjustment | None:
+        """One trial by the full solver, from its readings alone; None where it gives up."""
+        try:
+            return adjust(recording_of(self.truth, block, trial), self.construction, effects=self.effects)
+        except LtsimError:
+            return None
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a calibrated trial from the full solver's, over parameters and targets.
+
+        Targets are compared after a rigid fit, by their standard deviations in that frame. NaN for a failed one.
+        """
+        adjustment = self.full(block, trial)
+        if adjustment is None or not adjustment.solution.converged:
+            return float("nan")
+        values = np.abs(adjustment.state.instrument - found.values[:, :, trial]) / found.sigma
+        batch = self.truth.state.points + found.points[:, :, trial]
+        gap = np.abs(placed_on(adjustment, batch) - batch) / self.sigma_targets
+        return float(max(values.max(initial=0.0), np.nanmax(gap)))
+
+    @cached_property
+    def sigma_targets(self) -> Floats:
+        """Standard deviation (T, 3) [m] of the adjusted targets after a rigid fit to any others."""
+        start, end = self.network.sizes[:2]
+        covariance = self.network.covariance[start:end, start:end]
+        columns = np.arange(end - start).reshape(-1, 3)
+        points = self.truth.state.points
+        datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
+        blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
+        return np.sqrt(np.einsum("tii->ti", blocks))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
+
+    truth: Truth
+
+    @cached_property
+    def judge(self) -> Judge:
+        """The judge of this truth's network."""
+        truth = self.truth
+        return Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
+
+    def before(self, block: Block) -> Columns:
+        """Columns that all methods share: criteria and error before, error with the true parameters."""
+        raw = self.judge.clouds(block.deviation)
+        perfect = self.judge.clouds(block.deviation, self.truth.construction, block.values)
+        columns: Columns = self.judge.criteria(raw, "before") if self.judge.comparable else {}
+        columns["error_raw_um"] = self.judge.cloud_error(raw)
+        columns["error_true_parameters_um"] = self.judge.cloud_error(perfect)
+        return columns
+
+    def after(self, block: Block, found: Calibrated, construction: Construction, shared: Columns) -> Columns:
+        """Columns of a method: criteria and errors after, share of the correctable error removed."""
+        calibrated = self.judge.clouds(block.deviation, construction, found.values)
+        columns: Columns = self.judge.criteria(calibrated, "after") if self.judge.comparable else {}
+        error = self.judge.cloud_error(calibrated)
+        columns["error_calibrated_um"] = error
+        correctable = shared["error_raw_um"] - shared["error_true_parameters_um"]
+        columns["share_removed"] = (shared["error_raw_um"] - error) / np.where(correctable > 0, correctable, np.nan)
+        columns["target_error_um"] = self.judge.target_error(found.points)
+        return columns
+
+
+def parameter_columns(construction: Construction, instruments: tuple[str, ...], values: Floats, prefix: str) -> Columns:
+    """Parameters (I, p, B) [SI] as columns in display units: ``estimate:beam-tilt``, with ``@name`` of several."""
+    names = construction.names_of(instruments)
+    shown = (values / np.array([p.factor for p in construction.parameters])[:, None]).reshape(-1, values.shape[2])
+    return {f"{prefix}:{name}": own for name, own in zip(names, shown, strict=True)}
+
+
+def trials_of(number: int) -> Ints:
+    """Numbers (B,) of a block's trials."""
+    return BLOCK * number + np.arange(BLOCK)

@@ -1,0 +1,178 @@
+"""How good a calibration was, for a block of trials: the paper's criteria and the error against the truth.
+
+The same quantities as in `ltsim.evaluation`, which judges one recording at a time and is what this is tested against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltsim.arrays import Bools, Floats
+from ltsim.campaigns.cloud_kernels import (
+    MICRO,
+    add_square_error,
+    coordinate_criterion,
+    distance_criterion,
+    rigid_fit,
+    station_means,
+    to_network,
+)
+from ltsim.campaigns.kernels import points_of
+from ltsim.campaigns.program import ChainProgram
+from ltsim.model.construction import Construction, ideal
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+
+FLAT = 1e-3
+"""Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""
+
+Columns = dict[str, NDArray[Any]]
+"""Named results (B,), one value a trial; lengths in um, as the names say."""
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """What each station measured, (S, T, 3, B) [m] in the nominal network frame, from some parameters."""
+
+    points: Floats
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judges trials of one network."""
+
+    recording: Recording
+    """With nominal readings."""
+    state: State
+    """The truth: poses and targets; of trials with geometries of their own, which fix the same frames, a last index is
+    the trial.
+    """
+    program_of: Callable[[Construction], ChainProgram]
+    """Gives the chain of a construction around the nominal readings."""
+    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    """(3,): which of range, azimuth and elevation are recorded."""
+
+    @cached_property
+    def seen(self) -> Bools:
+        """(S, T) which station measured which target whole."""
+        seen = np.zeros((len(self.state.position), len(self.state.points)), dtype=np.bool_)
+        whole = self._whole
+        seen[self.recording.station[whole], self.recording.target[whole]] = True
+        return seen
+
+    @cached_property
+    def comparable(self) -> bool:
+        """True when the criteria exist: two stations and more, each sharing targets with the first that fix a frame."""
+        return len(self.seen) > 1 and bool(self._fixed(self.seen & self.seen[0]).all())
+
+    @cached_property
+    def fitted(self) -> Bools:
+        """(S,) stations whose targets fix a frame, so that they can be compared with the truth."""
+        return self._fixed(self.seen)
+
+    def _fixed(self, use: Bools) -> Bools:
+        """Whether each set of targets (k, T) fixes a frame: three off one line."""
+        count, points = use.sum(axis=1), self._truth(1)[:, :, 0]
+        centre = use @ points / np.maximum(count, 1)[:, None]
+        arms = np.where(use[:, :, None], points - centre[:, None], 0.0)
+        spread = np.linalg.eigvalsh(np.swapaxes(arms, 1, 2) @ arms)
+        return np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
+
+    @property
+    def _whole(self) -> Bools:
+        """(n,) pointings with all three readings."""
+        return np.asarray(self.recording.measured.all(axis=1) & self.recorded.all())
+
+    @cached_property
+    def _share(self) -> Floats:
+        """One over the number of pointings that a pointing's mean is taken over; 0 for one not whole."""
+        whole = self._whole
+        key = self.recording.station * len(self.state.points) + self.recording.target
+        count = np.bincount(key[whole], minlength=self.seen.size)[key]
+        return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
+
+    def clouds(
+        self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
+    ) -> Clouds:
+        """Means over faces and repeats of the points that readings describe; raw without a construction.
+
+        Parameters
+        ----------
+        deviation : (n, 3, B) float
+            Readings less nominal readings.
+        construction, values : (I, p, B)
+            What corrects them.
+        """
+        trials = deviation.shape[2]
+        if construction is None or values is None:
+            program, values = self.program_of(ideal()), np.zeros((len(self.recording.instruments), 0, trials))
+        else:
+            program = self.program_of(construction)
+        points = np.empty(deviation.shape)
+        points_of(program.arrays, self.recording.instrument, deviation, values, points)
+        clouds = np.zeros((*self.seen.shape, 3, trials))
+        station_means(points, self.recording.station, self.recording.target, self._share, clouds)
+        to_network(clouds, np.ascontiguousarray(self.state.rotation), self.state.position)
+        return Clouds(clouds)
+
+    def criteria(self, clouds: Clouds, suffix: str) -> Columns:
+        """Distance and coordinate criterion, mean and maximum [um]."""
+        trials = clouds.points.shape[3]
+        found = {
+            f"{kind}_{suffix}_{which}_um": np.empty(trials)
+            for kind in ("distance", "coordinate")
+            for which in ("mean", "max")
+        }
+        mean, largest, coordinate_mean, coordinate_largest = found.values()
+        distance_criterion(clouds.points, self.seen, mean, largest)
+        placed = np.empty_like(clouds.points)
+        placed[0] = clouds.points[0]
+        for s in range(1, len(placed)):
+            rigid_fit(clouds.points[s], clouds.points[0], self.seen[s] & self.seen[0], placed[s])
+        coordinate_criterion(placed, self.seen, coordinate_mean, coordinate_largest)
+        return found
+
+    def _truth(self, trials: int) -> Floats:
+        """True targets (T, 3, B)."""
+        points = self.state.points
+        return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
+
+    def cloud_error(self, clouds: Clouds) -> Floats:
+        """Rms (B,) [um] of the distance to the truth over stations, each fitted rigidly, and the targets they see.
+
+        A station whose targets fix no frame is left out; NaN where that is every station.
+        """
+        trials = clouds.points.shape[3]
+        truth, total, count = self._truth(trials), np.zeros(trials), 0
+        moved = np.empty_like(truth)
+        for cloud, seen in zip(clouds.points[self.fitted], self.seen[self.fitted], strict=True):
+            rigid_fit(cloud, truth, seen, moved)
+            count += add_square_error(moved, truth, seen, total)
+        return MICRO * np.sqrt(total / count) if count else np.full(trials, np.nan)
+
+    def target_error(self, points: Floats) -> Floats:
+        """Rms (B,) [um] of adjusted targets, given as increments (T, 3, B) [m], after one rigid fit to the truth.
+
+        Targets that a trial's readings do not determine (NaN) are left out of it.
+        """
+        known = np.isfinite(points).all(axis=1)
+        error = np.full(points.shape[2], np.nan)
+        patterns = np.ones((1, len(points)), dtype=bool) if known.all() else np.unique(known, axis=1).T
+        for pattern, fixed in zip(patterns, self._fixed(patterns), strict=True):
+            if fixed:
+                trials = np.flatnonzero(np.all(known == pattern[:, None], axis=0))
+                truth = np.ascontiguousarray(self._truth(len(error))[:, :, trials])
+                error[trials] = self._target_error(truth, points[:, :, trials], pattern)
+        return error
+
+    def _target_error(self, truth: Floats, points: Floats, use: Bools) -> Floats:
+        moved, total = np.empty_like(truth), np.zeros(points.shape[2])
+        rigid_fit(truth + points, truth, use, moved)
+        count = add_square_error(moved, truth, use, total)
+        return MICRO * np.sqrt(total / count)

@@ -1,0 +1,381 @@
+"""Compiled kernels: the exact kinematic chain and the network's residuals for a block of trials.
+
+All arrays end in the trials (B), so that the compiler makes vector instructions of every inner loop. The geometry is
+one number for all trials that share it, or a row (B) like the rest where each trial has its own: kernels are compiled
+for either. Small angles enter by power series (exact to rounding below 0.01 rad).
+Kernels live in one file because the compiler's cache watches only the file of the function it compiles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.campaigns.compiled import at, compiled, inlined
+
+REACHED = 1e-9
+"""[m, rad] Newton's method ends with a step below this: what remains is a factor of 1e-4 smaller."""
+STEPS = 8
+
+
+ChainArrays = tuple[Ints, Ints, Floats, Ints, Floats, Ints, Ints, Ints, Floats, Floats]
+"""`ChainProgram.arrays`."""
+
+
+@inlined
+def _turned(cosine: float, sine: float, small: float) -> tuple[float, float]:
+    """Cosine and sine of an angle plus a small one."""
+    square = small * small
+    s = small * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
+    c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))
+    return cosine * c - sine * s, sine * c + cosine * s
+
+
+@inlined
+def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector turned by a small rotation vector (u, v, w), Rodrigues' formula."""
+    size = u * u + v * v + w * w
+    a = 1.0 - size * (1.0 / 6.0) * (1.0 - size * (1.0 / 20.0))
+    b = 0.5 - size * (1.0 / 24.0) * (1.0 - size * (1.0 / 30.0))
+    cx, cy, cz = v * z - w * y, w * x - u * z, u * y - v * x
+    return (
+        x + a * cx + b * (v * cz - w * cy),
+        y + a * cy + b * (w * cx - u * cz),
+        z + a * cz + b * (u * cy - v * cx),
+    )
+
+
+@compiled
+def _amounts(i: int, chain: ChainArrays, deviation: Floats, values: Floats, out: Floats) -> None:
+    """Deviation (M, B) of each motion's amount at pointing i for reading deviations (3, B) and values (p, B)."""
+    _, _, sign, driven, _, first, fed, varies, basis, slope = chain
+    trials = out.shape[1]
+    for m in range(len(driven)):
+        row = out[m]
+        if driven[m] >= 0:
+            moved = deviation[driven[m]]
+            for t in range(trials):
+                row[t] = moved[t]
+        else:
+            for t in range(trials):
+                row[t] = 0.0
+        for j in range(first[m], first[m + 1]):
+            k = fed[j]
+            value = values[k]
+            b = basis[k, i]
+            if varies[k] == 0:
+                for t in range(trials):
+                    row[t] += value[t] * at(b, t)
+            else:
+                b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
+                d0, d1, d2 = deviation[0], deviation[1], deviation[2]
+                for t in range(trials):
+                    row[t] += value[t] * (at(b, t) + at(b0, t) * d0[t] + at(b1, t) * d1[t] + at(b2, t) * d2[t])
+        if sign[m] != 1.0:
+            for t in range(trials):
+                row[t] *= sign[m]
+
+
+@compiled
+def _walk(i: int, chain: ChainArrays, moved: Floats, path: Floats) -> None:
+    """Carry the point from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
+    turns, axis, _, _, amount, _, _, _, _, _ = chain
+    trials = moved.shape[1]
+    last = len(turns)
+    for c in range(3):
+        for t in range(trials):
+            path[last, c, t] = 0.0
+    for m in range(last - 1, -1, -1):
+        a = axis[m]
+        b, c = (a + 1) % 3, (a + 2) % 3
+        delta = moved[m]
+        along, across, above = path[m + 1, a], path[m + 1, b], path[m + 1, c]
+        along2, across2, above2 = path[m, a], path[m, b], path[m, c]
+        if turns[m] == 0:
+            fixed = amount[m, i, 0]
+            for t in range(trials):
+                along2[t] = along[t] + (at(fixed, t) + delta[t])
+                across2[t] = across[t]
+                above2[t] = above[t]
+        else:
+            c0, s0 = amount[m, i, 0], amount[m, i, 1]
+            for t in range(trials):
+                cosine, sine = _turned(at(c0, t), at(s0, t), delta[t])
+                along2[t] = along[t]
+                across2[t] = cosine * across[t] - sine * above[t]
+                above2[t] = sine * across[t] + cosine * above[t]
+
+
+@compiled
+def _pull_back(
+    i: int,
+    chain: ChainArrays,
+    deviation: Floats,
+    moved: Floats,
+    path: Floats,
+    force: Floats,
+    pull: Floats,
+    gradient: Floats,
+) -> None:
+    """Subtract from gradient (p, B) what a force (3, B) on the point pulls each parameter by (virtual work)."""
+    turns, axis, sign, _, amount, first, fed, varies, basis, slope = chain
+    trials = moved.shape[1]
+    for m in range(len(turns)):
+        a = axis[m]
+        b, c = (a + 1) % 3, (a + 2) % 3
+        along, across, above = force[a], force[b], force[c]
+        if first[m + 1] > first[m]:
+            if turns[m] == 0:
+                for t in range(trials):
+                    pull[t] = sign[m] * along[t]
+            else:
+                p1, p2 = path[m, b], path[m, c]
+                for t in range(trials):
+                    pull[t] = sign[m] * (p1[t] * above[t] - p2[t] * across[t])
+            for j in range(first[m], first[m + 1]):
+                k = fed[j]
+                row = gradient[k]
+                b_ = basis[k, i]
+                if varies[k] == 0:
+                    for t in range(trials):
+                        row[t] -= pull[t] * at(b_, t)
+                else:
+                    b0, b1, b2 = slope[k, i, 0], slope[k, i, 1], slope[k, i, 2]
+                    d0, d1, d2 = deviation[0], deviation[1], deviation[2]
+                    for t in range(trials):
+                        row[t] -= pull[t] * (at(b_, t) + at(b0, t) * d0[t] + at(b1, t) * d1[t] + at(b2, t) * d2[t])
+        if turns[m] != 0:
+            c0, s0 = amount[m, i, 0], amount[m, i, 1]
+            delta = moved[m]
+            for t in range(trials):
+                cosine, sine = _turned(at(c0, t), at(s0, t), delta[t])
+                f1, f2 = across[t], above[t]
+                across[t] = cosine * f1 + sine * f2
+                above[t] = cosine * f2 - sine * f1
+
+
+@compiled
+def points_of(
+    chain: ChainArrays,
+    instrument: Ints,
+    deviation: Floats,
+    values: Floats,
+    out: Floats,
+) -> None:
+    """Points (n, 3, B) [m] in the instruments' frames of reading deviations (n, 3, B) with values (I, p, B)."""
+    motions, trials = len(chain[0]), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    for i in range(len(deviation)):
+        own = values[instrument[i]]
+        _amounts(i, chain, deviation[i], own, moved)
+        _walk(i, chain, moved, path)
+        for c in range(3):
+            for t in range(trials):
+                out[i, c, t] = path[0, c, t]
+
+
+@compiled
+def readings_of(
+    chain: ChainArrays,
+    instrument: Ints,
+    local: Floats,
+    by_point: Floats,
+    values: Floats,
+    deviation: Floats,
+) -> None:
+    """Solve for reading deviations (n, 3, B) at which the chain meets points `local` (n, 3), Newton's method.
+
+    `deviation` holds the start and receives the result; `by_point` (n, 3, 3) is the ideal derivative, so that
+    each step closes the gap by a factor of the size of the instrument's errors.
+    """
+    motions, trials = len(chain[0]), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    for i in range(len(deviation)):
+        own = values[instrument[i]]
+        for _ in range(STEPS):
+            _amounts(i, chain, deviation[i], own, moved)
+            _walk(i, chain, moved, path)
+            x, y, z = path[0, 0], path[0, 1], path[0, 2]
+            largest = 0.0
+            for c in range(3):
+                j0, j1, j2 = by_point[i, c, 0], by_point[i, c, 1], by_point[i, c, 2]
+                l0, l1, l2 = local[i, 0], local[i, 1], local[i, 2]
+                row = deviation[i, c]
+                for t in range(trials):
+                    step = (
+                        at(j0, t) * (at(l0, t) - x[t]) + at(j1, t) * (at(l1, t) - y[t]) + at(j2, t) * (at(l2, t) - z[t])
+                    )
+                    row[t] += step
+                    largest = max(largest, abs(step))
+            if not largest > REACHED:
+                break
+
+
+@compiled
+def pull_points(
+    chain: ChainArrays,
+    instrument: Ints,
+    owner: Ints,
+    target: Ints,
+    share: Floats,
+    deviation: Floats,
+    values: Floats,
+    forces: Floats,
+    by_values: Floats,
+) -> None:
+    """Subtract from by_values (I, p, B) what forces on clouds of means pull each parameter by.
+
+    A pointing belongs to the mean of its owner (n,) and target (n,) with a share (n,); forces (O, T, 3, B).
+    """
+    motions, trials = len(chain[0]), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    force, pull = np.empty((3, trials)), np.empty(trials)
+    for i in range(len(deviation)):
+        own = instrument[i]
+        _amounts(i, chain, deviation[i], values[own], moved)
+        _walk(i, chain, moved, path)
+        for c in range(3):
+            for t in range(trials):
+                force[c, t] = share[i] * forces[owner[i], target[i], c, t]
+        _pull_back(i, chain, deviation[i], moved, path, force, pull, by_values[own])
+
+
+@compiled
+def network_gradient(
+    chain: ChainArrays,
+    instrument: Ints,
+    station: Ints,
+    target: Ints,
+    arm: Floats,
+    rotation: Floats,
+    by_point: Floats,
+    weight: Floats,
+    deviation: Floats,
+    pose: Floats,
+    points: Floats,
+    values: Floats,
+    predicted: Floats,
+    residual: Floats,
+    by_pose: Floats,
+    by_points: Floats,
+    by_values: Floats,
+    cost: Floats,
+) -> None:
+    """Whitened residuals (n, 3, B) at a state and their gradients; a step solves N step = gradient.
+
+    The chain is followed at the *predicted* readings, never at the measured ones: a derivative taken at a reading
+    with noise is correlated with that noise, which would bias the range scale by chi2 times its sigma (5e-4 sigma).
+
+    Parameters
+    ----------
+    arm : (n, 3)
+        Target less station at the nominal state, network frame.
+    rotation : (S, 3, 3)
+    by_point : (n, 3, 3)
+        Ideal derivative of the readings by the local point.
+    weight : (n, 3)
+        One over sigma; zero for a reading not measured.
+    deviation : (n, 3, B)
+        Measured readings less nominal ones, and less the shifts of further effects.
+    pose : (S, 6, B), points (T, 3, B), values (I, p, B)
+        Increments of the state: translation and rotation vector, targets; parameters.
+    predicted : (n, 3, B)
+        Predicted readings less nominal ones: holds those of the last state, receives one Newton step to this one.
+    by_pose, by_points, by_values, cost
+        Outputs, added to.
+    """
+    motions, trials = len(chain[0]), deviation.shape[2]
+    moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
+    force, pull, work = np.empty((3, trials)), np.empty(trials), np.empty((6, trials))
+    for i in range(len(deviation)):
+        own, s = values[instrument[i]], station[i]
+        _amounts(i, chain, predicted[i], own, moved)
+        _walk(i, chain, moved, path)
+        _miss(arm[i], rotation[s], pose[s], points[target[i]], path[0], work)
+        _compare(by_point[i], weight[i], work, deviation[i], predicted[i], residual[i], force, cost)
+        _pull(rotation[s], pose[s], work, force, by_pose[s], by_points[target[i]])
+        _pull_back(i, chain, predicted[i], moved, path, force, pull, by_values[instrument[i]])
+
+
+@compiled
+def _miss(arm: Floats, rotation: Floats, pose: Floats, point: Floats, reached: Floats, work: Floats) -> None:
+    """Arm from station to target in the network frame, and what the reached point misses it by in the instrument's.
+
+    They go to the rows 0 to 2 and 3 to 5 of `work`. Loops over few rows each: only then are they vector instructions.
+    """
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    a0, a1, a2 = arm[0], arm[1], arm[2]
+    tx, ty, tz, wx, wy, wz = pose[0], pose[1], pose[2], pose[3], pose[4], pose[5]
+    px, py, pz = point[0], point[1], point[2]
+    qx, qy, qz = reached[0], reached[1], reached[2]
+    ax, ay, az, mx, my, mz = work[0], work[1], work[2], work[3], work[4], work[5]
+    for t in range(len(px)):
+        x, y, z = at(a0, t) + px[t] - tx[t], at(a1, t) + py[t] - ty[t], at(a2, t) + pz[t] - tz[t]
+        bx, by, bz = _rotated(-wx[t], -wy[t], -wz[t], x, y, z)
+        ax[t], ay[t], az[t] = x, y, z
+        mx[t] = (at(r00, t) * bx + at(r10, t) * by + at(r20, t) * bz) - qx[t]
+        my[t] = (at(r01, t) * bx + at(r11, t) * by + at(r21, t) * bz) - qy[t]
+        mz[t] = (at(r02, t) * bx + at(r12, t) * by + at(r22, t) * bz) - qz[t]
+
+
+@compiled
+def _compare(
+    by_point: Floats,
+    weight: Floats,
+    work: Floats,
+    measured: Floats,
+    predicted: Floats,
+    residual: Floats,
+    force: Floats,
+    cost: Floats,
+) -> None:
+    """Bring the predicted reading to the target, compare it with the measured one: the force that joins them."""
+    j00, j01, j02 = by_point[0, 0], by_point[0, 1], by_point[0, 2]
+    j10, j11, j12 = by_point[1, 0], by_point[1, 1], by_point[1, 2]
+    j20, j21, j22 = by_point[2, 0], by_point[2, 1], by_point[2, 2]
+    w0, w1, w2 = weight[0], weight[1], weight[2]
+    mx, my, mz = work[3], work[4], work[5]
+    y0, y1, y2 = measured[0], measured[1], measured[2]
+    f0, f1, f2 = predicted[0], predicted[1], predicted[2]
+    e0, e1, e2 = residual[0], residual[1], residual[2]
+    fx, fy, fz = force[0], force[1], force[2]
+    for t in range(len(cost)):
+        n0 = f0[t] + (at(j00, t) * mx[t] + at(j01, t) * my[t] + at(j02, t) * mz[t])
+        n1 = f1[t] + (at(j10, t) * mx[t] + at(j11, t) * my[t] + at(j12, t) * mz[t])
+        n2 = f2[t] + (at(j20, t) * mx[t] + at(j21, t) * my[t] + at(j22, t) * mz[t])
+        f0[t], f1[t], f2[t] = n0, n1, n2
+        d0, d1, d2 = at(w0, t) * (y0[t] - n0), at(w1, t) * (y1[t] - n1), at(w2, t) * (y2[t] - n2)
+        e0[t], e1[t], e2[t] = d0, d1, d2
+        cost[t] += d0 * d0 + d1 * d1 + d2 * d2
+        d0, d1, d2 = at(w0, t) * d0, at(w1, t) * d1, at(w2, t) * d2
+        fx[t] = at(j00, t) * d0 + at(j10, t) * d1 + at(j20, t) * d2
+        fy[t] = at(j01, t) * d0 + at(j11, t) * d1 + at(j21, t) * d2
+        fz[t] = at(j02, t) * d0 + at(j12, t) * d1 + at(j22, t) * d2
+
+
+@compiled
+def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: Floats, by_target: Floats) -> None:
+    """Pull target and station together."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    wx, wy, wz, ax, ay, az = pose[3], pose[4], pose[5], work[0], work[1], work[2]
+    fx, fy, fz = force[0], force[1], force[2]
+    gx, gy, gz, hx, hy, hz = by_pose[0], by_pose[1], by_pose[2], by_pose[3], by_pose[4], by_pose[5]
+    kx, ky, kz = by_target[0], by_target[1], by_target[2]
+    for t in range(len(fx)):
+        nx = at(r00, t) * fx[t] + at(r01, t) * fy[t] + at(r02, t) * fz[t]
+        ny = at(r10, t) * fx[t] + at(r11, t) * fy[t] + at(r12, t) * fz[t]
+        nz = at(r20, t) * fx[t] + at(r21, t) * fy[t] + at(r22, t) * fz[t]
+        vx, vy, vz = _rotated(wx[t], wy[t], wz[t], nx, ny, nz)
+        kx[t] += vx
+        ky[t] += vy
+        kz[t] += vz
+        gx[t] -= vx
+        gy[t] -= vy
+        gz[t] -= vz
+        hx[t] += vy * az[t] - vz * ay[t]
+        hy[t] += vz * ax[t] - vx * az[t]
+        hz[t] += vx * ay[t] - vy * ax[t]

@@ -1,0 +1,393 @@
+"""Network adjustment of all trials that share a geometry: one factorisation, exact residuals, exact gradients.
+
+The normal matrix N of the nominal network is inverted once. A step is ``inverse @ gradient`` for all trials in one
+matrix product; the gradient is that of the exact residuals at each trial's own state, so the iteration ends where
+the gradient vanishes, at the trial's own optimum, whatever N is: N only sets how fast (a factor of about 1e-3 a
+step, since errors of micrometres in metres hardly change the design).
+
+Residuals are formed where the point that the readings describe meets the target, and carried to the readings by
+the ideal tracker's derivative: relative error 1e-5 of a residual, that is 1e-5 sigma in a reading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg.lapack import dpotrs
+
+from ltsim.adjustment.frame import Frame
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.campaigns.kernels import network_gradient
+from ltsim.campaigns.program import ChainProgram
+from ltsim.effects.effect import Effect
+from ltsim.errors import SetupError
+from ltsim.geometry.rigid import pose_design
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
+from ltsim.recording.recording import Recording
+from ltsim.solve.chain import inverse_of
+from ltsim.solve.design import as_dense
+from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
+
+CAP = 8
+RATE = 1e-3
+"""What a step leaves of the way to the optimum, unless the steps before say more."""
+TOLERANCE = 5e-5
+"""A trial has converged when that is shorter than this many standard deviations (all unknowns together)."""
+
+
+@dataclass(frozen=True)
+class BatchFit:
+    """Adjusted trials; the last index is the trial."""
+
+    pose: Floats
+    """(S, 6, B): translation [m] and rotation vector [rad] from the nominal pose, network frame."""
+    points: Floats
+    """(T, 3, B) [m]: targets less nominal targets."""
+    values: Floats
+    """(I, p, B) [SI]."""
+    extra: Floats
+    """(q, B) [SI]."""
+    chi2: Floats
+    """(B,)."""
+    left: Floats
+    """(B,): what the last step leaves of the way to the optimum, in standard deviations."""
+    iterations: int
+
+    @property
+    def converged(self) -> Bools:
+        """(B,) True where little is left; a NaN is not little."""
+        return self.left < TOLERANCE
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a network need not find out again."""
+
+    network: BatchNetwork
+    """One of the same set-up with the same pointings elsewhere."""
+    by_point: Floats
+    """(n, 3, 3): derivative of the nominal readings by the local points."""
+    by_value: Floats
+    """(n, 3, p): by the parameters."""
+
+
+@dataclass(frozen=True)
+class BatchNetwork:
+    """A network around its nominal state, ready to adjust any number of trials."""
+
+    recording: Recording
+    """Its readings are the nominal ones: those of an ideal tracker at `state`."""
+    state: State
+    construction: Construction
+    """Whose parameters are estimated."""
+    program: ChainProgram
+    """Its chain around the nominal readings."""
+    effects: tuple[Effect, ...] = ()
+    """Further effects that are estimated."""
+    known: Known | None = None
+    """Without it everything is found out; not for networks with further effects."""
+    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
+    """(3,): which of range, azimuth and elevation are adjusted."""
+
+    @cached_property
+    def problem(self) -> NetworkProblem:
+        """The problem at the nominal state; the same rows that a single adjustment has."""
+        model = MeasurementModel(self.recording, self.construction, self.effects)
+        if self.known is None:
+            return NetworkProblem.of(model, use=np.tile(self.recorded, (len(self.recording), 1)))
+        return self.known.network.problem.elsewhere(model)
+
+    @cached_property
+    def nominal(self) -> State:
+        """The nominal state with zero parameters."""
+        instruments = len(self.recording.instruments)
+        return State(
+            self.state.position,
+            self.state.rotation,
+            self.state.points,
+            np.zeros((instruments, self.construction.size)),
+            np.zeros(sum(len(e.parameters) for e in self.effects)),
+        )
+
+    @cached_property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Where poses, targets, parameters and further effects end in the vector of unknowns."""
+        unknowns = self.problem.unknowns
+        pose = unknowns.pose.size
+        targets = pose + unknowns.target.size
+        values = targets + unknowns.instrument.size
+        return pose, targets, values, values + unknowns.extra.size
+
+    @cached_property
+    def order(self) -> Ints:
+        """Columns (K,) of the problem's design in the order of this class: poses, targets, parameters, effects."""
+        if self.known is not None:
+            return self.known.network.order
+        unknowns = self.problem.unknowns
+        parts = (unknowns.pose, unknowns.target, unknowns.instrument, unknowns.extra)
+        order = np.concatenate([part.ravel() for part in parts])
+        if len(np.unique(order)) != unknowns.size:
+            raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
+        return order
+
+    @cached_property
+    def _others(self) -> tuple[Floats, Floats]:
+        """Whitened design (r, K) of the rows beyond the readings and their nominal residuals (r, 1)."""
+        design, residual = self._system
+        count = int(self.problem.use.sum())
+        return design[count:, self.order], residual[count:, None]
+
+    @cached_property
+    def _system(self) -> tuple[Floats, Floats]:
+        """Whitened design (m, K) of all rows, its columns in the order of the problem, and their residuals (m,)."""
+        known = self.problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
+        system = self.problem.system(self.nominal, known)
+        return as_dense(system.design), system.residual
+
+    def _prediction(self, known: Known) -> Prediction:
+        """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
+        recording, state = self.recording, self.state
+        by_target = known.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]
+        arm = state.points[recording.target] - state.position[recording.station]
+        by_pose = pose_design(by_target, arm)
+        return Prediction(recording.readings, by_pose, by_target, known.by_value, np.zeros((len(recording), 3, 0)))
+
+    @cached_property
+    def root(self) -> tuple[Floats, Floats]:
+        """Lower Cholesky factor (K, K) of the normal matrix of unit columns at the nominal state; their scale (K,).
+
+        Raises
+        ------
+        SetupError
+            When the network does not determine its unknowns.
+        """
+        design = self._system[0]
+        normal = (design.T @ design)[self.order[:, None], self.order]
+        unit, scale = unit_diagonal(normal, np.diag(normal))
+        roots, determined = cholesky_where_determined(unit[None])
+        if not determined.all():
+            raise SetupError(
+                "the network of the scenario does not determine all its unknowns: give priors or more pointings"
+            )
+        return roots[0], scale
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (K, K) [SI] of all unknowns at the nominal state; the datum is the nominal first pose."""
+        root, scale = self.root
+        return inverse_of(root) * np.outer(scale, scale)
+
+    @cached_property
+    def sigma_values(self) -> Floats:
+        """Standard deviation (I, p) [SI] of the parameters after adjustment."""
+        (_, start, end, _), (root, scale) = self.sizes, self.root
+        last = inverse_of(root[start:, start:])  # of the last unknowns the inverse is that of the last corner
+        own = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
+        return own.reshape(self.problem.unknowns.instrument.shape)
+
+    def step(self, gradient: Floats) -> Floats:
+        """The Gauss-Newton step (K, B) down a gradient (K, B)."""
+        return self.covariance @ gradient
+
+    @cached_property
+    def _geometry(self) -> tuple[np.ndarray, ...]:
+        recording, state = self.recording, self.state
+        arm = state.points[recording.target] - state.position[recording.station]
+        places = (recording.instrument, recording.station, recording.target)
+        return (*places, arm, np.ascontiguousarray(state.rotation), self._by_point, 1.0 / self.sigma)
+
+    @cached_property
+    def _by_point(self) -> Floats:
+        """Ideal derivative (n, 3, 3) of the readings by the local point."""
+        return sightings_of(self.recording, self.state).jacobian if self.known is None else self.known.by_point
+
+    @cached_property
+    def _extra_design(self) -> Floats:
+        """Change (n, 3, q) of the readings per unit of the further effects' parameters, nests by the floor plan.
+
+        On the floor plan, where the full solver lets such a network stand: rough places then turn nests in neither.
+        """
+        state = self.nominal
+        motion = Frame.of(self.recording).plan_motion(state.position, state.rotation)
+        if motion is not None:
+            turn, shift = motion
+            places = {"position": state.position @ turn.T + shift, "points": state.points @ turn.T + shift}
+            state = replace(state, rotation=turn @ state.rotation, **places)
+        return self.problem.model.linearised(state).by_extra
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviation (n, 3) of the readings; infinite where nothing is measured."""
+        return np.where(self.problem.use, self.problem.sigma, np.inf)
+
+    @cached_property
+    def _reading_design(self) -> Floats:
+        """Whitened design (3 n, K) of the readings, with zero rows where nothing is measured."""
+        full = np.zeros((3 * len(self.recording), self.sizes[-1]))
+        full[self.problem.use.ravel()] = self._system[0][: int(self.problem.use.sum()), self.order]
+        return full
+
+    def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), parameters (I, p, B), effects (q, B)."""
+        pose, targets, values, _ = self.sizes
+        shape = self.nominal.instrument.shape
+        return (
+            x[:pose].reshape(-1, 6, x.shape[1]),
+            x[pose:targets].reshape(-1, 3, x.shape[1]),
+            x[targets:values].reshape(*shape, x.shape[1]),
+            x[values:],
+        )
+
+    def fit(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
+        """Adjust trials.
+
+        Parameters
+        ----------
+        deviation : (n, 3, B) float, [m, rad, rad]
+            Readings less nominal readings.
+        gauge_error : (g, B) float, optional, [m]
+            Errors of the known lengths.
+        """
+        x, predicted = self._linear_start(deviation, gauge_error)
+        before = np.full(x.shape[1], np.inf)
+        gradient, cost = np.empty_like(x), np.empty(x.shape[1])
+        for iteration in range(2, CAP + 1):  # noqa: B007 - its last value is reported
+            self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
+            step = self.step(gradient)
+            x += step
+            squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
+            left = np.sqrt(squared) * np.maximum(RATE, np.sqrt(squared / before))
+            if not np.any(left >= TOLERANCE):
+                break
+            before = squared
+        return BatchFit(*self.split(x), cost - squared, left, iteration)
+
+    @cached_property
+    def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
+        """From deviations (3 n,) and other rows (r,) to the first step (K,); from that to predicted readings (3 n,)."""
+        design = self._reading_design
+        # A reading that is not measured has no row; its prediction starts at the nominal reading.
+        predicting = np.where(self.problem.use, self.problem.sigma, 0.0).reshape(-1, 1) * design
+        if self.effects:
+            predicting[:, self.sizes[2] :] -= self._extra_design.reshape(len(design), -1)
+        by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
+        return by_reading, self.covariance @ self._others[0].T, predicting
+
+    def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
+        """The first step, from the nominal state, as a matrix product; the readings it predicts (n, 3, B)."""
+        by_reading, by_other, predicting = self._start_matrices
+        nowhere = np.zeros((self.sizes[-1], deviation.shape[2]))
+        x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._other_rows(nowhere, gauge_error)
+        return x, (predicting @ x).reshape(deviation.shape)
+
+    def _shift(self, x: Floats) -> Floats:
+        """Shift (n, 3, B) of the readings by the further effects."""
+        extra = self.split(x)[3]
+        return np.tensordot(self._extra_design, extra, axes=1)
+
+    def _gradient(
+        self,
+        x: Floats,
+        deviation: Floats,
+        gauge_error: Floats | None,
+        predicted: Floats,
+        gradient: Floats,
+        cost: Floats,
+    ) -> None:
+        """Gradient (K, B) and cost (B,) at increments x (K, B)."""
+        gradient[:], cost[:] = 0.0, 0.0
+        if self.effects:
+            deviation = deviation - self._shift(x)
+        pose, points, values, _ = self.split(x)
+        by_pose, by_points, by_values, by_extra = self.split(gradient)
+        residual = np.empty(deviation.shape)
+        arrays = (self.program.arrays, *self._geometry, deviation, pose, points, values, predicted)
+        network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
+        if self.effects:
+            whitened = self._extra_design / self.sigma[:, :, None]
+            by_extra += np.tensordot(whitened, residual, axes=([0, 1], [0, 1]))
+        rows = self._other_rows(x, gauge_error)
+        gradient += _each(np.swapaxes(self._others[0], -2, -1), rows)
+        cost += np.sum(rows**2, axis=0)
+
+    def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
+        """Whitened residuals (r, B) of known lengths, control points, levels, priors and datum.
+
+        They are linear, but for the lengths, which are exact.
+        """
+        design, nominal = self._others
+        rows = nominal - _each(design, x)
+        gauge = self.problem.gauge
+        if len(gauge):
+            moved = self.split(x)[1]
+            arm = (self.state.points[gauge.first] - self.state.points[gauge.second]).reshape(len(gauge), 3, -1)
+            change = moved[gauge.first] - moved[gauge.second]
+            length = np.sqrt(np.sum(arm**2, axis=1))
+            linear = length + np.sum(arm * change, axis=1) / length
+            bent = linear - np.sqrt(np.sum((arm + change) ** 2, axis=1))
+            if gauge_error is not None:
+                bent += gauge_error
+            rows[: len(gauge)] += gauge.whitened(bent)
+        return rows
+
+
+@dataclass(frozen=True)
+class Stacked(BatchNetwork):
+    """Networks of the same pointings in different places, a trial each, adjusted side by side.
+
+    Its state, its program and what is below end in the trial; `recording` is that of the first.
+    """
+
+    parts: tuple[BatchNetwork, ...] = ()
+    """The network of each trial."""
+
+    @cached_property
+    def problem(self) -> NetworkProblem:
+        """The problem of the first trial."""
+        return self.parts[0].problem
+
+    def step(self, gradient: Floats) -> Floats:
+        """The step of each trial by its own normal matrix."""
+        step = np.empty_like(gradient)
+        for trial, (root, scale) in enumerate(part.root for part in self.parts):
+            step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
+        return step
+
+    @cached_property
+    def sigma_values(self) -> Floats:
+        """Standard deviation (I, p, B) [SI] of the parameters."""
+        return np.stack([part.sigma_values for part in self.parts], axis=-1)
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviation (n, 3, B) of the readings."""
+        return np.stack([part.sigma for part in self.parts], axis=-1)
+
+    @cached_property
+    def _by_point(self) -> Floats:
+        return np.stack([part._by_point for part in self.parts], axis=-1)
+
+    @cached_property
+    def _others(self) -> tuple[Floats, Floats]:
+        designs, nominal = zip(*(part._others for part in self.parts), strict=True)
+        return np.stack(designs), np.concatenate(nominal, axis=1)
+
+    def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
+        x, predicted = np.zeros((self.sizes[-1], deviation.shape[2])), np.zeros_like(deviation)
+        gradient, cost = np.empty_like(x), np.empty(x.shape[1])
+        arguments = deviation, gauge_error, predicted, gradient, cost
+        self._gradient(x, *arguments)
+        x += self.step(gradient)
+        self._gradient(x, *arguments)  # the predicted readings settle
+        return x, predicted
+
+
+def _each(matrix: Floats, columns: Floats) -> Floats:
+    """The product with columns (k, B) of one matrix, or of one (B, j, k) for each of them."""
+    if matrix.ndim == 2:
+        return matrix @ columns
+    return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

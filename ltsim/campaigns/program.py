@@ -1,0 +1,117 @@
+"""A kinematic chain laid out as arrays for the compiled kernels, around the nominal readings of a network.
+
+Every motion's amount is its nominal amount at the nominal reading plus a small deviation, so that no sine of a
+large angle is ever taken again. A parameter's basis is expanded to first order in the reading's deviation; what
+that leaves out is half a second derivative times deviation squared times parameter: 2e-16 rad for deviations and
+parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.campaigns.kernels import ChainArrays
+from ltsim.kinematics.chain import Motion, Turn
+from ltsim.model.construction import Construction
+
+PROBE = 1e-4
+"""Step of the central difference that gives a basis' derivative: error 1e-9 of it."""
+
+
+@dataclass(frozen=True)
+class ChainProgram:
+    """M motions from the base outwards, n pointings, p parameters."""
+
+    turns: Ints
+    """(M,): 1 for a rotation, 0 for a translation."""
+    axis: Ints
+    """(M,): coordinate axis 0, 1, 2."""
+    sign: Floats
+    """(M,)."""
+    driven: Ints
+    """(M,): reading that drives the motion (0 range, 1 azimuth, 2 elevation), -1 for none."""
+    amount: Floats
+    """(M, n, 2): translation in the first place, or cosine and sine of the rotation, nominal."""
+    first: Ints
+    """(M + 1,): parameters of motion m are ``fed[first[m] : first[m + 1]]``."""
+    fed: Ints
+    """(f,)."""
+    varies: Ints
+    """(p,): 1 where the basis depends on the readings."""
+    basis: Floats
+    """(p, n)."""
+    slope: Floats
+    """(p, n, 3): derivative of the basis by the readings."""
+
+    @property
+    def arrays(self) -> ChainArrays:
+        """What a kernel takes, in its order."""
+        return (
+            self.turns,
+            self.axis,
+            self.sign,
+            self.driven,
+            self.amount,
+            self.first,
+            self.fed,
+            self.varies,
+            self.basis,
+            self.slope,
+        )
+
+    @classmethod
+    def of(cls, construction: Construction, raw: Floats) -> ChainProgram:
+        """The program of a construction around raw readings (n, 3); motions that nothing moves are dropped."""
+        slots = [term.slot for term in construction.terms]
+        fed = {m.slot: [k for k, slot in enumerate(slots) if slot == m.slot] for m in construction.chain if m.slot}
+        motions = [m for m in construction.chain if m.nominal is not None or fed.get(m.slot)]
+        feeds = [fed.get(m.slot, []) for m in motions]
+        slope = _slopes(construction, raw)
+        return cls(
+            turns=np.array([isinstance(m, Turn) for m in motions], dtype=np.int64),
+            axis=np.array([m.axis for m in motions], dtype=np.int64),
+            sign=np.array([m.sign for m in motions]),
+            driven=np.array([_driven(m) for m in motions], dtype=np.int64),
+            amount=np.array([_nominal(m, raw) for m in motions]),
+            first=np.concatenate([[0], np.cumsum([len(f) for f in feeds])]).astype(np.int64),
+            fed=np.array([k for f in feeds for k in f], dtype=np.int64),
+            varies=np.any(slope != 0, axis=(1, 2)).astype(np.int64),
+            basis=np.ascontiguousarray(construction.bases(raw).T),
+            slope=slope,
+        )
+
+    def spread(self, trials: int) -> ChainProgram:
+        """Of rows that are all trials of a pointing after each other: the same with a last index for the trial."""
+
+        def apart(rows: Floats) -> Floats:
+            own = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
+            return np.ascontiguousarray(np.moveaxis(own, 2, -1))
+
+        return replace(self, amount=apart(self.amount), basis=apart(self.basis), slope=apart(self.slope))
+
+
+def _driven(motion: Motion) -> int:
+    """Which reading a motion follows; nominal amounts are a constant or a reading plus a constant."""
+    if motion.nominal is None:
+        return -1
+    probe = np.vstack([np.zeros(3), np.eye(3)])
+    moved = np.asarray(motion.nominal(probe))
+    return next((c for c in range(3) if moved[c + 1] != moved[0]), -1)
+
+
+def _nominal(motion: Motion, raw: Floats) -> Floats:
+    amount = np.zeros(len(raw)) if motion.nominal is None else motion.sign * motion.nominal(raw)
+    if isinstance(motion, Turn):
+        return np.stack([np.cos(amount), np.sin(amount)], axis=1)
+    return np.stack([amount, np.zeros_like(amount)], axis=1)
+
+
+def _slopes(construction: Construction, raw: Floats) -> Floats:
+    """Derivative (p, n, 3) of each basis by the readings."""
+    step = PROBE * np.eye(3)[:, None, :]
+    moved = np.concatenate([raw + step, raw - step]).reshape(-1, 3)
+    ahead, behind = construction.bases(moved).T.reshape(construction.size, 2, 3, len(raw)).swapaxes(0, 1)
+    return np.ascontiguousarray(np.swapaxes((ahead - behind) / (2 * PROBE), 1, 2))

@@ -1,0 +1,271 @@
+"""The campaign file (ltsim-campaign/1): a base scenario, what varies, what is compared, how many trials."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from ltsim.campaigns.design import Design, Factor, factors_of
+from ltsim.errors import SetupError
+from ltsim.recording.settings import load_settings
+from ltsim.recording.setup import Finite, Positive, Section
+from ltsim.simulation.keys import quantity
+from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_to_toml
+
+FORMAT = "ltsim-campaign/1"
+MOST_CELLS, MOST_SHARDS = 4096, 500_000
+Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
+
+
+GROUPS: dict[str, Statistic | None] = {
+    "distance_": "criteria", "coordinate_": "criteria", "z:": "z-scores", "estimate:": "estimates",
+    "sigma:": "estimates", "true:": "truth", "chi2": None,
+}  # fmt: skip
+
+
+def group_of(column: str) -> Statistic | None:
+    """The group of statistics that a column of the rows belongs to; None for one that all rows have."""
+    return next((group for beginning, group in GROUPS.items() if column.startswith(beginning)), "errors")
+
+
+class FittedEffect(Section):
+    """An effect that a method estimates besides the instrument's parameters; `shape` as in a scenario."""
+
+    name: str
+    """As `ltsim effects` lists it."""
+    stations: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
+    targets: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
+    shape: dict[str, Finite | str] = Field(default_factory=dict)
+    """Constants by name, as in a scenario."""
+
+
+class Method(Section):
+    """One calibrator.
+
+    `solver`: ``batch`` calibrates all trials of a geometry together, ``single`` one recording after the other by the
+    calibrator that users have; they agree (every campaign verifies it), the first is hundreds of times as fast.
+    """
+
+    name: str = ""
+    """What the results call it; the method's own name where it is not given."""
+    method: Literal["network", "distance", "distance-l1"] = "network"
+    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations."""
+    construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
+    """Which parameters are estimated; `ideal` estimates none."""
+    harmonics: Annotated[int, Field(ge=0, le=4)] = 2
+    """Harmonics of each joint error of the `dh` chain."""
+    degree: Annotated[int, Field(ge=0, le=4)] = 2
+    """Degree of its polynomials in the range."""
+    effects: tuple[FittedEffect, ...] = ()
+    """Further effects to estimate, tables `[[methods.effects]]`."""
+    solver: Literal["batch", "single"] = "batch"
+    """All trials of a geometry together, or one after the other."""
+
+    @property
+    def title(self) -> str:
+        """Its name in the results."""
+        return self.name or self.method
+
+    @model_validator(mode="after")
+    def _effects_need_the_network(self) -> Method:
+        if self.effects and self.method != "network":
+            raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
+        if self.construction == "ideal" and self.method != "network":
+            raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
+        return self
+
+
+class Stop(Section):
+    """When a cell needs no further trials, told after each round from the rows so far: half as many again a round.
+
+    A cell stops when the mean of `statistic` is known `within` its bound for every method. With `apart`, cells that are
+    neighbours (one step along one factor) go on beyond that until the difference of their means, trial by trial on the
+    same draws, is clear of zero or known to `apart`: trials are spent where it is open whether cells differ.
+    """
+
+    statistic: str = "target_error_um"
+    """A column of the rows, or an improvement."""
+    within: Positive
+    """Half of the 95 % interval of the mean, in the statistic's unit."""
+    apart: Positive | None = None
+    """Half of the interval of a difference between neighbours, in the statistic's unit."""
+
+
+class Campaign(Section):
+    """The whole file.
+
+    `settings` changes the scenario for all cells, `grid` holds lists of values that are combined with each other,
+    `design` spreads points over ranges, `cells` lists combinations one by one; each of them is combined with the
+    others. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"`` (entries of a list by number, as
+    in ``"effects.1.values.x"``), or names of `link`. A value is a number in the key's unit, or a text with its
+    unit (``"2 urad"``). Truth and fit are apart: the scenario says what is true, `methods` what is estimated.
+    """
+
+    format: Literal["ltsim-campaign/1"]
+    """Which format and version this file is in."""
+    title: str = ""
+    """Free text."""
+    scenario: str = "paper-workshop"
+    """A built-in scenario, or a file beside this one."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Root of all random draws."""
+    trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
+    """Of each cell."""
+    shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
+    """Trials a file of rows; a kill loses at most one in progress."""
+    geometry: Literal["shared", "per-trial"] = "shared"
+    """All trials of a cell share one placing of stations and targets, or each has its own."""
+    verify: Annotated[int, Field(ge=0, le=1000)] = 2
+    """Trials of each shard that the full solver repeats."""
+    statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
+    """What each row holds."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Changes of the scenario for all cells, by dotted key."""
+    link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    """Names for keys that take the same value together; the rows' column has this name."""
+    grid: dict[str, list[Any]] = Field(default_factory=dict)
+    """Values that are combined with each other, by dotted key."""
+    design: Design | None = None
+    """Points spread over ranges of several keys."""
+    cells: tuple[dict[str, Any], ...] = ()
+    """Combinations one by one, tables `[[cells]]`."""
+    stop: Stop | None = None
+    """When a cell may stop before it has all its trials."""
+    methods: tuple[Method, ...] = (Method(),)
+    """The calibrators to compare, tables `[[methods]]`."""
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Campaign:
+        titles = [method.title for method in self.methods]
+        if not titles or len(set(titles)) < len(titles):
+            raise ValueError(f"it should hold methods with different names, found {', '.join(titles) or 'none'}")
+        if any(not values for values in self.grid.values()):
+            raise ValueError("it should hold at least one value a key of the grid")
+        return self
+
+    @model_validator(mode="after")
+    def _stops_by_what_rows_hold(self) -> Campaign:
+        wanted = group_of(self.stop.statistic) if self.stop else None
+        if self.stop and wanted and wanted not in self.statistics:
+            raise ValueError(f"it should have '{wanted}' among its statistics, since stop needs {self.stop.statistic}")
+        return self
+
+    @model_validator(mode="after")
+    def _each_key_once(self) -> Campaign:
+        places = [*self.grid, *(self.design.ranges if self.design else ())]
+        keys = [key for name in places for key in self.link.get(name, (name,))]
+        twice = next((key for key in keys if keys.count(key) > 1), None)
+        if twice:
+            raise ValueError(f"it should vary each key once, found {twice} twice in grid, design and link")
+        return self
+
+    @model_validator(mode="after")
+    def _of_a_size_that_can_be_kept(self) -> Campaign:
+        cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
+        cells *= self.design.cells if self.design else 1
+        if cells > MOST_CELLS:
+            raise ValueError(f"it should have at most {MOST_CELLS} cells, the grid makes {cells}: divide the campaign")
+        if cells * self.shards > MOST_SHARDS:
+            raise ValueError(
+                f"it should have at most {MOST_SHARDS} shards, trials and shard make {cells * self.shards}: "
+                "give a larger shard"
+            )
+        return self
+
+    @property
+    def shards(self) -> int:
+        """Number of shards of each cell."""
+        return -(-self.trials // self.shard)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Dotted keys and names of links that differ between cells, in the file's order."""
+        listed = (key for cell in self.cells for key in cell)
+        return tuple(dict.fromkeys((*listed, *(self.design.ranges if self.design else ()), *self.grid)))
+
+    def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
+        """What differs between cells; `scenario` is that of any cell."""
+        return factors_of(self.varied, self.link, scenario)
+
+    def combinations(self) -> Iterator[dict[str, Any]]:
+        """What each cell changes in the scenario, by dotted key."""
+        first = {name: self.link.get(name, (name,))[0] for name in self.varied}
+        points = self.design.points(self.seed, first) if self.design else [{}]
+        for listed, point in itertools.product(self.cells or ({},), points):
+            for values in itertools.product(*self.grid.values()):
+                said = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
+                yield self.by_key(said)
+
+    def by_key(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by dotted key, those by a name of `link` for each of its keys."""
+        return {key: value for name, value in said.items() for key in self.link.get(name, (name,))}
+
+
+def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
+    """A campaign file, and the scenario of each of its cells; raises SetupError."""
+    campaign = load_settings(path, Campaign, "campaign")
+    return campaign, scenarios_of(campaign, path)
+
+
+def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
+    """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
+    base = load_scenario(scenario_file(campaign, path) or campaign.scenario)
+    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
+    units = changed(base, common, path)  # with the effects that the settings add
+    made = []
+    for number, changes in enumerate(campaign.combinations(), start=1):
+        where = f"{path}: cell {number}"
+        inside = {key: quantity(units, key, value, where) for key, value in changes.items()}
+        made.append(changed(base, inside, path, where))
+    return tuple(made)
+
+
+def cells_of(campaign: Campaign, scenarios: Sequence[Scenario]) -> tuple[tuple[Factor, ...], list[dict[str, Any]]]:
+    """What differs between cells, and its values in each cell by name."""
+    factors = campaign.factors(scenarios[0])
+    tables = (scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios)
+    return factors, [{factor.name: factor.level(own) for factor in factors} for own in tables]
+
+
+def scenario_file(campaign: Campaign, path: Path) -> Path | None:
+    """The scenario's file, seen from the campaign's file or kept beside it; None for a built-in one."""
+    for candidate in (path.parent / campaign.scenario, path.parent / Path(campaign.scenario).name):
+        if candidate.is_file():
+            return candidate.resolve()
+    return None
+
+
+def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
+    """The CAD files that stand in the workshops, each once."""
+    named = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
+    return [Path(name) for name in dict.fromkeys(named)]
+
+
+def fingerprint(campaign: Campaign, scenarios: tuple[Scenario, ...]) -> str:
+    """A number of everything that decides the rows: the file, every cell's scenario, the content of its CAD files."""
+    known = {str(path): hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files(scenarios)}
+    content = [campaign.model_dump_json(by_alias=True), *(scenario_to_toml(_by_content(s, known)) for s in scenarios)]
+    return hashlib.sha256("\n".join(content).encode()).hexdigest()
+
+
+def _by_content(scenario: Scenario, known: Mapping[str, str]) -> Scenario:
+    """The scenario with the digests of its CAD files in place of their names."""
+    room = scenario.workshop
+    named = [o if o.file is None else o.model_copy(update={"file": known[str(Path(o.file))]}) for o in room.obstacles]
+    return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(named)})})
+
+
+def read_cad(path: Path) -> bytes:
+    """The bytes of a CAD file; raises SetupError."""
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None

@@ -1,0 +1,211 @@
+"""Trials whose geometries differ, side by side in the kernels of trials that share one.
+
+Trials whose stations see the same targets are one stack: their geometries are arrays that end in the trial, as
+everything else does. What is large is done for all of them at once (exact readings, residuals and gradients, points,
+criteria); each has its own normal matrix, which sets its steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.campaigns.calibrators import Batch, Calibrator, calibrator_of
+from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, suspects
+from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.kernels import readings_of
+from ltsim.campaigns.network import BatchNetwork, Known, Stacked
+from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.spec import Method
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.errors import NetworkError, SetupError
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import State
+
+
+@dataclass(frozen=True)
+class Stack(Truth):
+    """Truths whose stations see the same targets; geometries end in the trial."""
+
+    truths: tuple[Truth, ...] = ()
+    """One a trial; what they share is that of the first."""
+    rows: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+    """(n, B): where the pointings of the first are in each trial, which may take them in another order."""
+
+    @classmethod
+    def of(cls, truths: tuple[Truth, ...]) -> Stack:
+        """The stack of truths of one pattern."""
+        first = truths[0]
+        shared = {f.name: getattr(first, f.name) for f in fields(Truth) if f.name != "state"}
+        states = [truth.state for truth in truths]
+        position, rotation, points = (
+            np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
+            for name in ("position", "rotation", "points")
+        )
+        order = [np.argsort(_keys(truth)) for truth in truths]
+        rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
+        rows[order[0]] = np.stack(order, axis=1)
+        return cls(**shared, state=State(position, rotation, points, first.state.instrument), truths=truths, rows=rows)
+
+    def gathered(self, each: Iterable[Floats]) -> Floats:
+        """Arrays (n, ...) of the trials in the common order, with a last index for the trial."""
+        return np.ascontiguousarray(np.stack([a[r] for a, r in zip(each, self.rows.T, strict=True)], axis=-1))
+
+    def own(self, together: Floats, trial: int) -> Floats:
+        """What belongs to one trial of a gathered array (n, ..., B), in its own order."""
+        own = np.empty(together.shape[:-1])
+        own[self.rows[:, trial]] = together[..., trial]
+        return own
+
+    @cached_property
+    def nominal(self) -> Floats:
+        """(n, 3, B): nominal readings."""
+        return self.gathered(truth.recording.readings for truth in self.truths)
+
+    @cached_property
+    def local(self) -> Floats:
+        """(n, 3, B): targets in the instruments' frames."""
+        return self.gathered(truth.sightings.local for truth in self.truths)
+
+    @cached_property
+    def jacobian(self) -> Floats:
+        """(n, 3, 3, B): ideal derivative of the readings by the local point."""
+        return self.gathered(truth.sightings.jacobian for truth in self.truths)
+
+    def _flat(self) -> Floats:
+        """All nominal readings (n B, 3)."""
+        return np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
+
+    def _laid_out(self, construction: Construction) -> ChainProgram:
+        return ChainProgram.of(construction, self._flat()).spread(len(self.truths))
+
+    def _by_value_of(self, construction: Construction) -> Floats:
+        """(n, 3, p, B)."""
+        by_value = construction.reading_design(self._flat(), np.zeros(construction.size))[1]
+        return np.ascontiguousarray(np.moveaxis(by_value.reshape(len(self.rows), -1, *by_value.shape[1:]), 1, -1))
+
+    def _exact(self, values: Floats) -> Floats:
+        which = self.recording.instrument
+        deviation = np.einsum("nckb,nkb->ncb", self._by_value, values[which])
+        readings_of(self.program.arrays, which, self.local, self.jacobian, values, deviation)
+        return deviation
+
+    def draw_trials(self, seed: int, numbers: Ints) -> tuple[Block, tuple[Block, ...]]:
+        """The trials of these numbers together, and each by itself in the order of its own pointings."""
+        pairs = list(zip(self.truths, numbers.tolist(), strict=True))
+        values = np.concatenate([truth.values(seed, number, 1) for truth, number in pairs], axis=2)
+        exact = self._exact(values)
+        alone = tuple(
+            truth.read(seed, number, values[:, :, k : k + 1], self.own(exact, k)[:, :, None])
+            for k, (truth, number) in enumerate(pairs)
+        )
+        amounts = tuple(
+            np.concatenate(parts, axis=1) for parts in zip(*(block.amounts for block in alone), strict=True)
+        )
+        gauge_error = np.concatenate([block.gauge_error for block in alone], axis=1)
+        deviation = self.gathered(block.deviation[:, :, 0] for block in alone)
+        return Block(int(numbers[0]), values, amounts, deviation, gauge_error), alone
+
+
+def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
+    """Stacks of trials that see the same and can be judged in the same way, with the numbers of their trials."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for number, truth in truths.items():
+        judge = Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
+        names = truth.recording.stations, truth.recording.targets
+        whole = truth.recording.measured.all(axis=0).all()
+        pattern = np.sort(_keys(truth)).tobytes() if whole else number
+        key = (*names, pattern, judge.comparable, judge.fitted.tobytes())
+        groups.setdefault(key, []).append(number)
+    for numbers in groups.values():
+        yield Stack.of(tuple(truths[number] for number in numbers)), np.array(numbers)
+
+
+def _keys(truth: Truth) -> Ints:
+    """(n,) what tells a pointing from the others of its recording."""
+    r = truth.recording
+    return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
+
+
+@dataclass(frozen=True)
+class StackCalibrator:
+    """A method on a stack: the batch for all trials at once; trial by trial whatever else, and where that gives up."""
+
+    stack: Stack
+    blocks: tuple[Block, ...]
+    """Each trial by itself."""
+    method: Method
+
+    def alone(self, trial: int) -> Calibrator:
+        """The calibrator of a trial by itself."""
+        return calibrator_of(self.method, self.stack.truths[trial])
+
+    @cached_property
+    def _first(self) -> Calibrator:
+        return self.alone(0)
+
+    @property
+    def construction(self) -> Construction:
+        """Whose parameters are estimated."""
+        return self._first.construction
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block; a trial whose own geometry determines too little has failed."""
+        trials, instruments = len(self.blocks), len(self.stack.recording.instruments)
+        empty = np.full((instruments, self.construction.size, trials), np.nan)
+        lost = np.full(trials, STATUSES.index(FAILED))
+        points = np.full(self.stack.state.points.shape, np.nan)
+        found = Calibrated(empty, empty.copy(), points, np.full(trials, np.nan), lost)
+        together = isinstance(self._first, Batch) and not self._first.engine.effects
+        left = self._together(block, found) if together else wanted
+        for trial in left.tolist():
+            try:
+                self._take(
+                    found, trial, self.alone(trial).calibrate(self.blocks[trial], np.zeros(1, dtype=np.int64)), 0
+                )
+            except (NetworkError, SetupError):
+                continue
+        return found
+
+    def _together(self, block: Block, found: Calibrated) -> Ints:
+        """The batch; which trials it leaves."""
+        stack, built = self.stack, self.construction
+        by_value, program = stack.by_value_of(built), stack.program_of(built)
+        parts: list[BatchNetwork] = []
+        for k, truth in enumerate(stack.truths):
+            recording = stack.recording.with_readings(stack.nominal[:, :, k])
+            known = Known(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
+            parts.append(BatchNetwork(recording, truth.state, built, program, known=known, recorded=truth.recorded))
+        network = Stacked(stack.recording, stack.state, built, program, parts=tuple(parts))
+        try:
+            fit = network.fit(block.deviation, block.gauge_error)
+        except SetupError:
+            return np.arange(len(self.blocks))
+        status = np.zeros(len(self.blocks), dtype=np.int64)
+        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
+        doubtful = ~fit.converged | suspects(block.deviation, stack.local)
+        for trial in np.flatnonzero(~doubtful):
+            self._take(found, int(trial), together, int(trial))
+        return np.flatnonzero(doubtful)
+
+    def _take(self, found: Calibrated, trial: int, source: Calibrated, place: int) -> None:
+        sigma = source.sigma if source.sigma.ndim == 3 else source.sigma[:, :, None]
+        found.values[:, :, trial], found.points[:, :, trial] = source.values[:, :, place], source.points[:, :, place]
+        found.sigma[:, :, trial] = sigma[:, :, min(place, sigma.shape[2] - 1)]
+        found.chi2[trial], found.status[trial] = source.chi2[place], source.status[place]
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the calibrator that users have."""
+        one = slice(trial, trial + 1)
+        own = Calibrated(
+            found.values[:, :, one],
+            found.sigma[:, :, trial],
+            found.points[:, :, one],
+            found.chi2[one],
+            found.status[one],
+        )
+        return self.alone(trial).difference(self.blocks[trial], 0, own)

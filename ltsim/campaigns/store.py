@@ -1,0 +1,258 @@
+"""The folder of a campaign: a manifest and shards of rows, written so that nothing finished can be lost.
+
+    manifest.json                          settings, seed, versions, commit; written once, before the first row
+    campaign.toml                          the file as it was given
+    rows/cell-0000/shard-000000.parquet    a fixed run of trials of one cell, all methods
+
+    rows.sha256                            digest of each shard, as `sha256sum --check` reads it
+
+A shard appears under its name only when it is whole and on the disk (temporary sibling, fsync, rename). Its bytes
+depend on settings and versions alone. Every reader compares its digest first; where a kill left a shard without one,
+the checksums of its pages and its label are compared.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ltsim.campaigns.schema import SUMMARY, ManifestFile
+from ltsim.errors import RecordError, SetupError
+from ltsim.recording.result_file import read_result
+
+MANIFEST, SOURCE, ROWS, LOCK = ManifestFile.FILE, "campaign.toml", "rows", ".lock"
+DIGESTS, SUMMED = "rows.sha256", SUMMARY
+
+
+def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
+    """A table as the bytes of a Parquet file; `key` says which shard of what it is."""
+    labelled = table.replace_schema_metadata({"ltsim": json.dumps(dict(key), sort_keys=True)})
+    words = [f.name for f in labelled.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        labelled,
+        sink,
+        version="2.6",
+        data_page_version="2.0",
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=words,
+        write_statistics=True,
+        write_page_checksum=True,
+        row_group_size=max(len(labelled), 1),
+    )
+    return sink.getvalue().to_pybytes()
+
+
+def table_of(path: Path) -> pa.Table:
+    """The rows of a shard, every checksum verified; raises `pyarrow.ArrowException` or OSError."""
+    return pq.ParquetFile(path, page_checksum_verification=True).read()
+
+
+@dataclass(frozen=True)
+class Store:
+    """A campaign's folder."""
+
+    folder: Path
+
+    @property
+    def manifest_path(self) -> Path:
+        """Where the manifest lies."""
+        return self.folder / MANIFEST
+
+    def shard_path(self, cell: int, shard: int) -> Path:
+        """Where a shard lies."""
+        return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
+
+    def shards(self) -> list[Path]:
+        """Where the finished shards lie, in their order."""
+        return sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
+
+    def rows(self, cell: int, shard: int) -> pa.Table:
+        """The rows of a finished shard; raises SetupError when it is damaged."""
+        path = self.shard_path(cell, shard)
+        try:
+            return table_of(path)
+        except (pa.ArrowException, OSError) as problem:
+            raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
+
+    def verify(self, fingerprint: str) -> None:
+        """Make sure that every finished shard is as it was written, for the campaign of a fingerprint.
+
+        Raises
+        ------
+        OSError, ValueError, pyarrow.ArrowException
+            When one is not.
+        """
+        known = self.digests()
+        for path in self.shards():
+            name = path.relative_to(self.folder).as_posix()
+            if name in known:
+                if _digest(path) != known[name]:
+                    raise ValueError(f"{name} was changed since it was written")
+            elif _label(table_of(path)).get("campaign", fingerprint) != fingerprint:
+                raise ValueError(f"{name} is of another campaign")
+
+    def digests(self) -> dict[str, str]:
+        """Digest of each shard by its place in the folder, as far as they are noted."""
+        try:
+            lines = (self.folder / DIGESTS).read_text(encoding="ascii").splitlines()
+        except (OSError, ValueError):
+            return {}
+        return {name: digest for digest, _, name in (line.partition("  ") for line in lines) if len(digest) == 64}
+
+    @property
+    def begun(self) -> bool:
+        """True when the folder holds a campaign."""
+        return self.manifest_path.exists()
+
+    def manifest(self) -> ManifestFile:
+        """The manifest; raises SetupError when the folder holds no campaign, or its manifest is damaged."""
+        if not self.begun:
+            raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})")
+        try:
+            return read_result(self.manifest_path, ManifestFile)
+        except RecordError as problem:
+            raise SetupError(f"{problem}; begin again in another folder, the rows in this one stay") from None
+
+    def begin(self, manifest: ManifestFile, sources: Mapping[str, bytes]) -> None:
+        """Write the files that the campaign was given, then its manifest."""
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for name, content in sources.items():
+                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+                _write(self.folder / name, content)
+            _write(self.manifest_path, manifest.text().encode())
+
+    def write_shard(self, cell: int, shard: int, content: bytes) -> None:
+        """Put a shard in its place at once.
+
+        Raises
+        ------
+        SetupError
+            When the disk is full or the folder cannot be written to; what is finished stays.
+        """
+        path = self.shard_path(cell, shard)
+        with self._writing():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write(path, content)
+            with (self.folder / DIGESTS).open("a", encoding="ascii") as stream:
+                stream.write(f"{hashlib.sha256(content).hexdigest()}  {path.relative_to(self.folder).as_posix()}\n")
+
+    def taken(self, sources: Mapping[str, bytes]) -> list[str]:
+        """Names in the folder that beginning a campaign with some sources would replace by something else."""
+        others = [name for name in (ROWS, DIGESTS, SUMMED) if (self.folder / name).exists()]
+        return others + [n for n, content in sources.items() if _differs(self.folder / n, content)]
+
+    def clear(self) -> None:
+        """Remove manifest, rows and what was made of them."""
+        with self._writing():
+            for name in (MANIFEST, DIGESTS, SUMMED):
+                (self.folder / name).unlink(missing_ok=True)
+            if (self.folder / ROWS).exists():
+                shutil.rmtree(self.folder / ROWS)
+
+    def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, known: Mapping[str, str]) -> str:
+        """`whole`, `missing` or `damaged`: whether a shard can be relied on; `known` are the noted digests."""
+        path = self.shard_path(cell, shard)
+        if not path.exists():
+            return "missing"
+        try:
+            table = table_of(path)
+            noted = known.get(path.relative_to(self.folder).as_posix())
+            same = noted in (None, _digest(path)) and _label(table) == dict(key)
+        except (pa.ArrowException, OSError, ValueError):
+            return "damaged"
+        return "whole" if len(table) == rows and same else "damaged"
+
+    def set_aside(self, cell: int, shard: int) -> Path:
+        """Rename a damaged shard, so that it can be looked at; where it went."""
+        path = self.shard_path(cell, shard)
+        aside = path.with_suffix(".damaged")
+        with self._writing():
+            os.replace(path, aside)
+        return aside
+
+    def sweep(self) -> None:
+        """Remove temporary files that a killed run left."""
+        with self._writing():
+            for left in self.folder.glob(f"{ROWS}/cell-*/.*.tmp"):
+                left.unlink(missing_ok=True)
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep others from working in the folder at the same time; the lock ends with the process, however it ends.
+
+        Raises
+        ------
+        SetupError
+            When another process holds it.
+        """
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise SetupError(f"{self.folder}: another campaign is at work in this folder; wait for it") from None
+            yield
+        finally:
+            os.close(handle)
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as problem:
+            full = problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            reason = "the disk is full" if full else f"cannot be written ({problem.strerror or problem})"
+            cure = "free some space" if full else "make it writable"
+            raise SetupError(
+                f"{self.folder}: {reason}; finished shards are kept: {cure} and go on with --resume"
+            ) from None
+
+
+def _label(table: pa.Table) -> dict[str, str]:
+    """What a shard says of itself."""
+    return json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _differs(path: Path, content: bytes) -> bool:
+    return path.exists() and not (path.is_file() and path.read_bytes() == content)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file so that it is either whole or not there, also after a power cut."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,5 +1,0 @@
-"""Go or no-go in the field: one set-up at a time, from what was measured twice."""
-
-from ltsim.check.check import Check as Check, check as check
-from ltsim.check.files import check_file as check_file, write_check as write_check
-from ltsim.check.items import Item as Item

@@ -1,0 +1,182 @@
+"""Cards: the effects of the catalogue as hypotheses, each at every place and shape that its card offers.
+
+Cards with a geometry of their own (a window, a plume, a layer) bring their own signature; all are scored with the same
+vectors and the same evidence as the space of carriers and drivers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Floats, Ints, Singles
+from ltsim.diagnosis.evidence import log_evidence, log_means, simulated_evidence
+from ltsim.diagnosis.probe import Probe, square
+from ltsim.effects import BASELINE, CATALOGUE
+from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.signature import Tunable
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+SPARSE = 0.15
+"""Share of nonzeros below which the signature of an effect is kept sparse."""
+
+
+def card_hypotheses(sightings: Sightings) -> list[Tunable]:
+    """Every effect of the catalogue beyond the ordinary calibration, at every place and shape."""
+    ordinary = {type(effect) for effect in BASELINE}
+    return [
+        effect
+        for kind in CATALOGUE
+        if kind not in ordinary and not issubclass(kind, NoiseEffect)
+        for effect in kind.candidates(sightings)
+    ]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Effects of one number of parameters k, all kept sparse, or all dense on the rows that they may touch.
+
+    `members` (h,), `places` (r,) of the rows, scaled signatures as rows (h k, r), their products with each other
+    (h, k, k), and those of what the adjustment leaves of them, filled when they are scored first.
+    """
+
+    size: int
+    members: Ints
+    places: Ints | slice
+    rows: Singles | sp.csr_array
+    own: Floats
+    gram: Floats
+
+    def products(self, vectors: Floats | Singles) -> Floats:
+        """Products (h, k, v) with vectors (m, v)."""
+        found = np.asarray(self.rows @ vectors[self.places].astype(np.float32, copy=False)).astype(np.float64)
+        return found.reshape(len(self.members), self.size, -1)
+
+    def scaled(self, ratio: Singles) -> Group:
+        """The same with the rows of the space times a `ratio` (m,)."""
+        rows: Singles | sp.csr_array
+        if isinstance(self.rows, np.ndarray):
+            rows = self.rows * ratio[self.places]
+            own = square(rows.reshape(len(self.members), self.size, -1))
+        else:
+            data = self.rows.data * ratio[self.rows.indices]
+            rows = sp.csr_array((data, self.rows.indices, self.rows.indptr), self.rows.shape)
+            ends = self.rows.indptr[:: self.size].tolist()
+            own = np.stack([square(data[low:high].reshape(self.size, -1)) for low, high in pairwise(ends)])
+        return replace(self, rows=rows, own=own.astype(np.float64), gram=np.zeros_like(self.gram))
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Cards with their signatures in units of plausible sizes.
+
+    Attributes
+    ----------
+    effects : list of Tunable
+        Those that touch a reading.
+    groups : list of Group
+    families : tuple of str
+    family : (h,) int
+    """
+
+    effects: list[Tunable]
+    groups: list[Group]
+    families: tuple[str, ...]
+    family: Ints
+
+    @classmethod
+    def of(cls, space: ResidualSpace, effects: Sequence[Tunable]) -> Cards:
+        """Signatures of all effects that touch a reading of this recording."""
+        kept: list[Tunable] = []
+        alike: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
+        kind = np.append(np.nonzero(space.use)[1], np.full(space.size - int(space.use.sum()), len(OBSERVABLES)))
+        for effect in effects:
+            sizes = np.array([p.prior_sigma for p in effect.parameters])
+            signature = space.signature(effect)
+            places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
+            if len(places):
+                rows = np.ascontiguousarray((signature[places] * sizes).T, dtype=np.float32)
+                sparse = len(places) < SPARSE * space.size
+                touched = () if sparse else tuple(np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0)
+                alike.setdefault((len(sizes), touched), []).append((len(kept), places, rows))
+                kept.append(effect)
+        groups = [
+            _sparse(size, made, space.size)
+            if not touched
+            else _dense(size, made, np.flatnonzero(np.array(touched)[kind]))
+            for (size, touched), made in sorted(alike.items(), key=lambda item: item[0])
+        ]
+        names = tuple(dict.fromkeys(effect.name for effect in kept))
+        index = {name: i for i, name in enumerate(names)}
+        return cls(kept, groups, names, np.array([index[e.name] for e in kept], dtype=np.int64))
+
+    def reweighted(self, before: ResidualSpace, after: ResidualSpace) -> Cards:
+        """The same signatures with the weights of another adjustment of the same readings.
+
+        The geometry stays as it was: adjusted again with other weights, a network moves by far less than its lengths.
+        """
+        ratio = np.ones(after.size, dtype=np.float32)
+        ratio[: int(after.use.sum())] = (before.sigma / after.sigma)[after.use]
+        return replace(self, groups=[group.scaled(ratio) for group in self.groups])
+
+    def score(self, probe: Probe) -> tuple[Floats, Floats]:
+        """Log evidence (h,) of each card, and of the trials by family (families, trials).
+
+        What the adjustment leaves of a card is less beside what was found. Where it is only sampled, it is taken to be
+        what it was, as for laws: the difference of a rough number and an exact one may be next to nothing, and a score
+        over nothing looks like any evidence.
+        """
+        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.scored))
+        for group in self.groups:
+            scores = group.products(probe.vectors)
+            if probe.fresh:
+                group.gram[:] = probe.gram(scores, group.own)
+            score, trials, _ = probe.split(scores)
+            gram = group.gram if probe.sampled else group.gram - square(group.products(probe.extension))
+            strength, turn = np.linalg.eigh(gram)
+            strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
+            values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
+            if probe.scored:
+                chance[group.members] = simulated_evidence(turn @ trials, strength)
+        return values, self.family_evidence(chance)
+
+    def left(self) -> list[list[tuple[Effect, Floats, Floats]]]:
+        """By family: each card with products (k, k) of its scaled signatures, whole and what the adjustment leaves."""
+        found: list[list[tuple[Effect, Floats, Floats]]] = [[] for _ in self.families]
+        at = {int(i): (group, k) for group in self.groups for k, i in enumerate(group.members)}
+        for i, effect in enumerate(self.effects):
+            group, k = at[i]
+            assert isinstance(effect, Effect)
+            found[self.family[i]].append((effect, group.own[k], group.gram[k]))
+        return found
+
+    def family_evidence(self, values: Floats) -> Floats:
+        """Log evidence (families, ...) with places and shapes averaged, of that of each card (h, ...)."""
+        return log_means(values, self.family, len(self.families)) if self.effects else values
+
+
+def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:
+    """Signatures of effects of one size on some rows."""
+    dense = np.zeros((len(made), size, len(places)), dtype=np.float32)
+    for filled, (_, touched, rows) in zip(dense, made, strict=True):
+        filled[:, np.searchsorted(places, touched)] = rows
+    own = square(dense).astype(np.float64)
+    return Group(
+        size, np.array([i for i, _, _ in made]), places, dense.reshape(-1, len(places)), own, np.zeros_like(own)
+    )
+
+
+def _sparse(size: int, made: Sequence[tuple[int, Ints, Singles]], length: int) -> Group:
+    """Signatures of effects of one size, each on few of `length` rows."""
+    own = np.stack([square(rows) for _, _, rows in made]).astype(np.float64)
+    indices = np.concatenate([np.tile(places, size) for _, places, _ in made])
+    ends = np.cumsum([0, *(len(places) for _, places, _ in made for _ in range(size))])
+    data = np.concatenate([rows.ravel() for _, _, rows in made])
+    rows = sp.csr_array((data, indices, ends), (len(made) * size, length))
+    return Group(size, np.array([i for i, _, _ in made]), slice(None), rows, own, np.zeros_like(own))

@@ -1,0 +1,73 @@
+"""Does the recording agree with the model and the stated noise? One test for the whole search.
+
+The statistic is the log evidence of everything that is tried, priors included, against nothing: cards, laws, changes of
+the noise. Its distribution without any effect comes from the same sums over simulated residuals of the network at hand,
+so the false-alarm rate is what it says however many hypotheses there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from ltsim.arrays import Floats
+from ltsim.diagnosis.evidence import log_average
+from ltsim.diagnosis.noise import NoiseBank
+from ltsim.diagnosis.search import Searcher
+
+COUNTED = 15
+"""Simulated recordings above the statistic from which their share is the p-value; beyond, the tail is extended."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Outcome of the global tests.
+
+    Attributes
+    ----------
+    statistic : float
+        Log evidence of the whole search.
+    chi2_p_value : float
+        Of the plain global test; NaN without redundancy.
+    null : (trials,) float
+        Statistic of simulated recordings without any effect.
+    """
+
+    statistic: float
+    chi2_p_value: float
+    null: Floats
+
+    @property
+    def p_value(self) -> float:
+        """Of the search, corrected for everything that was tried."""
+        return self.chance(self.statistic)
+
+    def threshold(self, level: float) -> float:
+        """Value of the statistic that a clean recording exceeds with probability `level`."""
+        return float(np.quantile(self.null, 1.0 - level))
+
+    def chance(self, statistic: float) -> float:
+        """Probability that a clean recording reaches a statistic.
+
+        A likelihood ratio exceeds x with a chance that falls at least as fast as exp(-x) (Ville); this extends the
+        simulated distribution beyond its last `COUNTED` values.
+        """
+        above = int(np.sum(self.null >= statistic))
+        if above >= COUNTED:
+            return (above + 1) / (len(self.null) + 1)
+        edge = float(np.sort(self.null)[-COUNTED])
+        return float((COUNTED + 1) / (len(self.null) + 1) * np.exp(min(edge - statistic, 0.0)))
+
+
+def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
+    """Test a residual space against all hypotheses at once."""
+    space = searcher.space
+    own = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
+    simulated = noise.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)
+    statistic = float(log_average(np.append(own, searcher.first.statistic)))
+    null = np.logaddexp(log_average(simulated), searcher.first.null)
+    chi2, dof = float(space.residual @ space.residual), space.adjustment.dof
+    plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
+    return Detection(statistic, plain, null)

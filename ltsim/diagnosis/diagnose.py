@@ -1,0 +1,205 @@
+"""From a recording to a verdict: detect, locate, name, model, show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.gross import explain_gross
+from ltsim.adjustment.mixed_up import mend_faces, mend_stations
+from ltsim.adjustment.refit import Refit
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.known import Known
+from ltsim.diagnosis.averaging import averaged_targets
+from ltsim.diagnosis.blind import Sight, sight_of
+from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.detect import Detection, detect
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.evidence import log_average
+from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, noise_finding
+from ltsim.diagnosis.held_out import held_out_rms
+from ltsim.diagnosis.history import History
+from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.instruments import contradictions, instrument_entries
+from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
+from ltsim.diagnosis.schema import Finding, Fit
+from ltsim.diagnosis.words import summarise
+from ltsim.effects.signature import Tunable
+from ltsim.laws.carriers import VARIED, constants_in
+from ltsim.laws.law import Law
+from ltsim.model.construction import stated_construction
+from ltsim.recording.recording import Recording
+from ltsim.solve.threads import in_one_thread
+
+MOST_ROUNDS = 3
+"""Times that a change of the noise is looked for beside what was found."""
+NEXT_LEVEL = 0.01
+"""Chance that a further finding is added to a recording that holds no more than those found."""
+ABSORBED = 10.0
+"""Times that the misfit of an unknown law counts where constants are compared, for they absorb most of such a law."""
+LEAST_GAIN = 2.0
+"""Log evidence of a further finding: odds of 7 to 1 that there is one."""
+
+
+@in_one_thread
+def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, history: Known | None = None) -> Diagnosis:
+    """Diagnose a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    seed : int
+        Root seed of the simulated null distribution.
+    level : float
+        False-alarm rate of the whole search.
+    history : Known, optional
+        Earlier calibrations that each constant of the instruments is compared with.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict, findings in the order of their strength, fit before and after, what cannot be seen.
+
+    Raises
+    ------
+    RecordError
+        When the history is of other instruments or another construction.
+    """
+    construction = stated_construction(recording)
+    compared = contradictions if history is None else History.of(history, recording, construction).contradictions
+    converted, wrong = mend_stations(recording)
+    faced, confused = mend_faces(converted)
+    baseline = adjust(faced, construction)
+    mended, use, stray = explain_gross(baseline)
+    gross = [*wrong, *confused, *stray]
+    if gross:
+        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
+    case = Case(baseline, use if gross else baseline.problem.use, seed)
+    sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
+    mismatch = detection.p_value < level
+    found, fitted = _refitted(case, _explain(case, detection) if mismatch else case.searcher.empty)
+    settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
+    mistaken = [gross_finding(slip, baseline) for slip in gross]
+    apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
+    odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)]
+    return _told(Explained(case, detection, found, fitted), sight, [*mistaken, *odd], settled, mismatch=mismatch)
+
+
+def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
+    """Whether a constant of an instrument is what an effect varies: then it has no value to contradict another."""
+    laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
+    drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
+    return any(constant in varied for varied in (*laws, *drifts))
+
+
+def _explain(case: Case, detection: Detection) -> Found:
+    """Mean shifts, and changes of the noise beside them, or in place of one or all, until nothing gains."""
+    threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
+    found = case.searcher.search(threshold, something=True)
+    for _ in range(MOST_ROUNDS):
+        searcher, members = case.searcher, found.members
+        kept = [found, *(searcher.without(found, i) for i in range(len(members)))]
+        kept += [searcher.empty] if len(members) > 1 else []
+        spaces = [searcher.space.beside(one.effects) for one in kept]
+        ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
+        least = threshold + found.misfit
+        rest = [min(searcher.rank(found).total, least), *(searcher.rank(one).total for one in kept[1:])]
+        lost = [0.0, *rest[1 : len(members) + 1], *(found.score - one.score for one in kept[len(members) + 1 :])]
+        gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
+        most = int(np.argmax(gains))
+        if gains[most] < (least if not most and (case.noise or members) else 0.0):
+            break
+        likeliest = _with_probability(ranked[most], rest[most])
+        case.add_noise(most_likely(spaces[most], searcher.space.sigma, likeliest))
+        case.search(case.settle_noise(kept[most].effects))
+        found = case.searcher.search(threshold, something=False)
+    return found
+
+
+def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
+    """The first change of the noise, with its probability among all of them and what else was tried."""
+    values = np.array([value for value, _ in ranked])
+    weights = np.exp(values - log_average(np.array([0.0, rest, *values])))
+    named: dict[str, float] = {}
+    for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
+        named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
+    best = ranked[0][1]
+    probability, rivals = among(named, best.effect.name, doubted=sum(best.values) > 0.0)  # no law makes noise less
+    return replace(best, probability=probability, equivalents=rivals)
+
+
+def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
+    """The exact refit with what was found, without members that it does not need.
+
+    The search works in first order: what a large effect leaves to second order can look like another one beside it.
+    """
+    fitted = case.refit(found.effects, case.sigma)
+    while len(found.members) > 1:
+        rest = [case.searcher.without(found, i) for i in range(len(found.members))]
+        without = [case.refit(one.effects, case.sigma) for one in rest]
+        gains = [
+            0.5 * (one.adjustment.chi2 - fitted.adjustment.chi2) + h.log_prior
+            for h, one in zip(found.members, without, strict=True)
+        ]
+        least = int(np.argmin(gains))
+        if gains[least] >= 0.0:
+            break
+        found, fitted = rest[least], without[least]
+    return found, fitted
+
+
+def _told(
+    explained: Explained, sight: Sight, certain: Sequence[Finding], settled: Adjustment, *, mismatch: bool
+) -> Diagnosis:
+    """The verdict, put together from what the search explains, and findings that are `certain` without it."""
+    case, found, detection = explained.case, explained.found, explained.detection
+    baseline, adjusted = case.baseline, explained.refit.adjustment
+    rankings = [explained.ranking(i) for i in range(len(found.members))]
+    findings = [
+        *certain,
+        *(explained.finding(i, ranking) for i, ranking in enumerate(rankings)),
+        *(noise_finding(one, baseline.sightings, detection) for one in case.noise),
+    ]
+    findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
+    before = after = _fit(baseline, baseline.dof)
+    if found.members or case.noise:
+        after = _fit(adjusted, baseline.dof - found.extension.shape[1], _in_stated_noise(explained))
+    verdict = "mismatch" if mismatch or certain else "consistent"
+    detectable, undetectable = sight
+    return Diagnosis(
+        verdict=verdict,
+        summary=summarise(verdict, findings, detection.p_value, before, after),
+        statistic=baseline.chi2,
+        dof=baseline.dof,
+        p_value=detection.chi2_p_value,
+        search_p_value=detection.p_value,
+        findings=tuple(findings),
+        before=before,
+        after=after,
+        undetectable=undetectable,
+        detectable=detectable,
+        instruments=instrument_entries(settled),
+        targets=averaged_targets(case.searcher, found, rankings, explained.refit),
+        baseline=baseline,
+        adjusted=adjusted,
+    )
+
+
+def _in_stated_noise(explained: Explained) -> Adjustment:
+    """The refit with noise no quieter than stated: errors are told in that, or in what was found above it."""
+    case, stated = explained.case, explained.case.recording.sigma()
+    if not (case.sigma < stated).any():
+        return explained.refit.adjustment
+    return case.refit(explained.found.effects, np.maximum(case.sigma, stated)).adjustment
+
+
+def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
+    """Chi2 and held-out error; the latter of another adjustment where one is given."""
+    space = ResidualSpace.of(predicting or adjustment)
+    return Fit(chi2=adjustment.chi2, dof=dof, held_out_rms=held_out_rms(space))
+
+
+__all__ = ["diagnose"]

@@ -1,0 +1,111 @@
+"""A diagnosis as an object: what it says, and the networks and coordinates that it says it of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.diagnosis.schema import (
+    BeforeAfter,
+    DetectableEntry,
+    DiagnosisFile,
+    Estimate,
+    Finding,
+    Fit,
+    GlobalTest,
+    InstrumentEntry,
+    Undetectable,
+)
+from ltsim.notebook import Columns, Shown, by_entry, by_row
+from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import SourceEntry
+from ltsim.remedies.detectability import MinimalSize
+from ltsim.units import FACTOR
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Coordinates (T, 3) [m] and their covariance (T, 3, 3) [m^2]."""
+
+    points: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
+    """The verdict on a recording."""
+
+    verdict: str
+    summary: str
+    statistic: float
+    dof: int
+    p_value: float
+    search_p_value: float
+    findings: tuple[Finding, ...]
+    before: Fit
+    after: Fit
+    undetectable: tuple[Undetectable, ...]
+    detectable: tuple[MinimalSize, ...]
+    instruments: tuple[InstrumentEntry, ...]
+    targets: Targets
+    baseline: Adjustment
+    adjusted: Adjustment
+
+    def _lines(self) -> list[str]:
+        before, after = self.before, self.after
+        fits = f"chi2/dof {before.chi2:.0f}/{before.dof}"
+        if self.findings:
+            fits += f", with the findings modelled {after.chi2:.0f}/{after.dof}"
+            if before.held_out_rms is not None and after.held_out_rms is not None:
+                fits += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
+        return [f"Diagnosis: {self.verdict}", self.summary, fits]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {
+            "findings": self._findings,
+            "undetectable": lambda: by_row([dict(entry) for entry in self.undetectable]),
+            "detectable": lambda: by_entry(MinimalSize, self.detectable),
+        }
+
+    def _findings(self) -> Columns:
+        """One row a parameter of a finding; an unknown effect without parameters has one row."""
+        nothing = Estimate.model_construct(name="", value=math.nan, sigma=math.nan)
+        rows = [(finding, p) for finding in self.findings for p in finding.parameters or (nothing,)]
+        return {
+            "effect": [f.effect for f, _ in rows],
+            "stations": [" ".join(f.where.stations) for f, _ in rows],
+            "targets": [" ".join(f.where.targets) for f, _ in rows],
+            "observables": [" ".join(f.where.observables) for f, _ in rows],
+            "probability": [f.evidence.probability for f, _ in rows],
+            "parameter": [p.name for _, p in rows],
+            "value": [p.value for _, p in rows],
+            "sigma": [p.sigma for _, p in rows],
+            "unit": [p.unit for _, p in rows],
+        }
+
+    def file(self, recording: Recording | None = None) -> DiagnosisFile:
+        """The content of `diagnosis.json`, which names the recording where that is given."""
+        return DiagnosisFile(
+            verdict=self.verdict,
+            summary=self.summary,
+            global_test=GlobalTest(
+                statistic=self.statistic, dof=self.dof, p_value=self.p_value, search_p_value=self.search_p_value
+            ),
+            findings=self.findings,
+            fit=BeforeAfter(before=self.before, after=self.after),
+            undetectable=self.undetectable,
+            detectable=tuple(
+                DetectableEntry(effect=d.effect, parameter=d.parameter, size=d.typical / FACTOR[d.unit], unit=d.unit)
+                for d in self.detectable
+            ),
+            instruments=self.instruments,
+            recording=None if recording is None else SourceEntry.of(recording),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of diagnosis.json (format ltsim-diagnosis/1)."""
+        return self.file().content()

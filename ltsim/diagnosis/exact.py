@@ -1,0 +1,160 @@
+"""Exact moments and evidence of effects beside a set of findings: of many effects in one go.
+
+Residuals and the columns of a set lie in the residual space: a projection is needed for a signature's products with
+itself alone, and these are the same beside every set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Floats, Ints
+from ltsim.diagnosis.evidence import evidence_of, evidence_with, log_average
+from ltsim.diagnosis.hypotheses import Found
+from ltsim.effects.signature import Tunable
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.law import Law
+
+T = TypeVar("T", bound=Tunable)
+Place = tuple[tuple[str, ...], tuple[str, ...]]
+MOST_STEPS = 6
+"""Steps uphill at most."""
+AT_ONCE = 3_000_000
+"""Numbers of signatures that are held at once: memory of some tens of MB."""
+
+
+class Rows(NamedTuple):
+    """Rows of the residual space, and for readings the pointing (r,) of each."""
+
+    place: Ints | slice
+    pointing: Ints
+
+
+class Exact:
+    """Moments and evidence of effects in one residual space."""
+
+    def __init__(self, space: ResidualSpace) -> None:
+        self.space = space
+        self._pointing = np.nonzero(space.use)[0]
+        self._grams: dict[Tunable, Floats] = {}
+        self._carried: dict[str, Floats] = {}
+        self._rows: dict[Place, Rows] = {}
+
+    def moments(self, effects: Sequence[Tunable], base: Found) -> list[tuple[Floats, Floats]]:
+        """Gram matrix (k, k) and score (k,) of what adjustment and a set leave of the signature of each effect."""
+        found: dict[int, tuple[Floats, Floats]] = {}
+        for rows, some in self._batches(effects):
+            chosen = [effects[i] for i in some]
+            signatures, edges = self._signatures(chosen, rows)
+            self._project(chosen, signatures, edges, rows)
+            beside, score = base.extension[rows.place].T @ signatures, base.residual[rows.place] @ signatures
+            for i, low, high in zip(some, edges[:-1], edges[1:], strict=True):
+                part = beside[:, low:high]
+                found[i] = self._grams[effects[i]] - part.T @ part, score[low:high]
+        return [found[i] for i in range(len(effects))]
+
+    def evidence(self, effects: Sequence[Tunable], base: Found) -> Floats:
+        """Log marginal likelihood ratio of each effect beside a set, sizes averaged."""
+        values = np.zeros(len(effects))
+        alike: dict[int, list[int]] = {}
+        moments = self.moments(effects, base)
+        for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
+            if any(p.positive for p in effect.parameters):
+                values[i] = evidence_of(effect, gram, score)
+            else:
+                alike.setdefault(len(score), []).append(i)
+        for some in alike.values():
+            spreads = np.array([[p.prior_sigma for p in effects[i].parameters] for i in some])
+            grams, scores = (np.stack([moments[i][j] for i in some]) for j in (0, 1))
+            values[some] = evidence_with(grams, scores, spreads)
+        return values
+
+    def uphill(self, effects: Sequence[T], base: Found) -> list[tuple[T, float]]:
+        """Uphill from each effect over what it offers near itself; its evidence is the mean over where it ends."""
+        best, values = list(effects), self.evidence(effects, base)
+        means, moving = values.copy(), list(range(len(best)))
+        for _ in range(MOST_STEPS):
+            near = {i: some for i in moving if (some := best[i].finer(self.space.sightings))}
+            means[moving] = values[moving]
+            if not near:
+                break
+            logs = self.evidence([one for some in near.values() for one in some], base)
+            edges = np.cumsum([len(some) for some in near.values()])[:-1]
+            moving = []
+            for (i, some), found in zip(near.items(), np.split(logs, edges), strict=True):
+                means[i] = log_average(np.append(found, values[i])) - np.log(len(found) + 1)
+                top = int(np.argmax(found))
+                if found[top] > values[i]:
+                    best[i], values[i] = some[top], found[top]
+                    moving.append(i)
+        return list(zip(best, means.tolist(), strict=True))
+
+    def signature(self, effect: Tunable) -> Floats:
+        """Whitened signature (m, k) of an effect."""
+        rows = self._rows_of(effect)
+        whole = np.zeros((self.space.size, len(effect.parameters)))
+        whole[rows.place] = self._signatures([effect], rows)[0]
+        return whole
+
+    def _batches(self, effects: Sequence[Tunable]) -> Iterator[tuple[Rows, list[int]]]:
+        """Effects that act on the same rows, as many at a time as may be held at once."""
+        alike: dict[int, tuple[Rows, list[int]]] = {}
+        for i, effect in enumerate(effects):
+            rows = self._rows_of(effect)
+            alike.setdefault(id(rows), (rows, []))[1].append(i)
+        for rows, members in alike.values():
+            ends = np.cumsum([len(effects[i].parameters) for i in members]) * len(rows.pointing)
+            parts = np.split(members, np.flatnonzero(np.diff(ends // AT_ONCE)) + 1)
+            yield from ((rows, part.tolist()) for part in parts)
+
+    def _rows_of(self, effect: Tunable) -> Rows:
+        """The rows on which a law acts; of other effects all."""
+        place = (effect.stations, effect.targets) if isinstance(effect, Law) else (("",), ("",))
+        if place not in self._rows:
+            if not isinstance(effect, Law):
+                self._rows[place] = Rows(slice(None), self._pointing)
+            elif place == ((), ()):
+                self._rows[place] = Rows(slice(len(self._pointing)), self._pointing)
+            else:
+                acting = np.flatnonzero(effect.mask(self.space.sightings)[self._pointing])
+                self._rows[place] = Rows(acting, self._pointing[acting])
+        return self._rows[place]
+
+    def _signatures(self, effects: Sequence[Tunable], rows: Rows) -> tuple[Floats, Ints]:
+        """Whitened signatures (r, q) of effects side by side on their rows, and the edges between them."""
+        edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
+        if not isinstance(effects[0], Law):
+            return np.hstack([self.space.signature(effect) for effect in effects]), edges
+        found = np.empty((len(rows.pointing), edges[-1]))
+        carried: dict[str, Floats] = {}
+        for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
+            assert isinstance(effect, Law)
+            name = effect.carrier.name
+            if name not in carried:
+                carried[name] = self._moved(name)[rows.place]
+            columns = effect.columns(self.space.sightings)[rows.pointing]
+            shape = len(found), carried[name].shape[1], columns.shape[1]
+            np.multiply(carried[name][:, :, None], columns[:, None, :], out=found[:, low:high].reshape(shape))
+        return found, edges
+
+    def _moved(self, name: str) -> Floats:
+        """Whitened change (m, c) of the readings by each component of a carrier, computed once."""
+        if name not in self._carried:
+            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
+        return self._carried[name]
+
+    def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:
+        """Gram matrices of what the adjustment leaves of signatures, where they are not known yet."""
+        new = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
+        if not new:
+            return
+        columns = signatures
+        if len(new) < len(effects):
+            columns = np.hstack([signatures[:, edges[i] : edges[i + 1]] for i in new])
+        ends = np.append(0, np.cumsum(np.diff(edges)[new]))
+        left = self.space.projection.grams(columns, ends, rows.place)
+        self._grams.update(zip((effects[i] for i in new), left, strict=True))

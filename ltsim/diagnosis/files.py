@@ -1,0 +1,50 @@
+"""diagnosis.json, targets.csv, residuals and the recording of a diagnosis, written whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.calibration.files import residuals_csv
+from ltsim.calibration.schema import RESIDUALS
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile
+from ltsim.recording.native import OBSERVATIONS, SETUP, recording_texts
+from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import write_result
+from ltsim.units import MILLIMETRE
+
+RECORDING = "recording"
+COMPANIONS = (TARGETS.file, RESIDUALS.file, BEFORE.file, f"{RECORDING}/{OBSERVATIONS}", f"{RECORDING}/{SETUP}")
+
+
+def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> DiagnosisFile:
+    """Write a diagnosis into a folder, with the recording it is of where that is given; the content of its JSON.
+
+    `targets.csv` holds the coordinates adjusted with the findings modelled, `residuals.csv` what is left then,
+    `residuals_before.csv` what the ordinary adjustment left, `recording/` the recording.
+
+    Raises
+    ------
+    RecordError
+        When the folder cannot be written.
+    """
+    texts = {
+        TARGETS.file: targets_csv(diagnosis),
+        RESIDUALS.file: residuals_csv(diagnosis.adjusted),
+        BEFORE.file: residuals_csv(diagnosis.baseline),
+    }
+    if recording is not None:
+        copied = recording_texts(recording, folder / RECORDING)
+        texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}
+    return write_result(folder, diagnosis.file(recording), texts)
+
+
+def targets_csv(diagnosis: Diagnosis) -> str:
+    """The content of `targets.csv`, with the change of each coordinate against the ordinary adjustment."""
+    targets = diagnosis.targets
+    sigma = np.sqrt(np.einsum("tii->ti", targets.covariance))
+    change = targets.points - diagnosis.baseline.state.points
+    rows = np.concatenate([targets.points, sigma, change], axis=1) / MILLIMETRE
+    return TARGETS.text([name, *row] for name, row in zip(diagnosis.adjusted.recording.targets, rows, strict=True))

@@ -1,0 +1,231 @@
+"""Findings from what a search found: where, how large, how sure, in which words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.refit import Refit
+from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.curve import curve_of
+from ltsim.diagnosis.detect import Detection
+from ltsim.diagnosis.evidence import carried_by, less_lookalikes
+from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
+from ltsim.diagnosis.instruments import Contradiction
+from ltsim.diagnosis.noise import NoiseHypothesis
+from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
+from ltsim.diagnosis.separate import separating_measurement
+from ltsim.diagnosis.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
+from ltsim.effects import BASELINE
+from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.signature import Tunable
+from ltsim.laws.drivers import words_of
+from ltsim.laws.law import Law
+from ltsim.laws.names import RESEMBLED
+from ltsim.laws.scatter import NoisePattern
+from ltsim.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+MOST_EQUIVALENTS = 3
+"""Equivalents that are stated at most."""
+NOT_EXCLUDED = 0.01
+"""Probability above which another effect is stated as an equivalent."""
+SURE = 2.0
+"""Standard deviations from which a size is beyond doubt."""
+IMPLAUSIBLE = 5.0
+"""Times a bad but plausible size from which a size is remarked upon."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What explains a recording, searched and refitted: from this its findings are told."""
+
+    case: Case
+    detection: Detection
+    found: Found
+    refit: Refit
+
+    def ranking(self, member: int) -> Ranking:
+        """Everything that could stand in a member's place, changes of the noise among it."""
+        searcher, bank = self.case.searcher, self.case.bank
+        others = searcher.without(self.found, member)
+        redundancy = searcher.space.redundancy - np.sum(others.extension**2, axis=1)
+        return searcher.rank(others).beside(bank.rivals(others.residual, redundancy))
+
+    def finding(self, member: int, ranking: Ranking) -> Finding:
+        """The finding of a member, a mean shift, beside the others."""
+        searcher, found = self.case.searcher, self.found
+        space, others = searcher.space, searcher.without(found, member)
+        hypothesis = replace(found.members[member], effect=self.refit.effects[member])
+        effect, name = hypothesis.effect, hypothesis.name
+        probability, rivals = among(ranking.probabilities(), name)
+        gain = others.residual**2 - found.residual**2
+        where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
+        told = self._estimates(member, hypothesis, others)
+        more: dict[str, Any] = {}
+        sentence = ""
+        if isinstance(effect, Law):
+            more = {
+                "carrier": effect.carrier.name,
+                "driver": describe(effect.driver, clock=self.case.recording.has_clock),
+            }
+            more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
+            law = law_words(effect, more["driver"])
+            sentence = law_sentence(where, told, probability, law)
+            more["formula"] = "" if hypothesis.known else law
+        elif isinstance(effect, Effect):
+            beside = [e for k, e in enumerate(self.refit.effects) if k != member]
+            names = [rival.effect for rival in rivals]
+            more["separate_by"] = separating_measurement(self.case.baseline, name, names, beside)
+        if hypothesis.known:
+            sentence = card_sentence(name, where, told, probability, implausible=_implausible(effect, told))
+        return Finding(
+            effect=name,
+            known=hypothesis.known,
+            where=where,
+            parameters=told,
+            evidence=Evidence(
+                chi2_drop=float(gain.sum()),
+                parameters=found.extension.shape[1] - others.extension.shape[1],
+                p_value=self.detection.chance(ranking.total),
+                probability=probability,
+            ),
+            sentence=sentence,
+            equivalents=rivals,
+            **_told(more),
+        )
+
+    def _estimates(self, member: int, hypothesis: Hypothesis, others: Found) -> tuple[Estimate, ...]:
+        """The sizes of a member, by rows where the recording has no clock."""
+        refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        told = self.case.searcher.estimates(hypothesis, others, refitted)
+        return told if self.case.recording.has_clock else tuple(without_clock(e) for e in told)
+
+
+def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
+    """The finding of a change of the noise, in the observables in which it is beyond doubt."""
+    effect, probability = hypothesis.effect, hypothesis.probability
+    where = where_of(effect, _scattering(hypothesis, sightings))
+    rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
+    more, sentence = {}, ""
+    if isinstance(effect, NoisePattern):
+        more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
+        sentence = outside_sentence(where, effect.law)
+    return Finding(
+        effect=effect.name,
+        known=not isinstance(effect, NoisePattern),
+        where=where,
+        parameters=tuple(rows),
+        evidence=Evidence(
+            chi2_drop=hypothesis.drop, parameters=len(rows), p_value=detection.p_value, probability=probability
+        ),
+        sentence=sentence or card_sentence(effect.name, where, rows, probability),
+        equivalents=hypothesis.equivalents,
+        **_told(more),
+    )
+
+
+def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
+    """The observables whose noise is beyond doubt larger than stated, or smaller where that is what was found."""
+    sizes = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+    found = np.array(hypothesis.values) / sizes
+    sure = found * np.sign(found[np.argmax(np.abs(found))]) > SURE * np.array(hypothesis.sigma) / sizes
+    one = np.ones((len(sightings), len(OBSERVABLES)))
+    acts = (hypothesis.effect.variance(sightings, one, np.where(sure, sizes, 0.0)) != one).any(axis=0)
+    return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
+
+
+def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
+    """The finding of a gross error, certain by its size."""
+    floor = float(adjustment.recording.sigma()[:, 0].min())
+    return Finding(
+        effect=gross.effect,
+        known=True,
+        where=_place(observables=gross.observables, stations=gross.stations, targets=gross.targets),
+        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
+        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=0.0, probability=1.0),
+        sentence=gross.sentence,
+        equivalents=(),
+    )
+
+
+def instrument_finding(found: Contradiction) -> Finding:
+    """The finding of a constant that contradicts what else is known of its instrument."""
+    p, chance = found.parameter, float(np.exp(-found.evidence))
+    name = next(e.name for e in BASELINE if p.name in {q.name for q in e.parameters})
+    estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
+    sentence = (
+        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
+        f"({number(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, probability {percent(probability)}."
+    )
+    drop = (found.difference / found.sigma) ** 2
+    return Finding(
+        effect=name,
+        known=True,
+        where=_place(instruments=(found.instrument,) if found.instrument else ()),
+        parameters=(estimate,),
+        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=chance, probability=probability),
+        sentence=sentence,
+        equivalents=(),
+    )
+
+
+def among(chances: Mapping[str, float], name: str, *, doubted: bool = True) -> tuple[float, tuple[Equivalent, ...]]:
+    """The probability that is stated of a name, and the likeliest others that are not excluded.
+
+    A name is `doubted` where a law that looks like it may be there instead.
+    """
+    found = chances.get(name, 0.0)
+    probability = less_lookalikes(found, name) if doubted else found
+    if name in RESEMBLED:
+        chances = {**chances, Law.name: chances.get(Law.name, 0.0) + found - probability}
+    others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
+    return probability, tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
+
+
+def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
+    """What an effect is confined to; what carries it where a law, or a change of the noise, does not say."""
+    observables, stations = tuple(effect.observables), effect.stations
+    if isinstance(effect, NoiseEffect | NoisePattern):
+        observables = carried or observables
+    instruments = effect.instruments if isinstance(effect, Law | NoisePattern) else ()
+    if isinstance(effect, Law):
+        stations = () if effect.each else stations
+        observables = effect.carrier.observables or carried or observables
+    return _place(
+        observables=() if set(observables) == set(OBSERVABLES) else observables,
+        stations=() if instruments else stations,
+        targets=effect.targets,
+        instruments=instruments,
+        covariates=words_of(effect.covariates),
+    )
+
+
+def law_words(law: Law, driver: str) -> str:
+    """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
+    what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
+    own = IN_ITS_OWN_WAY if law.each else ""
+    return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
+
+
+def _place(**confined: tuple[str, ...]) -> Where:
+    """A place that says of each kind whether it is confined to some of it."""
+    return Where(**dict.fromkeys(Where.model_fields, ()) | confined)
+
+
+def _told(more: Mapping[str, Any]) -> dict[str, Any]:
+    """What there is to say beside the rest."""
+    return {key: value for key, value in more.items() if value}
+
+
+def _implausible(effect: Tunable, estimates: Sequence[Estimate]) -> bool:
+    """Whether some size is far beyond a bad but plausible one, or negative where none can be."""
+    told = [(e, p) for p in effect.parameters for e in estimates if e.name == p.name]
+    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * p.prior_sigma / p.factor for e, p in told)
+    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p in told)

@@ -1,0 +1,127 @@
+"""Constants of an instrument against its earlier calibrations: which have changed by more than they usually do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
+from ltsim.arrays import Floats
+from ltsim.calibration.evidence import evidence
+from ltsim.calibration.known import Known
+from ltsim.diagnosis.evidence import log_average, log_evidence
+from ltsim.diagnosis.instruments import PRIOR_ODDS, Contradiction
+from ltsim.effects.effect import Parameter
+from ltsim.errors import RecordError
+from ltsim.model.construction import Construction
+from ltsim.recording.recording import Recording
+
+ANYTHING = 1e3
+"""Guarantees by which a constant that is known to have changed may be off, when the others are looked at."""
+TINY = 1e-12
+"""Weight under which nothing is told of a constant."""
+SCATTERS = np.geomspace(0.05, 1e4, 80)
+"""True variance of a constant over that which a few calibrations show."""
+ALIKE = 4
+"""Degrees of freedom that the other constants' spreads are worth: most lie within a factor of two of each other."""
+
+
+@dataclass(frozen=True)
+class History:
+    """What earlier calibrations lead to expect of the constants of a recording's instruments."""
+
+    known: Known
+    expected: ParameterPrior
+    """Mean and covariance, the day-to-day spread in it."""
+    guarantee: Floats
+    """(I, p) [SI], the maker's: the unit of all that is computed here."""
+
+    @classmethod
+    def of(cls, known: Known, recording: Recording, construction: Construction) -> History:
+        """Raise RecordError where the earlier calibrations are of other instruments or another construction."""
+        names = recording.instruments
+        if len(known.instruments) < min(len(names), 2):
+            raise RecordError(
+                f"the earlier calibrations are of one instrument, the recording is of {', '.join(names)}; expected "
+                "those of all of them"
+            )
+        stated = ParameterPrior.independent(prior_sigmas(recording, construction))
+        return cls(known, known.over(stated, construction, names), stated.sigma)
+
+    def contradictions(self, adjustment: Adjustment, least: float) -> list[Contradiction]:
+        """Constants that have changed, each with more than `least` of log evidence, the most certain first."""
+        instruments = range(len(self.guarantee))
+        found = [c for i in instruments for c in self._of_instrument(adjustment, i, least)]
+        return sorted(found, key=lambda c: -c.evidence)
+
+    def _of_instrument(self, adjustment: Adjustment, i: int, least: float) -> list[Contradiction]:
+        """One constant after the other, the one that explains most first, those before free to be anything.
+
+        The readings alone say N x = b + noise of covariance N. Were x as expected, N(m, V), a change of constant k
+        would be seen with the weight (V + 1/N)^-1[k, k], whatever the others are.
+        """
+        parameters, unit = adjustment.construction.parameters, self.guarantee[i]
+        said = evidence(adjustment.state.instrument[i], adjustment.instrument_covariance_of(i), unit, unit)
+        surprise = said.told - said.information @ (self.expected.mean[i] / unit)
+        variance = self.expected.covariance[i] / np.outer(unit, unit)
+        at = np.array([k for k, p in enumerate(parameters) if p.name in self.known.parameters])
+        further, weights = self._spreads(variance[np.ix_(at, at)], unit[at], [parameters[k].name for k in at])
+        odds = float(np.log(PRIOR_ODDS / self.guarantee.size))
+        changed: dict[int, float] = {}
+        while True:
+            keeps = np.linalg.inv(np.eye(len(unit)) + said.information @ variance)
+            score, weight = keeps @ surprise, keeps @ said.information
+            if not changed:
+                apart = score, weight
+            gain = score[at] ** 2 / np.maximum(np.diag(weight)[at], TINY)
+            best = int(np.argmax(gain))
+            k = int(at[best])
+            log = odds + _evidence(score[k] / weight[k, k], 1.0 / weight[k, k] + further[best], weights[best])
+            if not log > least:
+                break
+            changed[k] = log
+            variance[k, k] += ANYTHING**2
+        told = list(changed)
+        covariance = np.linalg.inv(apart[1][np.ix_(told, told)])
+        gap, sigma = covariance @ apart[0][told] * unit[told], np.sqrt(np.diag(covariance)) * unit[told]
+        name = adjustment.recording.instruments[i]
+        return [
+            Contradiction(name, parameters[k], float(g), float(s), changed[k], self._words(parameters[k]))
+            for k, g, s in zip(told, gap, sigma, strict=True)
+        ]
+
+    def _spreads(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
+        """Variances (k, s) that constants may have beside the expected ones (k, k), and the logs of their weights.
+
+        What a few calibrations scatter beyond their own noise is the spread, uncertain itself: they tell the variance
+        of a constant as chi-square, one degree less than there are of them, and the spreads of the other constants, in
+        guarantees, are worth some degrees more (Smyth, Statistical Applications in Genetics 3 (2004) 3). No constant
+        is taken to wander by more than its maker guarantees.
+        """
+        count = self.known.count
+        if count == 1:
+            return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
+        spread = self.known.spread[[self.known.parameters.index(name) for name in names]] ** 2 / unit**2
+        told = np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0  # of the mean, without the maker's guarantee
+        scatter = count / np.maximum(told, 1.0 / ANYTHING)
+        usual = scatter + np.median(spread) - spread
+        wider = np.minimum(np.outer(scatter, SCATTERS - 1.0), np.maximum(1.0 - spread, 0.0)[:, None])
+        shown = (count - 1 + ALIKE * usual / scatter)[:, None]
+        weights = -0.5 * (count - 1 + ALIKE) * np.log(SCATTERS) - 0.5 * shown / SCATTERS
+        return np.maximum(wider * (1.0 + 1.0 / count), -spread[:, None]), weights
+
+    def _words(self, parameter: Parameter) -> str:
+        """What a constant is compared with."""
+        if self.known.count == 1:
+            return "its calibration"
+        spread = self.known.spread[self.known.parameters.index(parameter.name)] / parameter.factor
+        return f"its history ({self.known.count} calibrations, spread {spread:.2g} {parameter.unit})"
+
+
+def _evidence(gap: float, variance: Floats, weights: Floats) -> float:
+    """Log evidence of a change behind a gap, averaged over its variances (s,) by the logs of their weights."""
+    alike = weights - 0.5 * (gap**2 / variance + np.log(variance))
+    changed = alike + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
+    return float(log_average(changed) - log_average(alike))

@@ -1,0 +1,183 @@
+"""Hypotheses, sets of findings, rankings: what a search handles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment.residual_space import VISIBLE, orthonormal
+from ltsim.arrays import Floats, Ints
+from ltsim.diagnosis.evidence import LOG_WEIGHTS, SECOND_ALIKE, SIZES, log_average
+from ltsim.effects import find_effect
+from ltsim.effects.signature import Tunable
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One thing that may be missing from the model, and the log prior of its place and shape.
+
+    Attributes
+    ----------
+    effect : Tunable
+    log_prior : float
+    value : float
+        Log evidence beside what was found when it was examined, prior and shapes included.
+    name : str
+        Tunable id, or `unknown`.
+    """
+
+    effect: Tunable
+    log_prior: float
+    value: float
+    name: str
+
+    @property
+    def spread(self) -> Floats:
+        """Plausible sizes (k,) of its coefficients [SI]."""
+        return np.array([p.prior_sigma for p in self.effect.parameters])
+
+    @property
+    def known(self) -> bool:
+        """Whether the catalogue has a card for it."""
+        return self.name != "unknown"
+
+    @property
+    def key(self) -> str:
+        """What tells two findings apart."""
+        return repr(self.effect)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A set of findings; columns and residual beside it are computed where they are asked for.
+
+    Attributes
+    ----------
+    members : tuple of Hypothesis
+    left : tuple of (m, k) float
+        What the adjustment leaves of their signatures.
+    norms : tuple of (k,) float
+        Lengths of the signatures' columns before that.
+    whole : (m,) float
+        What is left beside nothing.
+    """
+
+    members: tuple[Hypothesis, ...]
+    left: tuple[Floats, ...]
+    norms: tuple[Floats, ...]
+    whole: Floats = field(repr=False)
+
+    @property
+    def effects(self) -> list[Tunable]:
+        """Effects of the members."""
+        return [h.effect for h in self.members]
+
+    @cached_property
+    def extension(self) -> Floats:
+        """(m, e): orthonormal columns of all members."""
+        if not self.members:
+            return np.zeros((len(self.whole), 0))
+        return orthonormal(np.hstack(self.left), np.concatenate(self.norms))
+
+    @cached_property
+    def residual(self) -> Floats:
+        """(m,): what is left beside the members."""
+        left: Floats = self.whole - self.extension @ (self.extension.T @ self.whole)
+        return left
+
+    @cached_property
+    def products(self) -> tuple[Floats, Floats]:
+        """Products (k, k) of what is left of all signatures with each other, and (k,) with the residual."""
+        left = np.hstack(self.left)
+        return left.T @ left, left.T @ self.whole
+
+    @cached_property
+    def misfit(self) -> float:
+        """Log evidence that what is left may show because the curve of an unknown law is not quite right."""
+        if all(h.known for h in self.members):
+            return 0.0
+        norms = np.concatenate(self.norms)
+        unit = 1.0 / np.where(norms > 0, norms, 1.0)
+        gram, score = self.products
+        strength, turn = np.linalg.eigh(gram * np.outer(unit, unit))
+        seen = strength > VISIBLE
+        return 0.5 * MISFIT * float(np.sum((turn.T @ (unit * score))[seen] ** 2 / strength[seen]))
+
+    @cached_property
+    def score(self) -> float:
+        """Log evidence of the set with each member's size at its best, priors, sizes and misfit counted."""
+        if not self.members:
+            return 0.0
+        likeness = sum(alike(h, self.members[:i]) for i, h in enumerate(self.members))
+        doubt = self.misfit * (len(self.members) - 1)
+        return _at_best_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
+
+
+MISFIT = 0.05
+"""Share of its square to which a law that nobody knows is drawn: what is left of it is no further cause."""
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Hypotheses beside a set in the order of their evidence.
+
+    Attributes
+    ----------
+    entries : tuple of Hypothesis
+    total : float
+        Log sum over them, the first computed exactly.
+    """
+
+    entries: tuple[Hypothesis, ...]
+    total: float
+
+    def beside(self, rivals: Sequence[Hypothesis]) -> Ranking:
+        """The ranking with further hypotheses in it."""
+        entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
+        total = float(log_average(np.array([self.total, *(h.value for h in rivals)])))
+        return Ranking(tuple(entries), total)
+
+    def name(self) -> str:
+        """The likeliest name; `unknown` where that is likelier than all names together."""
+        named = self.probabilities()
+        unknown = named.pop("unknown", 0.0)
+        return "unknown" if unknown > sum(named.values()) else max(named, key=lambda name: named[name])
+
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of each name among everything that was tried, nothing at all included."""
+        logs = np.array([h.value for h in self.entries])
+        weight = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
+        found: dict[str, float] = {}
+        for hypothesis, w in zip(self.entries, weight, strict=True):
+            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + float(w), 1.0)
+        return found
+
+
+def _at_best_sizes(found: Found) -> float:
+    """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, at the sizes t that explain most."""
+    gram, score = found.products
+    spreads = [h.spread for h in found.members]
+
+    def evidence(sizes: Ints) -> float:
+        spread = np.concatenate([SIZES[t] * one for t, one in zip(sizes, spreads, strict=True)])
+        inner = gram * np.outer(spread, spread) + np.eye(len(spread))
+        scaled = spread * score
+        fit = float(scaled @ np.linalg.solve(inner, scaled))
+        return 0.5 * (fit - float(np.linalg.slogdet(inner)[1])) + float(LOG_WEIGHTS[sizes].sum())
+
+    sizes = np.full(len(spreads), int(np.flatnonzero(SIZES == 1.0)[0]))
+    for _ in range(2):
+        for i in range(len(sizes)):
+            tried = [evidence(np.where(np.arange(len(sizes)) == i, t, sizes)) for t in range(len(SIZES))]
+            sizes[i] = int(np.argmax(tried))
+    return evidence(sizes)
+
+
+def alike(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+    """Log odds of a second effect of a kind that hardly comes twice."""
+    if hypothesis.name not in {h.name for h in others}:
+        return 0.0
+    return 0.0 if hypothesis.known and find_effect(hypothesis.name).plural else SECOND_ALIKE

@@ -1,0 +1,196 @@
+"""A panel of the space: carriers x drivers x places, scored all at once by sums over the pointings of each place.
+
+The score of carrier c with driver d at a place is the sum over its pointings of (derivative of c) x (column of d) x
+(residual): one matrix product for the pointings that lie in the same places, however many hypotheses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ltsim.arrays import Floats, Ints, Singles
+from ltsim.diagnosis.evidence import by_size, forms_of, log_average, simulated_total
+from ltsim.diagnosis.probe import Probe
+from ltsim.laws.carriers import Carrier
+from ltsim.laws.drivers import Driver
+from ltsim.laws.places import Place
+
+CHUNK = 1000
+"""Pointings whose products are held at once."""
+PAIRS = 500_000
+"""Products of columns with each other that are held at once: what a cache holds."""
+AT_ONCE = 10_000
+"""Columns at places whose products with all vectors are held at once: memory of some tens of MB."""
+MOST_HITS = 6
+"""Hypotheses a place that are looked at again."""
+
+
+@dataclass(frozen=True)
+class Hit:
+    """One hypothesis of a panel and its log evidence with its prior."""
+
+    carrier: Carrier
+    driver: Driver
+    place: Place
+    value: float
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Pointings that lie in the same places: a sum over a place is that of its cells.
+
+    Attributes
+    ----------
+    order : (r,) int
+        Pointings, cell after cell.
+    edges : (cells + 1,) int
+        Where each cell begins in that order, and the end.
+    members : (P, cells) csr float32
+        One where a cell lies in a place.
+    """
+
+    order: Ints
+    edges: Ints
+    members: sp.csr_array
+
+    @classmethod
+    def of(cls, places: Sequence[Place], count: int) -> Cells:
+        """The cells of places among `count` pointings."""
+        inside = np.zeros((len(places), count), dtype=bool)
+        for here, place in zip(inside, places, strict=True):
+            here[place.rows] = True
+        members, cell = np.unique(inside, axis=1, return_inverse=True)
+        order = np.argsort(cell.ravel(), kind="stable")
+        edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
+        return cls(order, edges, sp.csr_array(members.astype(np.float32)))
+
+    def parts(self, most: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
+        """At `most` so many pointings: where they stand in the order, they, and where among them each cell is."""
+        for start in range(0, len(self.order), most):
+            end = min(start + most, len(self.order))
+            first, last = np.searchsorted(self.edges, [start, end - 1], side="right") - 1
+            cuts = np.clip(self.edges[first : last + 2] - start, 0, end - start).tolist()
+            here = [(first + i, slice(*cut)) for i, cut in enumerate(pairwise(cuts))]
+            yield slice(start, end), self.order[start:end], here
+
+    def summed(self, parts: Any) -> Any:
+        """Sums (P, ...) over places of those over cells (cells, ...)."""
+        return (self.members @ parts.reshape(len(parts), -1)).reshape(-1, *parts.shape[1:])
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Carriers of one kind and c components, drivers alike in columns k and scales, P places.
+
+    Attributes
+    ----------
+    weights : (n, 3, C, c) float32
+        Whitened change of the readings by a plausible size of each component.
+    columns : (n, D k) float32
+        Pointings in the order of the cells.
+    log_prior : (P,) float
+        Of each hypothesis and scale at a place.
+    """
+
+    carriers: tuple[Carrier, ...]
+    drivers: tuple[Driver, ...]
+    places: tuple[Place, ...]
+    cells: Cells
+    weights: Singles
+    columns: Singles
+    log_prior: Floats
+    _forms: dict[int, list[tuple[tuple[Floats, Floats], Singles]]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def _spreads(self) -> list[Floats]:
+        """(D, c k) standard deviations for each scale."""
+        ways = self.weights.shape[3]
+        return [np.tile(np.stack(sets), ways) for sets in zip(*(d.spreads for d in self.drivers), strict=True)]
+
+    def score(self, probe: Probe) -> tuple[list[Hit], float, Floats]:
+        """The hypotheses of every place worth a second look, and the log sums of all: here, and in trials (trials,)."""
+        count = len(self.drivers)
+        step = max(1, AT_ONCE * count // (self.columns.shape[1] * self.weights[0, 0].size * len(self.places)))
+        found = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
+        values = np.concatenate([values for values, _ in found], axis=2).reshape(len(self.places), -1)
+        null = log_average(np.stack([null for _, null in found]))
+        best = np.argsort(-values, axis=1)[:, :MOST_HITS]
+        hits = [
+            Hit(self.carriers[i // count], self.drivers[i % count], place, v, prior)
+            for place, prior, some, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
+            for i, v in zip(some.tolist(), here[some].tolist(), strict=True)
+        ]
+        return hits, float(log_average(values.ravel())), null
+
+    def _at(self, probe: Probe, some: slice) -> tuple[Floats, Floats]:
+        """Log evidence (P, C, d) of some drivers with priors, and its log sum over trials.
+
+        Beside what was found, what the adjustment leaves of a law is taken to be what it left before: too much where
+        the two are alike. Whatever is worth a second look is computed exactly.
+        """
+        scores = self._sums(probe, some)
+        score, trials, _ = probe.split(scores)
+        null = np.full((1, probe.scored), -np.inf)
+        if probe.fresh:
+            turned = self._turned(probe.gram(scores, self._own(some)), some)
+            self._forms[some.start] = [(forms_of(strength), turn) for strength, turn in turned]
+            if probe.scored:
+                priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
+                null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
+        each = [
+            log_average(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
+            for forms, turn in self._forms[some.start]
+        ]
+        return log_average(np.stack(each)) + self.log_prior[:, None, None], log_average(null)
+
+    def _turned(self, gram: Floats, some: slice) -> list[tuple[Floats, Singles]]:
+        """For each scale eigenvalues (P, C, d, k), and what turns scores into those along eigenvectors."""
+        found = []
+        for spread in (spread[some] for spread in self._spreads):
+            strength, turn = np.linalg.eigh(gram * spread[:, :, None] * spread[:, None, :])
+            turn = np.swapaxes(turn, -1, -2) * spread[:, None, :]
+            found.append((np.maximum(strength, 0.0), turn.astype(np.float32)))
+        return found
+
+    def _columns(self, some: slice) -> Singles:
+        """Columns (n, d k) of some drivers."""
+        k = self.columns.shape[1] // len(self.drivers)
+        return self.columns[:, some.start * k : some.stop * k]
+
+    def _sums(self, probe: Probe, some: slice) -> Singles:
+        """Products (P, C, d, c k, v) of columns of some drivers with the probe's vectors at all places."""
+        _, _, count, ways = self.weights.shape
+        columns, vectors = self._columns(some), probe.vectors.shape[1]
+        sums = np.zeros((len(self.cells.edges) - 1, columns.shape[1], count * ways * vectors), dtype=np.float32)
+        for part, rows, cells in self.cells.parts(CHUNK):
+            weights = self.weights[rows].reshape(len(rows), 3, -1)
+            moved = (np.swapaxes(weights, 1, 2) @ probe.pointings[rows]).reshape(len(rows), -1)
+            turned = columns[part].T
+            for cell, at in cells:
+                sums[cell] += turned[:, at] @ moved[at]
+        d = some.stop - some.start
+        shaped = self.cells.summed(sums).reshape(len(self.places), d, -1, count, ways, vectors)
+        return np.ascontiguousarray(shaped.transpose(0, 3, 1, 4, 2, 5)).reshape(len(shaped), count, d, -1, vectors)
+
+    def _own(self, some: slice) -> Floats:
+        """Products (P, C, d, c k, c k) of the columns of each hypothesis with each other."""
+        _, _, count, ways = self.weights.shape
+        columns, d = self._columns(some), some.stop - some.start
+        k = columns.shape[1] // d
+        sums = np.zeros((len(self.cells.edges) - 1, count * ways * ways, d * k * k))
+        for part, rows, cells in self.cells.parts(max(1, min(CHUNK, PAIRS // (d * k * k)))):
+            blocks, weights = columns[part].reshape(len(rows), d, k), self.weights[rows]
+            pairs = (blocks[:, :, :, None] * blocks[:, :, None, :]).reshape(len(rows), -1)
+            turned = np.einsum("nica,nicb->ncab", weights, weights).reshape(len(rows), -1).T
+            for cell, at in cells:
+                sums[cell] += turned[:, at] @ pairs[at]
+        shaped = self.cells.summed(sums).reshape(len(self.places), count, ways, ways, d, k, k)
+        return shaped.transpose(0, 1, 4, 2, 5, 3, 6).reshape(len(shaped), count, d, ways * k, ways * k)

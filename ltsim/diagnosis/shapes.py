@@ -1,0 +1,134 @@
+"""Posterior of an effect's parameters and shape constants over all its shapes and near places."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.diagnosis.evidence import shares, wide_posterior
+from ltsim.diagnosis.exact import Exact
+from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.schema import Estimate
+from ltsim.effects.signature import ShapeParameter, Tunable
+from ltsim.units import FACTOR
+
+
+def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:
+    """Values of a shape constant over its bounds, denser within four `sigma` of the estimate, and widths of cells."""
+
+    def even(x: Floats) -> Floats:
+        return np.log(x) if shape.logarithmic else (1.0 / x if shape.reciprocal else x)
+
+    low, high = min(shape.low, now), max(shape.high, now)
+    grid = np.geomspace(low, high, count) if shape.logarithmic else np.linspace(low, high, count)
+    if shape.reciprocal:
+        grid = 1.0 / np.linspace(1.0 / low, 1.0 / high, count)
+    near = np.clip(now + sigma * np.linspace(-4.0, 4.0, 13), low, high)
+    values = np.unique(np.concatenate([grid, near, [now]]))
+    edges = even(np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]]))
+    return values, np.maximum(np.abs(np.diff(edges)), 1e-300)
+
+
+def between(shape: ShapeParameter, low: float, high: float, u: float) -> float:
+    """The shape constant at u, from -1 at `low` to 1 at `high`, evenly in the coordinate of its grid."""
+    s = 0.5 * (u + 1.0)
+    if shape.logarithmic:
+        return float(low * (high / low) ** s)
+    if shape.reciprocal and low > 0:
+        return float(1.0 / ((1 - s) / low + s / high))
+    return float(low + s * (high - low))
+
+
+def apart(one: Tunable, other: Tunable) -> bool:
+    """Whether two effects differ in place, or in a shape constant by more than integration reaches."""
+    if (one.stations, one.targets) != (other.stations, other.targets):
+        return True
+    for shape in type(one).shape:
+        low, high = shape.bracket(float(vars(other)[shape.name]))
+        if not low <= float(vars(one)[shape.name]) <= high:
+            return True
+    return False
+
+
+class Shaped(NamedTuple):
+    """An effect with one set of its constants [SI], weighed, and what its parameters (q,) are then.
+
+    The weight is the evidence and the room that the constants stand for; the time of a change is one of them, and lies
+    anywhere between two pointings.
+    """
+
+    effect: Tunable
+    log_weight: float
+    constants: dict[str, float]
+    mean: Floats
+    variance: Floats
+    gap: float
+    """[s] Between the pointings before and after a change."""
+
+
+def _gaps(effects: Sequence[Tunable]) -> dict[float, float]:
+    """The gap [s] between pointings in which each time of a change lies, by the middles of its neighbours."""
+    times = np.unique([float(vars(one).get("time", np.nan)) for one in effects])
+    times = times[np.isfinite(times)]
+    return dict(zip(times.tolist(), np.gradient(times).tolist(), strict=True)) if len(times) > 1 else {}
+
+
+def all_shapes(
+    exact: Exact, effect: Tunable, base: Found, spread: Mapping[str, float], *, plausible: bool = False
+) -> list[Shaped]:
+    """An effect in all its shapes and at its neighbours in place, all alike at first; empty without either.
+
+    Shapes lie on a grid, finer around the estimate (`spread`: standard deviations [SI] there). They are weighed by what
+    the readings alone say of the effect's size, or, `plausible`, by the prior of sizes too.
+    """
+    shapes = [s for s in type(effect).shape if isinstance(vars(effect)[s.name], float) and s.steps > 1]
+    near = effect.finer(exact.space.sightings)
+    if not (shapes or near) or len(shapes) > 2:
+        return []
+    count = 33 if len(shapes) == 1 and not near else 15
+    axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
+    sizes = np.array([p.prior_sigma for p in effect.parameters])
+    gaps = _gaps([effect, *near])
+    points = [
+        (one, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])
+        for one, *point in product([effect, *near], *(zip(*axis, strict=True) for axis in axes))
+    ]
+    shaped = [one.reshaped(**constants) for one, constants, _ in points]
+    told = [wide_posterior(*moments, sizes) for moments in exact.moments(shaped, base)]
+    weighed = exact.evidence(shaped, base).tolist() if plausible else [evidence for _, _, evidence in told]
+    found = []
+    for (one, constants, widths), shape, (mean, covariance, _), evidence in zip(
+        points, shaped, told, weighed, strict=True
+    ):
+        constants |= {"time": float(vars(one)["time"])} if "time" in vars(effect) else {}
+        gap = gaps.get(constants.get("time", np.nan), 0.0)
+        weight = evidence + float(np.sum(np.log(widths))) + (np.log(gap) if gap else 0.0)
+        found.append(Shaped(shape, weight, constants, mean, np.diag(covariance), gap))
+    return found
+
+
+def shape_posterior(exact: Exact, effect: Tunable, base: Found, told: Sequence[Estimate]) -> dict[str, Estimate]:
+    """Means and standard deviations of parameters and constants over all shapes, the finest around what is `told`.
+
+    Shapes are weighed by their evidence and the room they stand for; each brings the uncertainty it leaves the
+    parameters. Unlike a curvature at the optimum this holds where a likelihood is flat, skew, cut off by bounds, or has
+    two tops. Empty for effects without such constants.
+    """
+    shapes = all_shapes(exact, effect, base, {e.name: e.sigma * FACTOR[e.unit] for e in told})
+    if not shapes:
+        return {}
+    weight = shares(np.array([one.log_weight for one in shapes]))
+    values = np.array([[*one.mean, *one.constants.values()] for one in shapes])
+    within = np.array([[*s.variance, *((name == "time") * s.gap**2 / 12.0 for name in s.constants)] for s in shapes])
+    mean = weight @ values
+    sigma = np.sqrt(np.maximum(weight @ (within + values**2) - mean**2, 0.0))
+    units = {"time": "s"} | {s.name: s.unit for s in type(effect).shape} | {p.name: p.unit for p in effect.parameters}
+    names = [*(p.name for p in effect.parameters), *shapes[0].constants]
+    return {
+        name: Estimate(name=name, value=m / FACTOR[units[name]], sigma=d / FACTOR[units[name]], unit=units[name])
+        for name, m, d in zip(names, mean, sigma, strict=True)
+    }

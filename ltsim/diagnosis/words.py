@@ -1,0 +1,147 @@
+"""Sentences for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltsim.diagnosis.schema import Estimate, Finding, Fit, Where
+from ltsim.effects import card_of, find_effect
+
+MOST_NAMED = 4
+"""Estimates that a sentence names at most."""
+LIKELY = 0.5
+"""Probability below which a name is only a suggestion."""
+COVARIATES = {
+    "approach": "the move before the pointing",
+    "place": "the place in the room",
+    "incidence": "the direction from which the reflector is seen",
+}
+"""Covariates whose names need words."""
+
+
+def number(value: float, sigma: float) -> str:
+    """Value and uncertainty with the digits that mean something: 12.1 +- 1.8."""
+    if not sigma > 0:
+        return f"{value:.3g}"
+    digits = max(0, 1 - int(f"{sigma:e}".split("e")[1]))
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def estimates(parameters: Sequence[Estimate]) -> str:
+    """The most telling estimates in a phrase; what is no larger than its uncertainty is left to the tables."""
+    felt = [p for p in parameters if abs(p.value) > p.sigma]
+    told = sorted(felt, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MOST_NAMED]
+    chosen = [p for p in parameters if p in told]
+    return ", ".join(_estimate(p) for p in chosen)
+
+
+def _estimate(parameter: Estimate) -> str:
+    """One estimate in a phrase; an added variance as the factor on the stated standard deviation."""
+    name, value, sigma = parameter.name.replace("_", " "), parameter.value, parameter.sigma
+    if name.startswith("noise-"):
+        factor = float(np.sqrt(max(1.0 + value, 0.0)))
+        return f"{name[6:]}s scatter {number(factor, 0.5 * sigma / max(factor, 0.1))} times as much as stated"
+    return f"{name} {number(value, sigma)} {parameter.unit}".strip()
+
+
+def place(where: Where) -> str:
+    """Where, in a phrase."""
+    kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
+    parts = [f"{kind}{'s' if len(names) > 1 else ''} {_list(names)}" for kind, names in kinds if names]
+    if where.observables:
+        parts.append(f"in {_list(where.observables)}")
+    return " ".join(parts) or "in the whole recording"
+
+
+def _list(names: Sequence[str]) -> str:
+    few = list(names[:6])
+    more = len(names) - len(few)
+    return ", ".join(few) + (f" and {more} more" if more else "")
+
+
+def percent(probability: float) -> str:
+    """A probability for people."""
+    return "more than 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
+
+
+def card_sentence(
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, implausible: bool = False
+) -> str:
+    """An effect of the catalogue in one sentence; two where its size is `implausible` for its cause."""
+    card = card_of(find_effect(effect))
+    doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
+    told = "; ".join(part for part in (card.cause, estimates(parameters)) if part)
+    at = place(where).removeprefix("at ").removeprefix("in the ")
+    title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
+    return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
+
+
+def law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
+    """A law that no card names, in one sentence: what varies with what, where, how much."""
+    told = estimates(parameters)
+    size = f" ({told})" if told else ""
+    at = _at(where.model_copy(update={"observables": ()}))
+    carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
+    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue (probability {percent(probability)})."
+
+
+def outside_sentence(where: Where, law: str) -> str:
+    """What no card names, in one sentence: where, what it depends on, the law that fits."""
+    on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
+    return f"Physics outside the catalogue{_at(where)}{on}; what fits: {law}."
+
+
+def _at(where: Where) -> str:
+    """The place after a blank; empty for the whole recording."""
+    confined = where.stations or where.targets or where.observables or where.instruments
+    return f" {place(where)}" if confined else ""
+
+
+WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
+"""Units of time where a recording has no clock and rows stand for seconds."""
+
+
+def without_clock(parameter: Estimate) -> Estimate:
+    """An estimate of a recording that has no clock, by rows instead of by time."""
+    per, _, rate = parameter.unit.partition("/")
+    if rate in WITHOUT_CLOCK:
+        factor, unit = 1.0 / WITHOUT_CLOCK[rate][1], f"{per}/row"
+    elif parameter.unit in WITHOUT_CLOCK:
+        unit, factor = WITHOUT_CLOCK[parameter.unit]
+    else:
+        return parameter
+    value, sigma = factor * parameter.value, factor * parameter.sigma
+    return Estimate(name=parameter.name, value=value, sigma=sigma, unit=unit)
+
+
+def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:
+    """The answer in a few sentences, with which a report begins."""
+    if verdict == "consistent":
+        return (
+            f"The recording agrees with the model and the stated noise (chi-square {before.chi2:.0f} for "
+            f"{before.dof} degrees of freedom; chance of a search like this finding as much in a clean "
+            f"recording: {100 * p_value:.0f} %)."
+        )
+    if not findings:
+        return (
+            "The recording does not agree with the model and the stated noise, but no single cause stands out; "
+            f"chi-square {before.chi2:.0f} for {before.dof} degrees of freedom."
+        )
+    first = findings[0]
+    more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
+    others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
+    open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
+    course = "" if after is before else _course(before.held_out_rms, after.held_out_rms, several=len(findings) > 1)
+    return first.sentence + open_ + more + course
+
+
+def _course(before: float | None, after: float | None, *, several: bool) -> str:
+    """What became of the error on readings not used for the fit."""
+    if before is None or after is None:
+        return ""
+    was, now = f"{before:.2f}", f"{after:.2f}"
+    course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    modelled = "With them" if several else "With it"
+    return f" {modelled} in the model the error on readings not used for the fit {course} times the stated noise."

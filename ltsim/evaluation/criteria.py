@@ -1,0 +1,281 @@
+"""The paper's two criteria without nominal data: how far stations disagree about distances and coordinates.
+
+Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1. Equation 11 lacks an absolute value and refers to station 1,
+while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
+the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.evaluation.clouds import in_first_frame, measured_points, station_means
+from ltsim.model.construction import Construction
+from ltsim.notebook import Columns, Shown
+from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import require_one_radius
+from ltsim.units import MICROMETRE
+
+MOST_PLACES = 20_000_000
+"""Stations times targets whose clouds (0.5 GB then) are compared."""
+AT_ONCE = 2_000_000
+"""Sights of pairs of targets that are held in memory at once."""
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Sizes of disagreement, one an item."""
+
+    items: np.ndarray
+    """(k, c): which: pairs of targets for distances (c = 2), targets for coordinates (c = 1)."""
+    values: Floats
+    """(k,) [m]."""
+
+    @property
+    def mean(self) -> float:
+        """[m]."""
+        return float(self.values.mean())
+
+    @property
+    def maximum(self) -> float:
+        """[m]."""
+        return float(self.values.max())
+
+    def as_json(self) -> dict[str, float]:
+        """Mean and maximum in um."""
+        return {"mean_um": self.mean / MICROMETRE, "max_um": self.maximum / MICROMETRE}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A criterion before and after calibration; `after` is None where there are no parameters."""
+
+    before: Differences
+    after: Differences | None = None
+
+    @property
+    def improvement_percent(self) -> float | None:
+        """100 (1 - mean after / mean before)."""
+        if self.after is None or self.before.mean == 0:
+            return None
+        return 100.0 * (1.0 - self.after.mean / self.before.mean)
+
+    @property
+    def words(self) -> str:
+        """Mean before and after in um, in a line."""
+        before = f"{self.before.mean / MICROMETRE:.1f} um"
+        if self.after is None or self.improvement_percent is None:
+            return before
+        after = f"{self.after.mean / MICROMETRE:.1f} um after calibration"
+        return f"{before}, {after} ({self.improvement_percent:.0f} % less)"
+
+    def as_json(self) -> dict[str, Any]:
+        """As in `calibration.json`."""
+        entry: dict[str, Any] = {"before": self.before.as_json()}
+        if self.after is not None:
+            entry |= {"after": self.after.as_json(), "improvement_percent": self.improvement_percent}
+        return entry
+
+
+@dataclass(frozen=True, repr=False)
+class Criteria(Shown):
+    """Both criteria; verification fills only the first and the last."""
+
+    distance: Comparison
+    coordinate: Comparison
+    distance_to_first: Comparison | None = None
+
+    def _lines(self) -> list[str]:
+        parts = {"distance": self.distance, "coordinate": self.coordinate}
+        return [f"Criteria: {'; '.join(f'{name} {compared.words}' for name, compared in parts.items())}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"criteria": self._criteria}
+
+    def _criteria(self) -> Columns:
+        parts = {"distance": self.distance, "coordinate": self.coordinate}
+        after = [compared.after for compared in parts.values()]
+        return {
+            "criterion": list(parts),
+            "mean_um": [c.before.mean / MICROMETRE for c in parts.values()],
+            "max_um": [c.before.maximum / MICROMETRE for c in parts.values()],
+            "mean_after_um": [math.nan if a is None else a.mean / MICROMETRE for a in after],
+            "max_after_um": [math.nan if a is None else a.maximum / MICROMETRE for a in after],
+            "improvement_percent": [c.improvement_percent for c in parts.values()],
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """As in `calibration.json`."""
+        entry = {"distance": self.distance.as_json(), "coordinate": self.coordinate.as_json()}
+        if self.distance_to_first is not None:
+            entry["distance_to_first"] = self.distance_to_first.as_json()
+        return entry
+
+
+def pair_distances(cloud: Floats) -> Floats:
+    """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
+    first, second = np.triu_indices(cloud.shape[-2], k=1)
+    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Some pairs (p, 2) of points, and every observer's distance (q,) [m] between two of them that it sees.
+
+    place (q,) is the pair, observer (q,) who sees it, in ascending order.
+    """
+
+    pairs: Ints
+    place: Ints
+    observer: Ints
+    length: Floats
+
+    def sum(self, values: Floats, which: Bools) -> tuple[Floats, Ints]:
+        """Sum (p,) and number (p,) of some of the values (q,), pair by pair."""
+        place, size = self.place[which], len(self.pairs)
+        total = np.bincount(place, values[which], size).astype(np.float64)
+        count: Ints = np.bincount(place, minlength=size)
+        return total, count
+
+
+def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
+    """All pairs of points that some observer sees, block by block: memory follows what is seen, not all pairs.
+
+    `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen; pairs come in the order of `np.triu_indices`.
+    """
+    seen = np.isfinite(clouds[:, :, 0])
+    later = seen[:, ::-1].cumsum(axis=1)[:, ::-1] - seen
+    edges = np.searchsorted(np.cumsum((seen * later).sum(axis=0)), np.arange(0, (seen * later).sum() + 1, AT_ONCE))
+    for low, high in pairwise([*np.unique(edges).tolist(), seen.shape[1]]):
+        first, second, observer = [], [], []
+        for station in np.flatnonzero(seen[:, low:high].any(axis=1)).tolist():
+            own = np.flatnonzero(seen[station, low:])
+            rows, columns = np.nonzero(own[None] > own[own < high - low][:, None])
+            first.append(low + own[rows])
+            second.append(low + own[columns])
+            observer.append(np.full(len(rows), station))
+        if not first:
+            continue
+        a, b, s = (np.concatenate(part) for part in (first, second, observer))
+        pairs, place = np.unique(a * seen.shape[1] + b, return_inverse=True)
+        length = np.linalg.norm(clouds[s, a] - clouds[s, b], axis=1)
+        yield Sights(np.stack(np.divmod(pairs, seen.shape[1]), axis=1), place, s, length)
+
+
+def distance_differences(clouds: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - its mean over stations| (section 3.2.1).
+
+    Parameters
+    ----------
+    clouds : (S, T, 3) float, [m]
+        Each station's targets in its own frame; NaN where not seen. Pairs seen by one station are left out.
+    """
+    found = []
+    for sights in sights_of_pairs(clouds):
+        everywhere = np.ones(len(sights.place), dtype=bool)
+        total, count = sights.sum(sights.length, everywhere)
+        off, _ = sights.sum(np.abs(sights.length - (total / count)[sights.place]), everywhere)
+        found.append((sights.pairs[count >= 2], (off / count)[count >= 2]))
+    return _joined(found)
+
+
+def distance_differences_to_first(clouds: Floats) -> Differences:
+    """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
+    found = []
+    for sights in sights_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])]):
+        others = sights.observer > 0
+        own = np.zeros(len(sights.pairs))
+        own[sights.place[~others]] = sights.length[~others]
+        total, count = sights.sum(np.abs(sights.length - own[sights.place]), others)
+        found.append((sights.pairs[count >= 1], total[count >= 1] / count[count >= 1]))
+    pairs = _joined(found)
+    return Differences(np.flatnonzero(np.isfinite(clouds[0, :, 0]))[pairs.items], pairs.values)
+
+
+def _joined(found: list[tuple[Ints, Floats]]) -> Differences:
+    items = [np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)]
+    return Differences(np.concatenate(items), np.concatenate([np.zeros(0), *(values for _, values in found)]))
+
+
+def coordinate_differences(placed: Floats) -> Differences:
+    """Per target, the mean over pairs of stations of the distance between its two places (eq. 12).
+
+    Parameters
+    ----------
+    placed : (S, T, 3) float, [m]
+        All stations' targets in one frame; NaN where not seen.
+    """
+    total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
+    for sights in sights_of_pairs(np.swapaxes(placed, 0, 1)):
+        total += np.bincount(sights.observer, sights.length, len(total))
+        count += np.bincount(sights.observer, minlength=len(total))
+    shared = count >= 1
+    return Differences(np.flatnonzero(shared)[:, None], total[shared] / count[shared])
+
+
+def evaluate(
+    recording: Recording,
+    construction: Construction | None = None,
+    values: Floats | None = None,
+    *,
+    use: Bools | None = None,
+) -> Criteria:
+    """The criteria of a recording, before and after calibration.
+
+    Parameters
+    ----------
+    recording : Recording
+    construction, values
+        The parameters (p,) or (n, p) [SI] that correct it; without them there is no "after".
+    use : (n,) bool, optional
+        Pointings to use; faces and repeats of a target from a station are averaged.
+
+    Raises
+    ------
+    NetworkError
+        When fewer than two stations share targets, the network is too large to compare every station's cloud, or balls
+        of several radii stood at different places.
+    """
+    require_one_radius(recording, "the comparison of stations")
+    stations, targets = len(recording.stations), len(recording.targets)
+    if stations * targets > MOST_PLACES:
+        raise NetworkError(
+            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts of it"
+        )
+    before = station_means(recording, measured_points(recording), use)
+    after = None
+    if construction is not None and values is not None:
+        after = station_means(recording, measured_points(recording, construction, values), use)
+    if len(recording.stations) < 2:
+        raise NetworkError("the criteria compare stations; this recording has one station only")
+
+    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> Comparison:
+        def of(clouds: Floats) -> Differences:
+            return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
+
+        found = Comparison(of(before), None if after is None else of(after))
+        if not len(found.before.values):
+            raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
+        return found
+
+    return Criteria(
+        distance=compare(distance_differences, aligned=False),
+        coordinate=compare(coordinate_differences, aligned=True),
+        distance_to_first=_to_first(before, after),
+    )
+
+
+def _to_first(before: Floats, after: Floats | None) -> Comparison | None:
+    """Eq. 11; None where no other station shares a pair of targets with the first."""
+    found = distance_differences_to_first(before)
+    if not len(found.values):
+        return None
+    return Comparison(found, None if after is None else distance_differences_to_first(after))

@@ -1,0 +1,109 @@
+"""The paper's laboratory verification: a calibrated tracker against nominal points from a CMM.
+
+Equations 13 and 14 as they are meant: eq. 13 compares distances between targets i
+and j as the tracker measured them from one station with the same distance of the CMM; eq. 14 compares
+coordinates in the CMM's frame after a rigid fit of each station. Before: an ideal tracker; after: with the
+parameters of a calibration.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.errors import NetworkError, RecordError
+from ltsim.evaluation.clouds import measured_points, on_points, station_means
+from ltsim.evaluation.criteria import Comparison, Criteria, Differences, pair_distances
+from ltsim.evaluation.schema import NOMINAL
+from ltsim.model.construction import Construction
+from ltsim.recording.files import shown
+from ltsim.recording.recording import Recording
+from ltsim.units import MILLIMETRE
+
+
+def read_nominal(path: Path) -> dict[str, Floats]:
+    """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; other columns are ignored.
+
+    Raises
+    ------
+    RecordError
+        When the file is missing or malformed; one sentence with row and column.
+    """
+    names, columns = NOMINAL.read(path)
+    points: dict[str, Floats] = {}
+    places = np.stack([columns[name] for name in NOMINAL.header[1:]], axis=1) * MILLIMETRE
+    for number, (name, place) in enumerate(zip(map(str.strip, names["target"]), places, strict=True), start=1):
+        if not name or name in points:
+            found = f"target '{shown(name)}' stands here a second time" if name else "the target has no name"
+            raise RecordError(f"{found}; expected one row a target", file=path, row=number, column="target")
+        if not np.isfinite(place).all():
+            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=number)
+        points[name] = place
+    if not points:
+        raise RecordError("holds no nominal points", file=path)
+    return points
+
+
+def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
+    gap = np.abs(pair_distances(clouds) - pair_distances(nominal))
+    return _over_stations(gap, np.stack(np.triu_indices(len(nominal), k=1), axis=1))
+
+
+def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
+    placed = np.stack([on_points(cloud, nominal) for cloud in clouds])
+    gap = np.linalg.norm(placed - nominal, axis=2)
+    return _over_stations(gap, np.arange(len(nominal))[:, None])
+
+
+def _over_stations(gap: Floats, items: np.ndarray) -> Differences:
+    have = np.isfinite(gap)
+    count = have.sum(axis=0)
+    seen = count > 0
+    return Differences(items[seen], np.where(have, gap, 0.0).sum(axis=0)[seen] / count[seen])
+
+
+def verify(
+    recording: Recording,
+    nominal: dict[str, Floats],
+    construction: Construction | None = None,
+    values: Floats | None = None,
+) -> Criteria:
+    """Errors against nominal points, before and after calibration.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the laboratory; another one than that of the calibration.
+    nominal : mapping of str to (3,) float, [m]
+    construction, values
+        The parameters (p,) or (n, p) [SI] to apply; without them there is no "after".
+
+    Raises
+    ------
+    NetworkError
+        When a station saw fewer than three nominal targets.
+    """
+    missing = np.full(3, np.nan)
+    goal = np.stack([nominal.get(name, missing) for name in recording.targets])
+    known = np.isfinite(goal[:, 0])
+    if int(known.sum()) < 3:
+        raise NetworkError(
+            f"only {int(known.sum())} targets of the recording have nominal points; at least three are needed"
+        )
+
+    def of(points: Floats) -> tuple[Differences, Differences]:
+        clouds = station_means(recording, points)[:, known]
+        try:
+            return distance_errors(clouds, goal[known]), coordinate_errors(clouds, goal[known])
+        except NetworkError as problem:
+            raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
+
+    distance, coordinate = of(measured_points(recording))
+    if construction is None or values is None:
+        return Criteria(Comparison(distance), Comparison(coordinate))
+    after = of(measured_points(recording, construction, values))
+    return Criteria(Comparison(distance, after[0]), Comparison(coordinate, after[1]))

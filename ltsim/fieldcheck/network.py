@@ -1,0 +1,80 @@
+"""What the stations of a recording say together: whether they agree on their common targets, and on the vertical."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.estimate import adjust
+from ltsim.errors import NetworkError
+from ltsim.fieldcheck.items import Family, Item, two_sided
+from ltsim.model.construction import stated_construction
+from ltsim.recording.recording import Recording
+from ltsim.units import ARCSECOND
+
+NETWORK_TESTS = 2
+"""Tests of all stations together: common targets, and levels."""
+CHECKED = 0.05
+"""Redundancy below which no other station checks a level."""
+
+
+def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
+    """Whether the stations agree, the instrument's errors estimated; nothing where they cannot be compared."""
+    if len(recording.stations) < 2:
+        return ()
+    try:
+        built = stated_construction(recording)
+    except NetworkError as problem:
+        return (Item("", "network", True, f"the stations are not compared: {problem}"),)
+    try:
+        found = adjust(recording, built, robust=True)
+    except NetworkError:
+        return ()
+    if not found.solution.converged or found.dof < 1:
+        return ()
+    return (_of_targets(found, family), *_of_levels(found, family))
+
+
+def _of_targets(found: Adjustment, family: Family) -> Item:
+    recording, out = found.recording, found.rejected.any(axis=1)
+    p, less = two_sided(found.chi2, found.dof)
+    p = family.adjusted(p)
+    scatter = f"sigma0 {found.sigma0:.2f} where the stated noise gives 1 ({found.dof} degrees of freedom)"
+    if not out.any():
+        passed = less or p >= family.level
+        verb = "agree" if passed else "disagree"
+        return Item("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
+    rows = np.flatnonzero(out)
+    station, target = recording.station[rows[0]], recording.target[rows[0]]
+    first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
+    many = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
+    sentence = f"{many} the other stations ({first}{', is the first' if len(rows) > 1 else ''})"
+    targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
+    return Item("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))
+
+
+def _of_levels(found: Adjustment, family: Family) -> list[Item]:
+    """The level of each levelled station against the vertical of the others, through their common targets.
+
+    A level off by a tilt t leaves the residual r t, r its redundancy; t = v / r has the sigma s / sqrt(r).
+    """
+    problem, rows = found.problem, found.problem.level_rows
+    if len(problem.levels) < 2 or found.solution.factor is None:
+        return []
+    share = (1.0 - found.solution.factor.leverage()[rows]).reshape(-1, 2)
+    residual = problem.residual(found.state)[rows].reshape(-1, 2)
+    checked = share > CHECKED
+    root = np.sqrt(np.where(checked, share, 1.0))
+    w = np.where(checked, residual / root, 0.0)
+    sigma = problem.levels.sigma[:, None] / root
+    items = []
+    for k in np.flatnonzero(checked.any(axis=1)).tolist():
+        worst = int(np.argmax(np.abs(w[k])))
+        p = family.adjusted(2.0 * float(special.ndtr(-abs(w[k, worst]))), int(checked.sum()))
+        name, passed = found.recording.stations[problem.levels.station[k]], p >= family.level
+        tilt = float(np.hypot(*np.where(checked[k], w[k] * sigma[k], 0.0)))
+        size = f"{tilt / ARCSECOND:.2g} +- {sigma[k, worst] / ARCSECOND:.2g} arcsec"
+        verb = "agrees with" if passed else "is off"
+        items.append(Item(name, "level", passed, f"{name}: its level {verb} the vertical of the others ({size})", p))
+    return items

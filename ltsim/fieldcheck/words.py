@@ -1,0 +1,109 @@
+"""The sentences of a check, with a unit on every number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, time as clock, timedelta
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.fieldcheck.faces import Faces
+from ltsim.fieldcheck.visit import Explained, Visit
+from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN
+
+ZEROS = (("range", "um", MICROMETRE), ("vertical index", "arcsec", ARCSECOND))
+
+
+def moment(recording: Recording, time: float) -> str:
+    """A time [s] of a recording as a person reads it: the clock where its start is known, seconds or rows otherwise."""
+    if not recording.has_clock:
+        return f"pointing {time + 1:.0f}"
+    started = recording.setup.started
+    try:
+        return f"{datetime.fromisoformat(started) + timedelta(seconds=time):%Y-%m-%d %H:%M:%S}"
+    except ValueError:
+        pass
+    try:
+        start = datetime.combine(datetime(2000, 1, 1), clock.fromisoformat(started))
+    except ValueError:
+        return f"{time:.1f} s"
+    return f"{start + timedelta(seconds=time):%H:%M:%S}"
+
+
+def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, tuple[str, ...], Ints]:
+    """The two-face differences in words, the targets beyond the limit, and the rows of the worst pair there."""
+    name, pairs = recording.stations[0], faces.pairs
+    if not faces.over.any():
+        sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
+        sentence = (
+            f"{name}: half two-face differences of {len(pairs)} pairs within {limit}, rms {sizes} arcsec "
+            "(range, across the beam, elevation)"
+        )
+        return sentence, (), np.zeros(0, dtype=np.int64)
+    targets = [recording.targets[t] for t in recording.target[pairs.rows[:, 0]]]
+    ratio = np.abs(pairs.half) / faces.limit
+    k, column = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
+    unit, factor = ("um", MICROMETRE) if column == 0 else ("arcsec", ARCSECOND)
+    over = np.flatnonzero(faces.over.any(axis=1))
+    what = (OBSERVABLES[0], "azimuth across the beam", OBSERVABLES[2])[column]
+    sentence = (
+        f"{name}: the two faces differ beyond {limit} at {len(over)} of {len(pairs)} pairs, most at {targets[k]}: "
+        f"half the difference in {what} is {plain(pairs.half[k, column] / factor)} {unit}, "
+        f"the limit {plain(faces.limit[k, column] / factor)} {unit}"
+    )
+    return sentence, tuple(dict.fromkeys(targets[i] for i in over)), pairs.rows[k]
+
+
+def gross_sentence(visit: Visit, gross: Sequence[int], rows: Ints) -> str:
+    """What stands out among the pointings of a set-up."""
+    recording, name = visit.recording, visit.recording.stations[0]
+    if not gross:
+        return f"{name}: no pointing stands out"
+    first = recording.targets[recording.target[gross[0]]]
+    away = f"{plain(visit.miss(gross[0]) / MICROMETRE)} um from the other pointings to it"
+    more = f"; {len(gross)} such pointings in all" if len(gross) > 1 else ""
+    return f"{name} to {first}, row {rows[gross[0]]}: {away}{more}: measure again"
+
+
+def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], motion: Floats) -> str:
+    """When a station moved at once, and by how much."""
+    when = f"between {moment(recording, between[0])} and {moment(recording, between[1])}"
+    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}): {_motion(motion)}"
+
+
+def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
+    """How far a station crept in its visit, its level with a standard deviation."""
+    name = recording.stations[0]
+    minutes = float(np.ptp(recording.time)) / 60
+    within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
+    if not passed:
+        return f"{name} drifts: {_motion(explained.values)} {within}"
+    lean = np.hypot(*explained.values[3:5]) / MICRORADIAN
+    sigma = np.sqrt(max(float(explained.covariance[3, 3] + explained.covariance[4, 4]), 0.0)) / MICRORADIAN
+    return f"{name}: no drift of the station {within} (level {plain(lean, 2)} +- {plain(sigma, 2)} urad)"
+
+
+def instrument_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
+    """How far the instrument's zeros crept in a visit."""
+    duration = float(np.ptp(recording.time))
+    spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
+    parts = [
+        f"{what} by {plain(value * duration / unit, 2)} +- {plain(sigma * duration / unit, 2)} {name}"
+        for value, sigma, (what, name, unit) in zip(explained.values, spread, ZEROS, strict=True)
+    ]
+    said = ", ".join(parts) + " over the visit"
+    return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'} ({said})"
+
+
+def _motion(values: Floats) -> str:
+    """A motion of a station in words."""
+    shift, turn = np.linalg.norm(values[:3]) / MICROMETRE, values[3:] / MICRORADIAN
+    lean = float(np.hypot(turn[0], turn[1]))
+    return f"by {plain(float(shift))} um, turned by {plain(abs(turn[2]))} urad, level by {plain(lean)} urad"
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """A number rounded to so many digits, large ones written out: 2710 and not 2.71e+03."""
+    return f"{float(f'{value:.{digits}g}'):.6g}"

@@ -1,0 +1,292 @@
+"""The floor seen from above, as the paper's Figure 5: stations, shadow circles, targets, gauge."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+
+from ltsim.arrays import Floats, Ints
+from ltsim.pages.labels import Label, place_labels
+from ltsim.pages.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PHONE,
+    PURPLE,
+    RED,
+    SKY,
+    new_figure,
+    on_phone,
+    quiet_axis,
+    shorten,
+    styled,
+)
+from ltsim.pages.workshop import Workshop
+from ltsim.planning.floor import Floor, FloorArea
+from ltsim.planning.outlines import distance
+from ltsim.units import DEGREE, MILLIMETRE
+
+LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
+MOST_LABELS = 60
+FEW_DOTS = 150
+"""Above so many targets their marks are one small image."""
+MOST_PLACES = 16
+WIDE, HEIGHTS = 4.6, (3.6, 5.4)
+"""Inches: width of the axes beside the legend, and the figure's least and greatest height."""
+ON_A_WALL = 0.35
+"""[m] from a side of the floor within which its wall is taken to hold a target."""
+
+
+@styled
+def floor_plan(
+    workshop: Workshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
+) -> Figure:
+    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
+
+    Parameters
+    ----------
+    workshop : Workshop
+    reference : (k, 3) float, optional, [m]
+        Stations of another layout, to compare with.
+    coordinates : bool
+        List where each tripod goes beside the picture.
+    ground : Floor, optional
+        Areas for tripods, what stays free, and doors of a plan.
+    """
+    low, high = _limits(workshop)
+    tall = (high[1] - low[1]) / (high[0] - low[0])
+    wide, beside = (PHONE - 0.5, 1.4) if on_phone() else (WIDE, 0.7)  # the legend stands below on a phone
+    figure = new_figure(float(np.clip(wide * tall + beside, *HEIGHTS)), layout="compressed")
+    ax = figure.subplots()
+    ax.set_aspect("equal")
+    quiet_axis(ax, grid="both")
+    ax.add_patch(
+        Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
+    )
+    _walls(ax, workshop)
+    names = _ground(ax, ground) if ground is not None else []
+    _obstacles(ax, workshop)
+    _hidden(ax, workshop)
+    _shadows(ax, workshop)
+    _gauge(ax, workshop)
+    _targets(ax, workshop)
+    if reference is not None and len(reference):
+        ax.scatter(
+            reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=GREY, linewidths=1.4, zorder=5,
+            label="station of the reference",
+        )  # fmt: skip
+    _stations(ax, workshop)
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
+    labels_of = [*_station_labels(workshop), *names]
+    if len(workshop.targets) <= MOST_LABELS:
+        labels_of += _target_labels(workshop)
+    handles, labels = ax.get_legend_handles_labels()
+    if coordinates and len(workshop.stations) <= MOST_PLACES:
+        blank, places = _places(workshop)
+        handles, labels = [*handles, *blank], [*labels, *places]
+    figure.legend(handles, labels, loc="outside right upper")
+    place_labels(figure, ax, labels_of, np.concatenate([workshop.position[:, :2], workshop.points[:, :2]]))
+    return figure
+
+
+def _walls(ax: Axes, workshop: Workshop) -> None:
+    """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
+    word: str | None = "wall with targets"
+    sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
+    away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
+    nearest = np.where(away.min(axis=0) < ON_A_WALL, away.argmin(axis=0), -1)
+    for number, side in enumerate(sides):
+        if np.sum(nearest == number) >= 2:
+            ax.plot(*side.T, color=INK, linewidth=3.0, zorder=1, label=word)
+            word = None
+
+
+def _ground(ax: Axes, ground: Floor) -> list[Label]:
+    """Areas for tripods, what stays free, doors; their names."""
+    mm, names = MILLIMETRE, []
+    own = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
+    for i, area in enumerate(own):
+        corners = np.array(area.corners_mm) * mm
+        word = "area for tripods" if i == 0 else None
+        ax.add_patch(Polygon(corners, facecolor="#009E7318", edgecolor=GREEN, linewidth=0.9, zorder=0.5, label=word))
+        for hole in area.holes_mm:
+            ax.add_patch(Polygon(np.array(hole) * mm, facecolor="white", edgecolor=GREEN, linewidth=0.9, zorder=0.6))
+        names.append(Label(area.name, corners.min(axis=0), 7.0, colour="#00664B", away=0.25 * np.pi))
+    for i, place in enumerate(ground.keep_outs):
+        corners = np.array(place.corners_mm) * mm
+        word = "kept free" if i == 0 else None
+        ax.add_patch(Polygon(corners, facecolor="#FFFFFFCC", edgecolor=PURPLE, hatch="////", zorder=0.7, label=word))
+        names.append(Label(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", away=0.5 * np.pi))
+    for i, door in enumerate(ground.doors):
+        ends = np.array([door.from_mm, door.to_mm]) * mm
+        ax.plot(*ends.T, color="white", linewidth=5.0, zorder=1.5)
+        ax.plot(*ends.T, color=PURPLE, linewidth=2.0, zorder=1.6, label="door" if i == 0 else None)
+        names.append(Label(door.name, ends.mean(axis=0), 7.0, colour="#8A3A66"))
+    return [label for label in names if label.text]
+
+
+def _limits(workshop: Workshop) -> Floats:
+    """Least and greatest x and y (2, 2) that show the floor and the inner circles whole; the outer ones may run out."""
+    radius = workshop.shadow_radius(workshop.openings[0])[:, None]
+    places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
+    low, high = places.min(axis=0), places.max(axis=0)
+    margin = 0.13 * float((high - low).max())  # room for the names of targets on the walls
+    return np.stack([low - margin, high + margin])
+
+
+def _shadows(ax: Axes, workshop: Workshop) -> None:
+    """Circles on the floor that no reflector may stand in."""
+    for k, opening in enumerate(workshop.openings):
+        style = (
+            {"facecolor": "#D55E0022", "edgecolor": RED, "linestyle": "-"}
+            if k == 0
+            else {"facecolor": "none", "edgecolor": RED, "linestyle": (0, (3, 2))}
+        )
+        for s, radius in enumerate(workshop.shadow_radius(opening)):
+            word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
+            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **style))
+
+
+def _obstacles(ax: Axes, workshop: Workshop) -> None:
+    """What stands in the way, as its shadow at noon."""
+    if len(workshop.obstacles):
+        ax.add_collection(
+            PolyCollection(
+                list(workshop.obstacles[:, :, :2]), facecolors="#B9A98C", edgecolors="#B9A98C", linewidths=0.3
+            ),
+            autolim=False,
+        )
+        ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
+
+
+def _hidden(ax: Axes, workshop: Workshop) -> None:
+    """Sights that the obstacles hide."""
+    for k, (s, t) in enumerate(workshop.hidden):
+        ends = np.stack([workshop.position[s, :2], workshop.points[t, :2]])
+        word = "sight hidden by an obstacle" if k == 0 else None
+        ax.plot(ends[:, 0], ends[:, 1], color=INK, linewidth=0.8, linestyle=(0, (1, 2)), zorder=3, label=word)
+
+
+def _gauge(ax: Axes, workshop: Workshop) -> None:
+    """Lines of known length."""
+    for k, (a, b) in enumerate(workshop.gauge):
+        ends = workshop.points[[a, b], :2]
+        ax.plot(ends[:, 0], ends[:, 1], color=GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None)
+
+
+def _targets(ax: Axes, workshop: Workshop) -> None:
+    """Targets by height; those above each other share one label."""
+    height = workshop.points[:, 2] - workshop.floor_height
+    low = -np.inf
+    for high, marker, colour, word in LEVELS:
+        here = (height > low) & (height <= high)
+        span = f"{word} target, up to {high:g} m" if np.isfinite(high) else f"{word} target, above {low:g} m"
+        if here.any():
+            ax.scatter(
+                workshop.points[here, 0],
+                workshop.points[here, 1],
+                marker=marker,
+                s=26,
+                color=colour,
+                zorder=4,
+                edgecolors="white",
+                linewidths=0.5,
+                label=span,
+                rasterized=len(workshop.targets) > FEW_DOTS,
+            )
+        low = high
+
+
+def _target_labels(workshop: Workshop) -> list[Label]:
+    """One label for targets that stand above each other, away from the middle of the floor where that is free."""
+    middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
+    reach = 0.035 * float(size.max())
+    labels = []
+    for members in _stacks(workshop.points[:, :2], reach):
+        place = workshop.points[members, :2].mean(axis=0)
+        away = (place - middle) / size
+        sideways = abs(away[0]) > abs(away[1])
+        turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
+        labels.append(Label(_joined([workshop.targets[i] for i in members]), place, away=turn))
+    return labels
+
+
+def _stacks(places: Floats, reach: float) -> list[list[int]]:
+    """Groups of indices whose places (n, 2) lie within `reach` of the group's first."""
+    groups: list[list[int]] = []
+    for i, place in enumerate(places):
+        home = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < reach), None)
+        if home is None:
+            groups.append([i])
+        else:
+            home.append(i)
+    return groups
+
+
+def _joined(names: list[str]) -> str:
+    """Names in one label: `T01 09 17` where they share their letters."""
+    if len(names) == 1:
+        return shorten(names[0], 16)
+    by_stem: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        stem = name.rstrip("0123456789")
+        by_stem[stem].append(name[len(stem) :])
+    if len(by_stem) > 1 or len(names) > 4:
+        return f"{shorten(names[0], 12)} +{len(names) - 1}"
+    stem, numbers = next(iter(by_stem.items()))
+    return shorten(stem, 10) + " ".join(numbers)
+
+
+def _stations(ax: Axes, workshop: Workshop) -> None:
+    """Stations with a tick to azimuth zero."""
+    length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
+    tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
+    order: Ints = np.arange(len(workshop.stations))
+    for s in order:
+        x, y = workshop.position[s, :2]
+        ax.annotate(
+            "",
+            xy=(x + tick[s, 0], y + tick[s, 1]),
+            xytext=(x, y),
+            zorder=6,
+            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
+        )
+    ax.scatter(
+        workshop.position[:, 0],
+        workshop.position[:, 1],
+        s=46,
+        color=INK,
+        edgecolors="white",
+        linewidths=0.8,
+        zorder=6,
+        label="station, tick to azimuth 0",
+    )
+
+
+def _station_labels(workshop: Workshop) -> list[Label]:
+    """Names of stations, away from their ticks."""
+    return [
+        Label(shorten(name, 16), place[:2], 9.0, bold=True, colour=INK, away=float(yaw) + 1.25 * np.pi)
+        for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
+    ]
+
+
+def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
+    """Entries of a legend: where each tripod goes."""
+    lines = [
+        f"{shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
+        for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
+    ]
+    words = ["", "station: x, y, z, azimuth 0", *lines]
+    return [Line2D([], [], linestyle="none") for _ in words], words

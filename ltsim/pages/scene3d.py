@@ -1,0 +1,337 @@
+"""The workshop in 3D with pyvista: a picture, a window, or one page that opens offline."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+import pyvista as pv
+from matplotlib.colors import ListedColormap
+from PIL import Image
+from vtkmodules.vtkCommonCore import vtkLogger
+
+from ltsim.pages import solids
+from ltsim.pages.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY
+from ltsim.pages.workshop import Workshop
+from ltsim.units import DEGREE
+
+WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
+MOST_ARROWS = 300
+MOST_LABELS = 60
+LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
+
+vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # else it complains about a missing display
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What the colours and sizes of a scene mean; pictures and pages print it.
+
+    `bar` is label, lowest and highest value of the coloured lines, None where there are none.
+    """
+
+    lines: tuple[str, ...]
+    bar: tuple[str, float, float] | None = None
+
+
+def round_magnification(length: float, shown: float) -> float:
+    """The magnification 1, 2 or 5 times a power of ten that brings `length` to about `shown`."""
+    if not length > 0:
+        return 1.0
+    ratio = shown / length
+    power = 10.0 ** np.floor(np.log10(ratio))
+    step = max(s for s in (1.0, 2.0, 5.0) if s <= ratio / power * (1 + 1e-9))
+    return float(max(step * power, 1.0))
+
+
+def times(scale: float) -> str:
+    """A magnification in words."""
+    return f"{scale:,.0f}".replace(",", " ")
+
+
+def build(
+    workshop: Workshop,
+    *,
+    window_size: tuple[int, int] = (1400, 1000),
+    off_screen: bool = True,
+) -> tuple[pv.Plotter, Legend]:
+    """A plotter with the whole scene, and its legend.
+
+    Parameters
+    ----------
+    workshop : Workshop
+    window_size : (int, int)
+        Pixels.
+    off_screen : bool
+        False for a window.
+    """
+    plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
+    plotter.background_color = pv.Color("white")
+    _surroundings(plotter, workshop)
+    lines: list[str] = []
+    bar = _sights(plotter, workshop)
+    _shadows(plotter, workshop, lines)
+    _targets(plotter, workshop)
+    _stations(plotter, workshop)
+    _uncertainty(plotter, workshop, lines)
+    _corrections(plotter, workshop, lines)
+    lines.extend(workshop.notes)
+    _camera(plotter, workshop)
+    return plotter, Legend(tuple(lines), bar)
+
+
+def picture(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
+    """The scene as a PNG, with the legend written on it."""
+    return picture_and_legend(workshop, window_size=window_size)[0]
+
+
+def picture_and_legend(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> tuple[bytes, Legend]:
+    """The PNG, and what is written on it."""
+    plotter, legend = build(workshop, window_size=window_size)
+    _labels(plotter, workshop)
+    write_legend(plotter, workshop.title, legend)
+    image = plotter.screenshot(return_img=True)
+    plotter.close()
+    stream = io.BytesIO()
+    Image.fromarray(np.asarray(image)).save(stream, format="PNG")
+    return stream.getvalue(), legend
+
+
+def show(workshop: Workshop) -> None:
+    """Open a window; returns when it is closed."""
+    plotter, legend = build(workshop, off_screen=False)
+    _labels(plotter, workshop)
+    write_legend(plotter, workshop.title, legend)
+    plotter.show()
+
+
+def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
+    """Write title, magnifications and the colour bar on a picture."""
+    if title:
+        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=INK, shadow=False)
+    text = "\n".join(legend.lines)
+    if text:
+        actor = plotter.add_text(
+            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=INK
+        )
+        actor.prop.SetLineSpacing(1.35)
+    if legend.bar is not None:
+        plotter.add_scalar_bar(  # type: ignore[call-arg]
+            title=legend.bar[0] + "\n",
+            color=INK,
+            position_x=0.64,
+            position_y=0.02,
+            width=0.33,
+            height=0.07,
+            n_labels=3,
+            title_font_size=18,
+            label_font_size=16,
+            fmt="%.3g",
+            mapper=plotter.actors["sights"].mapper,
+        )
+
+
+def _surroundings(plotter: pv.Plotter, workshop: Workshop) -> None:
+    """Floor with a metre grid, walls, obstacles."""
+    z = workshop.floor_height
+    corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
+    plotter.add_mesh(solids.polygon(corners), color=FLOOR, lighting=False, name="floor")
+    grid = solids.metre_grid(workshop.floor, z)
+    if grid is not None:
+        plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
+    for i, wall in enumerate(workshop.walls):
+        plotter.add_mesh(solids.polygon(wall), color=WALL, opacity=0.55, lighting=False, name=f"wall-{i}")
+    if len(workshop.obstacles):
+        plotter.add_mesh(solids.triangles(workshop.obstacles), color="#B9A98C", name="obstacles")
+
+
+def _sights(plotter: pv.Plotter, workshop: Workshop) -> tuple[str, float, float] | None:
+    """Lines of sight, one a pair, coloured by the largest value of the pair."""
+    sights = workshop.sights
+    if sights is None or not len(sights.station):
+        return None
+    pairs, place = np.unique(np.stack([sights.station, sights.target], axis=1), axis=0, return_inverse=True)
+    value = np.full(len(pairs), -np.inf)
+    np.maximum.at(value, place.ravel(), sights.value)
+    ends = np.stack([workshop.position[pairs[:, 0]], workshop.points[pairs[:, 1]]], axis=1).reshape(-1, 3)
+    mesh = solids.lines(ends)
+    mesh.cell_data["value"] = value
+    low, high = float(value.min()), float(value.max())
+    plotter.add_mesh(
+        mesh,
+        scalars="value",
+        cmap=LINES,
+        clim=(low, high if high > low else low + 1.0),
+        line_width=1.6,
+        opacity=0.8,
+        lighting=False,
+        show_scalar_bar=False,
+        name="sights",
+    )
+    return sights.label, low, high
+
+
+def _shadows(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
+    """The cone under each station that the elevation limit hides, and its rim on the floor."""
+    z = workshop.floor_height
+    for k, opening in enumerate(workshop.openings):
+        radius = workshop.shadow_radius(opening)
+        rims = []
+        for s, place in enumerate(workshop.position):
+            rim = solids.circle(place[:2], radius[s], z + 0.004 * (k + 1))
+            rims.append(np.stack([rim[:-1], rim[1:]], axis=1).reshape(-1, 3))
+            if k == 0:
+                plotter.add_mesh(
+                    solids.cone(place, rim[:-1]), color=RED, opacity=0.13, lighting=False, name=f"cone-{s}"
+                )
+                plotter.add_mesh(
+                    solids.polygon(rim[:-1]), color=ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}"
+                )
+        plotter.add_mesh(
+            solids.lines(np.concatenate(rims)),
+            color=RED if k == 0 else ORANGE,
+            line_width=3 if k == 0 else 1.5,
+            lighting=False,
+            name=f"rims-{k}",
+        )
+        what = "red cone and disc" if k == 0 else "orange circle"
+        lines.append(f"{what}: shadow, opening {opening / DEGREE:.0f}°")
+
+
+def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
+    """Reflectors as balls, gauge reflectors in their own colour, gauge lengths as lines."""
+    gauge = set(workshop.gauge_targets)
+    radius = 0.009 * workshop.size
+    for name, colour, chosen in (
+        ("targets", BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
+        ("gauge", GREEN, sorted(gauge)),
+    ):
+        if chosen:
+            axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
+            plotter.add_mesh(
+                solids.balls(workshop.points[chosen], axes),
+                color=colour,
+                name=name,
+                smooth_shading=len(chosen) <= solids.FEW_BALLS,
+            )
+    if workshop.gauge:
+        ends = workshop.points[np.array(workshop.gauge).ravel()]
+        plotter.add_mesh(solids.lines(ends), color=GREEN, line_width=3, lighting=False, name="gauge-lengths")
+
+
+def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
+    """Tripod, column, head and a pointer to azimuth zero."""
+    legs, heads, pointers = [], [], []
+    for place, turn in zip(workshop.position, workshop.rotation, strict=True):
+        height = max(place[2] - workshop.floor_height, 0.3)
+        spread = 0.28 * min(height, 2.0)
+        top = place - np.array([0.0, 0.0, 0.22])
+        for angle in np.array([90.0, 210.0, 330.0]) * DEGREE:
+            foot = np.array([*(place[:2] + spread * np.array([np.cos(angle), np.sin(angle)])), workshop.floor_height])
+            legs.append(solids.rod(top, foot, 0.018))
+        legs.append(solids.rod(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
+        heads.append(pv.Cylinder(center=place, direction=turn[:, 1], radius=0.09, height=0.20, resolution=32))
+        end = place + 0.30 * turn[:, 0]
+        pointers.append(solids.rod(place, end, 0.022))
+        pointers.append(
+            pv.Cone(center=end + 0.06 * turn[:, 0], direction=turn[:, 0], height=0.12, radius=0.05, resolution=24)
+        )
+    plotter.add_mesh(solids.merged(legs), color=LEG, name="tripods")
+    plotter.add_mesh(solids.merged(heads), color=INK, name="heads")
+    plotter.add_mesh(solids.merged(pointers), color=ORANGE, name="azimuth-zero")
+
+
+def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
+    """Ellipsoids of one sigma around the targets at a round magnification."""
+    if workshop.covariance is None:
+        return
+    spread, axes = np.linalg.eigh(workshop.covariance)
+    semi = np.sqrt(np.maximum(spread, 0.0))
+    largest = float(np.median(semi.max(axis=1)))
+    if not largest > 0:
+        return
+    scale = round_magnification(largest, 0.035 * workshop.size)
+    ellipsoids = solids.balls(workshop.points, axes * (scale * semi)[:, None, :])
+    plotter.add_mesh(
+        ellipsoids, color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= solids.FEW_BALLS
+    )
+    lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
+
+
+def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
+    """Arrows from before to after at a round magnification."""
+    if workshop.correction is None:
+        return
+    length = np.linalg.norm(workshop.correction, axis=1)
+    if not float(length.max()) > 0:
+        return
+    scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
+    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MOST_ARROWS:][0]))
+    arrows = [
+        pv.Arrow(
+            start=p,
+            direction=c / n,
+            scale=float(scale * n),
+            shaft_radius=0.03,
+            tip_radius=0.08,
+            tip_length=0.3,
+            shaft_resolution=8,
+            tip_resolution=12,
+        )
+        for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
+        if n >= least
+    ]
+    plotter.add_mesh(solids.merged(arrows), color=PURPLE, name="corrections")
+    most = f" (the {MOST_ARROWS} largest)" if len(length) > MOST_ARROWS else ""
+    lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
+
+
+def _labels(plotter: pv.Plotter, workshop: Workshop) -> None:
+    """Names that always face the reader (pictures and windows only)."""
+    up = np.array([0.0, 0.0, 0.30])
+    plotter.add_point_labels(
+        workshop.position + up,
+        list(workshop.stations),
+        font_size=20,
+        bold=True,
+        text_color=INK,
+        shape="rounded_rect",
+        shape_color="white",
+        shape_opacity=0.75,
+        show_points=False,
+        always_visible=True,
+        name="station-names",
+    )
+    if len(workshop.targets) <= MOST_LABELS:
+        plotter.add_point_labels(
+            workshop.points + 0.35 * up,
+            list(workshop.targets),
+            font_size=12,
+            bold=False,
+            text_color="#3A4046",
+            shape=None,
+            show_points=False,
+            always_visible=True,
+            name="target-names",
+        )
+
+
+def _camera(plotter: pv.Plotter, workshop: Workshop) -> None:
+    """Look from the open side, above, at the middle."""
+    low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
+    high = np.array([*workshop.floor.max(axis=0), max(workshop.points[:, 2].max(), workshop.position[:, 2].max())])
+    middle = 0.5 * (low + high) - np.array([0.0, 0.0, 0.04 * (high - low)[2]])
+    backs = workshop.walls.mean(axis=1) if len(workshop.walls) else workshop.points
+    away = (middle if len(workshop.walls) else workshop.position.mean(axis=0)) - backs.mean(axis=0)
+    open_side = np.array([1.0, 0.72]) * np.where(away[:2] < -1e-6, -1.0, 1.0)
+    reach = 1.75 * float(np.linalg.norm(high - low))
+    direction = np.array([*(open_side / np.linalg.norm(open_side)), 0.62])
+    plotter.camera_position = [
+        tuple(middle + reach * direction / np.linalg.norm(direction)),
+        tuple(middle),
+        (0.0, 0.0, 1.0),
+    ]
+    plotter.camera.view_angle = 32.0
+    plotter.camera.clipping_range = (0.05 * reach, 6.0 * reach)

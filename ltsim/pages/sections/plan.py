@@ -1,0 +1,247 @@
+"""What a report says of a plan: where the tripods go, what it is worth, what it costs, what it cannot see."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.pages import figures, style
+from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture
+from ltsim.pages.planned import from_scenario
+from ltsim.pages.sections.network import scene, undetermined
+from ltsim.pages.words import count, duration
+from ltsim.planning.floor import Floor
+from ltsim.planning.schema import LayoutEntry, OptionEntry, PlanResult
+from ltsim.recording.result_file import companion, read_result
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.workshop import planned, visibility_of
+from ltsim.units import MILLIMETRE
+
+QUALITY = {
+    "instrument": ("instrument: σ / prior σ", 1.0),
+    "targets": ("targets: rms σ [µm]", 1e6),
+    "diagnosis": ("effects: found / plausible size", 1.0),
+}
+
+
+def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
+    """The section of a folder with `plan.json` (and `scenario.toml`, for the pictures).
+
+    Raises
+    ------
+    RecordError, SetupError
+        When a file is malformed.
+    """
+    content = read_result(folder, PlanResult)
+    blocks: list[Block] = [_stations(content)]
+    blocks += _pictures(folder, content, detail)
+    if content.reasons:
+        blocks.append(Points("Why this plan", content.reasons))
+    blocks += _tolerances(content) + _changes(folder, content)
+    blocks += _curve(content) + _parameters(content) + _expected(content)
+    blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
+    blocks += _effects(content)
+    if content.reflectors:
+        rows = [
+            [r.name, *(style.fixed(v, 1) for v in r.position_mm), style.number(r.sigma_um, 2), str(r.stations_seeing)]
+            for r in content.reflectors
+        ]
+        header = ["reflector", "x [mm]", "y [mm]", "z [mm]", "σ [µm]", "seen by stations"]
+        blocks.append(Table("Reflectors", header, rows))
+    blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
+    return Section(
+        title=content.title or folder.name, kind="Plan", answer=content.summary, mood=mood(content.allowed),
+        facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
+    )  # fmt: skip
+
+
+def _tolerances(content: PlanResult) -> list[Block]:
+    """Points against their tolerances, and what remains after a loss."""
+    rows = [
+        [r.name, style.number(r.within_mm), style.number(r.tolerance_mm), f"{100 * r.within_mm / r.tolerance_mm:.0f} %"]
+        for r in content.reflectors
+        if r.within_mm is not None and r.tolerance_mm
+    ]  # fmt: skip
+    if not rows:
+        return []
+    level = content.settings.get("goal", {}).get("level_pct", 95)
+    over = frozenset(i for i, row in enumerate(rows) if float(row[3].removesuffix(" %")) > 100)
+    header = ["point", "within [mm]", "tolerance [mm]", "used"]
+    blocks: list[Block] = [Table(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
+    lost = [
+        [loss.lost, "yes" if loss.kept else "no", loss.worst,
+         "–" if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
+        for loss in sorted(content.losses, key=lambda loss: loss.kept)
+    ]  # fmt: skip
+    header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
+    return [*blocks, Table("When a station or a sight is lost", header, lost, 3)]
+
+
+DEEDS = {"move": "move {0} to {1}", "add": "add one at {1}", "remove": "leave out {0}"}
+
+
+def _changes(folder: Path, content: PlanResult) -> list[Block]:
+    """Which reflector to move, to add, to leave out."""
+    changes = content.reflector_changes
+    if not changes:
+        return (
+            [Note("Reflectors to move, to add, to leave out", content.changes_tried)] if content.changes_tried else []
+        )
+    rows = [
+        [f"{i}: {DEEDS[c.do].format(c.reflector, c.place)}", *(style.fixed(v, 0) for v in c.position_mm or ()),
+         *[""] * (0 if c.position_mm else 3), f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
+         f"{c.serves} (σ {100 * (c.serves_factor - 1):+.1f} %)"]
+        for i, c in enumerate(changes, 1)
+    ]  # fmt: skip
+    header = ["one reflector", "x [mm]", "y [mm]", "z [mm]", "gain of the others [µm]", "better", "changes most"]
+    note = f"Gain: by how much the point error of all other points falls, root mean square. {content.changes_tried}"
+    blocks: list[Block] = [Table("Reflectors to move, to add, to leave out", header, rows, 1, note)]
+    file = companion(folder, "scenario.toml", content)
+    if file is not None:
+        ground = Floor.model_validate(content.settings.get("floor", {}))
+        figure = figures.reflector_changes(from_scenario(load_scenario(file)), changes, ground)
+        text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
+        blocks.append(picture("Where these reflectors are", figure, text))
+    return blocks
+
+
+def _facts(content: PlanResult) -> list[Fact]:
+    """Figures at a glance."""
+    facts = [
+        Fact("stations", str(len(content.stations))),
+        Fact("pointings", str(content.pointings)),
+        Fact("work", duration(3600.0 * content.hours)),
+        Fact("rules kept", "yes" if content.allowed else "no", mood(content.allowed)),
+    ]
+    for name, value in content.quality.items():
+        if value is not None:
+            label, factor = QUALITY.get(name, (name, 1.0))
+            other = content.reference.quality.get(name) if content.reference else None
+            better = "plain" if other is None else mood(value <= other)
+            text = style.number(factor * value) + (f" (was {style.number(factor * other)})" if other else "")
+            facts.append(Fact(label, text, better))
+    return facts
+
+
+def _stations(content: PlanResult) -> Table:
+    """Where the tripods go."""
+    rows = [
+        [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
+         " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
+        for s in content.stations
+    ]  # fmt: skip
+    header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero looks to [°]", "σ x y z [µm]", "reflectors seen"]
+    frame = content.frame[:1].upper() + content.frame[1:]
+    return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
+
+
+def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
+    """Floor plan, 3D view and who sees whom, from the plan's own scenario."""
+    file = companion(folder, "scenario.toml", content)
+    if file is None:
+        return []
+    scenario = load_scenario(file)
+    workshop = from_scenario(scenario)
+    reference = content.reference.stations if content.reference else ()
+    places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+    text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
+        " Hollow: the stations of the reference layout." if len(places) else ""
+    )
+    ground = Floor.model_validate(content.settings.get("floor", {}))
+    floor = figures.floor_plan(workshop, reference=places, coordinates=True, ground=ground)
+    blocks: list[Block] = [picture("Floor plan", floor, text)]
+    if detail != "none":
+        blocks.append(scene(workshop, interactive=detail == "turn"))
+    layout = planned(scenario)
+    table = visibility_of(scenario, layout)
+    figure = figures.visibility(layout.stations, layout.targets, table.words())
+    blocks.append(picture("Who sees whom", figure, "A coloured cell with a letter says why a station misses a target."))
+    return blocks
+
+
+def _curve(content: PlanResult) -> list[Block]:
+    """What a better layout costs."""
+    blocks: list[Block] = []
+    for name in content.quality:
+        label, factor = QUALITY.get(name, (name, 1.0))
+        layouts = [
+            figures.Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
+            for o in content.tradeoff
+            if (q := o.quality.get(name)) is not None
+        ]
+        own = content.quality[name]
+        if len(layouts) < 2 or own is None:
+            continue
+        layouts.append(figures.Layout("the plan", content.hours, factor * own, "chosen"))
+        reference = content.reference
+        if reference is not None and reference.quality.get(name) is not None:
+            layouts.append(
+                figures.Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference")
+            )
+        figure = figures.trade_off(layouts, cost="time on the floor [h]", quality=label)
+        text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
+        blocks.append(picture(f"Cost against quality: {name}", figure, text))
+    factor, unit = content.value_unit
+    rows = [
+        [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
+         style.number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
+        for o in content.tradeoff
+    ]  # fmt: skip
+    if rows:
+        header = ["layout", "faces", "rounds", "pointings", "hours", f"objective [{unit}]" if unit else "objective",
+                  "best at its cost"]  # fmt: skip
+        blocks.append(Table("Ways of working", header, rows, note="A smaller objective is better."))
+    return blocks
+
+
+def _way(option: OptionEntry) -> str:
+    """A way of working in a few letters."""
+    return f"{option.stations}s {option.faces}f {option.repeats}r"
+
+
+def _parameters(content: PlanResult) -> list[Block]:
+    """How well the instrument becomes known."""
+    other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    rows = [
+        figures.SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
+        for p in content.parameters
+        if p.prior_sigma and p.sigma > 0
+    ]
+    text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
+    return [picture("What will be known of the instrument", figures.sigmas(rows), text)] if rows else []
+
+
+def _expected(content: PlanResult) -> list[Block]:
+    """Expected improvement by the paper's criteria."""
+    named: list[tuple[str, LayoutEntry | None]] = [("this plan", content), ("reference layout", content.reference)]
+    rows = [
+        [layout, name, style.number(e.before_um), style.number(e.after_um), f"{e.improvement_percent:.1f} %"]
+        for layout, entry in named
+        if entry is not None and entry.expected_improvement
+        for name, e in entry.expected_improvement.items()
+    ]
+    header = ["layout", "criterion", "before [µm]", "after [µm]", "improvement"]
+    return [Table("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
+
+
+def _effects(content: PlanResult) -> list[Block]:
+    """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
+    blocks: list[Block] = []
+    if content.detectable:
+        rows = [
+            [d.effect, d.parameter, *(style.number(v, 2) for v in (d.best, d.typical, d.worst)),
+             d.worst_at or "", style.number(d.plausible, 2), style.unit_text(d.unit)]
+            for d in content.detectable
+        ]  # fmt: skip
+        header = ["effect", "parameter", "best", "typical", "worst", "worst at", "plausible", "unit"]
+        note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
+        blocks.append(Table("Smallest effects that would be found", header, rows, 2, note))
+    if content.alike:
+        rows = [[a.effect, a.taken_for, f"{100 * a.share:.0f} %"] for a in content.alike]
+        note = "Share of the first effect's trace that the second one explains."
+        blocks.append(Table("Effects that look alike here", ["effect", "taken for", "alike"], rows, 2, note))
+    if content.silent:
+        blocks.append(Points("Effects that would leave no trace", content.silent))
+    return blocks

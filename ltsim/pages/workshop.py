@@ -1,0 +1,273 @@
+"""What stands in the workshop, ready to be drawn: from a recording or from calibrated poses and targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.arrays import Floats, Ints
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import stated_construction
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Limits, Setup
+from ltsim.scene.visibility import cone_opening, shadow_radius
+from ltsim.units import DEGREE, MILLIMETRE
+
+SECOND_OPENING = 110.0 * DEGREE
+"""The other reading of the paper's shadow cone (section 2.3.2)."""
+FACING, FLUSH = 0.25, 0.2
+"""Least component of a nest's look across its wall, and how far [m] nests of one wall differ in depth at most."""
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Lines of sight (n,) with a value each; `label` is the value's name and unit."""
+
+    station: Ints
+    target: Ints
+    value: Floats
+    label: str
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
+
+    title: str
+    stations: tuple[str, ...]
+    position: Floats
+    """(S, 3)."""
+    rotation: Floats
+    """(S, 3, 3): instrument frame to this frame."""
+    targets: tuple[str, ...]
+    points: Floats
+    nest_normal: Floats
+    """(T, 3): the normal is NaN where the reflector is turned by hand."""
+    floor: Floats
+    """(k, 2): outline."""
+    floor_height: float = 0.0
+    walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
+    """(W, 4, 3)."""
+    gauge: tuple[tuple[int, int], ...] = ()
+    """Pairs of targets whose distance is known."""
+    elevation_min: float = -55.0 * DEGREE
+    sights: Sights | None = None
+    covariance: Floats | None = None
+    """(T, 3, 3)."""
+    correction: Floats | None = None
+    """(T, 3): change of the targets by a calibration or a finding."""
+    obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """(k, 3, 3): corners of the triangles of what stands in the way."""
+    hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    """(k, 2): station and target of the sights that these obstacles hide."""
+    notes: tuple[str, ...] = ()
+    """What a reader must know, such as an assumed floor."""
+
+    @property
+    def yaw(self) -> Floats:
+        """(S,) [rad]: where azimuth zero of each station looks."""
+        return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
+
+    @property
+    def openings(self) -> tuple[float, ...]:
+        """Full angles [rad] of the shadow cones: by the elevation limit, then the paper's other reading."""
+        own = cone_opening(self.elevation_min)
+        return (own,) if abs(own - SECOND_OPENING) < 1e-9 else (own, SECOND_OPENING)
+
+    def shadow_radius(self, opening: float) -> Floats:
+        """(S,) [m]: radius on the floor of the cone with a full angle `opening`."""
+        return shadow_radius(self.position, self.floor_height, opening)
+
+    @property
+    def gauge_targets(self) -> tuple[int, ...]:
+        """Targets that belong to the gauge."""
+        return tuple(sorted({i for pair in self.gauge for i in pair}))
+
+    @property
+    def size(self) -> float:
+        """Largest extent [m] of the targets and stations."""
+        points = np.concatenate([self.points, self.position])
+        return float(np.max(np.ptp(points, axis=0)))
+
+    def incidence(self) -> Sights | None:
+        """Lines of sight coloured by the angle between beam and nest, for the nests that are known."""
+        if self.sights is None or not np.isfinite(self.nest_normal).any():
+            return None
+        station, target = self.sights.station, self.sights.target
+        back = self.position[station] - self.points[target]
+        cosine = np.sum(back * self.nest_normal[target], axis=1) / np.linalg.norm(back, axis=1)
+        known = np.isfinite(cosine)
+        angle = np.arccos(np.clip(cosine[known], -1.0, 1.0)) / DEGREE
+        return Sights(station[known], target[known], angle, "incidence on the nest [°]")
+
+    def coloured(self, by: str) -> Workshop:
+        """The same workshop with lines of sight coloured by 'incidence' or 'residual'; as it is where unknown."""
+        sights = self.incidence() if by == "incidence" else None
+        return self if sights is None else replace(self, sights=sights)
+
+
+def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, title: str = "") -> Workshop:
+    """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
+    recording, state = adjustment.recording, adjustment.state
+    worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
+    placed = np.asarray(np.isfinite(adjustment.target_covariance).all(axis=(1, 2)))
+    rows, number = placed[recording.target], np.cumsum(placed) - 1
+    correction = None if plain is None else (state.points - plain.state.points)[placed]
+    return assemble(
+        recording.setup,
+        title=title or recording.setup.title,
+        stations=recording.stations,
+        position=state.position,
+        rotation=state.rotation,
+        targets=tuple(name for name, known in zip(recording.targets, placed, strict=True) if known),
+        points=state.points[placed],
+        sights=Sights(
+            recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
+        ),
+        covariance=adjustment.target_covariance[placed],
+        correction=correction,
+    )
+
+
+def from_recording(recording: Recording) -> Workshop:
+    """The workshop of a recording, adjusted with the instrument's parameters; arrows show what they change."""
+    plain = adjust(recording)
+    plain.solution.require_success()
+    full = adjust(recording, stated_construction(recording))
+    return from_adjustment(full if full.solution.converged else plain, plain=plain)
+
+
+def assemble(
+    setup: Setup,
+    *,
+    title: str,
+    stations: tuple[str, ...],
+    position: Floats,
+    rotation: Floats,
+    targets: tuple[str, ...],
+    points: Floats,
+    sights: Sights | None = None,
+    covariance: Floats | None = None,
+    correction: Floats | None = None,
+) -> Workshop:
+    """Bring a network into the frame of the floor plan where the set-up knows one, and add floor, walls and gauge."""
+    turn, shift, planned = _to_plan(setup, stations, position, rotation)
+    points = points @ turn.T + shift
+    position = position @ turn.T + shift
+    normal = _nest_normals(setup, targets)
+    height = 0.0 if planned and points[:, 2].min() > -0.05 else float(points[:, 2].min())
+    notes = () if height == 0.0 else ("The floor is taken at the lowest target.",)
+    planes = _wall_planes(points, normal) if planned else []
+    floor = _floor_between(rectangle(np.concatenate([points, position])[:, :2]), planes)
+    return Workshop(
+        title=title,
+        stations=stations,
+        position=position,
+        rotation=turn @ rotation,
+        targets=targets,
+        points=points,
+        nest_normal=normal,
+        floor=floor,
+        floor_height=height,
+        walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
+        gauge=gauge_pairs(setup, targets),
+        elevation_min=_elevation_min(setup),
+        sights=sights,
+        covariance=None if covariance is None else turn @ covariance @ turn.T,
+        correction=None if correction is None else correction @ turn.T,
+        notes=notes,
+    )
+
+
+def rectangle(places: Floats, margin: float = 0.4) -> Floats:
+    """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin [m]."""
+    (x0, y0), (x1, y1) = places.min(axis=0) - margin, places.max(axis=0) + margin
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def gauge_pairs(setup: Setup, targets: Iterable[str]) -> tuple[tuple[int, int], ...]:
+    """Indices of the targets of each known length."""
+    place: Mapping[str, int] = {name: i for i, name in enumerate(targets)}
+    lengths = setup.gauge.distance if setup.gauge else ()
+    return tuple((place[g.from_], place[g.to]) for g in lengths if g.from_ in place and g.to in place)
+
+
+def _to_plan(
+    setup: Setup, stations: tuple[str, ...], position: Floats, rotation: Floats
+) -> tuple[Floats, Floats, bool]:
+    """Turn about z and shift that bring the network to the floor plan, and whether there is one.
+
+    Plans are rough, levels are not: only the yaw is taken from the plan.
+    """
+    known = [i for i, name in enumerate(stations) if _plan(setup, name) is not None]
+    if not known:
+        return np.eye(3), np.zeros(3), False
+    plan = np.array([_plan(setup, stations[i]) for i in known]) * MILLIMETRE
+    yaws = [(i, setup.stations[stations[i]].yaw_deg) for i in known if setup.stations[stations[i]].yaw_deg is not None]
+    if yaws:
+        differences = [(yaw or 0.0) * DEGREE - np.arctan2(rotation[i, 1, 0], rotation[i, 0, 0]) for i, yaw in yaws]
+        angle = float(np.angle(np.mean(np.exp(1j * np.array(differences)))))
+    else:
+        here = position[known] - position[known].mean(axis=0)
+        there = plan - plan.mean(axis=0)
+        angle = float(np.angle(np.sum((there[:, 0] + 1j * there[:, 1]) * (here[:, 0] - 1j * here[:, 1]))))
+    turn = about_z(angle)
+    shift: Floats = plan.mean(axis=0) - turn @ position[known].mean(axis=0)
+    return turn, shift, True
+
+
+def _plan(setup: Setup, station: str) -> tuple[float, float, float] | None:
+    """Position [mm] on the floor plan, if the set-up has one."""
+    return setup.stations[station].position_mm if station in setup.stations else None
+
+
+def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
+    """(T, 3) unit vectors, NaN where unknown."""
+    rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
+    normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _elevation_min(setup: Setup) -> float:
+    """Lowest elevation [rad] of the first instrument."""
+    instrument = next(iter(setup.instruments.values()), setup.instrument)
+    return (instrument.limits or Limits()).elevation_min_deg * DEGREE
+
+
+def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
+    """Axis, side (the sign of the free side) and place [m] of upright planes that at least four nests stand on.
+
+    Their nests look away from them, straight or aimed at the stations, and nothing stands behind them.
+    """
+    planes = []
+    for axis in range(2):
+        for side in (1.0, -1.0):
+            depth = side * points[:, axis]
+            last = float(depth.min())
+            looking = np.nan_to_num(side * normal[:, axis]) > FACING
+            if np.sum(looking & (depth < last + FLUSH)) >= 4:
+                planes.append((axis, side, side * (last - 0.05)))
+    return planes
+
+
+def _floor_between(floor: Floats, planes: list[tuple[int, float, float]]) -> Floats:
+    """The floor's outline (4, 2), ending at the walls."""
+    (x0, y0), (x1, y1) = floor.min(axis=0), floor.max(axis=0)
+    sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
+    sides |= {(axis, side): place for axis, side, place in planes}
+    x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: float, high: float) -> Floats:
+    """Corners (W, 4, 3) of walls between heights `low` and `high` over the sides of the floor."""
+    walls = np.zeros((len(planes), 4, 3))
+    for wall, (axis, _, place) in zip(walls, planes, strict=True):
+        begin, end = floor[:, 1 - axis].min(), floor[:, 1 - axis].max()
+        wall[:, axis] = place
+        wall[:, 1 - axis] = [begin, end, end, begin]
+        wall[:, 2] = [low, low, high, high]
+    return walls

@@ -1,0 +1,365 @@
+"""Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
+
+Two steps, so that a search pays for geometry once: `StationBlocks` holds what one set-up contributes, for any
+number of candidate set-ups; `Reducer.reduce` joins set-ups into layouts and eliminates targets (3 x 3 blocks) and
+poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
+
+The Jacobian is that of the construction, the other rows are those of the adjustment; `information.py` is the slow
+twin, and a test holds both together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.effect import Effect
+from ltsim.effects.noise import white_noise_sigma
+from ltsim.geometry.rigid import holds_pose, rigid_motion
+from ltsim.geometry.rotations import cross_matrix
+from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import MeasurementModel
+from ltsim.planning.survey import Survey
+from ltsim.scene.sightings import Sightings
+from ltsim.solve.design import as_dense
+from ltsim.solve.rank import POINT, cholesky_where_determined, unit_diagonal
+
+POSE_SCALE = 1e-5
+"""[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
+
+
+@dataclass(frozen=True)
+class StationBlocks:
+    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters."""
+
+    position: Floats
+    """(N, 3) [m]."""
+    held: Bools
+    """(N,): whether the targets in sight hold the pose."""
+    tt: Floats
+    """(N, T, 3, 3): target with target."""
+    tx: Floats
+    """(N, T, 3, 6 + P): target with pose and parameters."""
+    xx: Floats
+    """(N, 6 + P, 6 + P): pose and parameters, summed over targets."""
+
+    def take(self, which: Ints) -> StationBlocks:
+        """Some of the set-ups."""
+        return StationBlocks(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[StationBlocks]) -> StationBlocks:
+        """Several sets of set-ups as one."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Reduced layouts: B layouts, P parameters."""
+
+    information: Floats
+    """(B, P, P): of instrument and effect parameters in units of their prior sigma; NaN where a layout leaves a pose
+    open.
+    """
+    target_rms: Floats
+    """(B,) [m]: root mean square point error, datum the mean of all targets; NaN there too, and where not asked for."""
+
+
+class Reducer:
+    """Layouts of one workshop: fixed targets, gauge, noise and priors; set-ups that change.
+
+    Parameters
+    ----------
+    survey : Survey
+        Everything but the places of the stations; its number of stations is that of every layout.
+    construction : Construction, optional
+        Default: the 16 misalignment parameters.
+    effects : sequence of Effect
+        Further effects whose information is wanted too; unit their prior sigma, no prior.
+    """
+
+    def __init__(
+        self, survey: Survey, construction: Construction | None = None, effects: Sequence[Effect] = ()
+    ) -> None:
+        self.survey, self.effects = survey, tuple(effects)
+        self.construction = construction or misalignment()
+        whole = survey.replace(seen=np.ones_like(survey.seen))
+        pointings, state = whole.recording(self.construction), whole.state(self.construction)
+        # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
+        problem = (
+            Adjustment.planned(pointings, state, self.construction).problem
+            if survey.is_whole
+            else NetworkProblem.of(MeasurementModel(pointings, self.construction))
+        )
+        self._rank_free, self._free = problem.free.shape[1], problem.free
+        self._vertical = np.full((self.stations, 3), np.nan)
+        self._vertical[problem.levels.station] = problem.levels.vertical
+        self.prior_sigma = problem.prior_sigma[0]
+        sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
+        self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
+        self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)
+        self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.kept)
+        rows = problem.linearise(state).design[int(problem.use.sum()) :]
+        other = as_dense(rows[: rows.shape[0] - self._rank_free])
+        self._other_blocks(other, problem.unknowns.target, problem.unknowns.pose, problem.unknowns.instrument[0])
+        self._weight, self._use = survey.weight, survey.used
+        self._anchors_turn = problem.structure.anchors_turn
+        self._motion = rigid_motion(survey.points) @ self._free
+
+    def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, instrument: Ints) -> None:
+        """Normal equations of gauge, control, levels and priors, in this class's order and units."""
+        extra = np.zeros((len(rows), len(self.scale) - len(instrument)))
+        front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
+        kept = np.hstack([*front, rows[:, instrument] * self.prior_sigma, extra])
+        mesh = rows[:, target[self.mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
+        self._other_kept = kept.T @ kept
+        self._other_tt = np.einsum("mti,mtj->tij", mesh, mesh)
+        self._other_tk = np.einsum("mti,mk->tik", mesh, kept)
+
+    @property
+    def stations(self) -> int:
+        """Stations of a layout."""
+        return len(self.survey.position)
+
+    def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
+        """One pointing of every target on each face from each of N set-ups; `slot` is the station they stand for."""
+        survey = self.survey
+        count, targets, faces = len(position), len(survey.points), np.array(survey.faces)
+        station, target, face = (
+            axis.ravel() for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
+        )
+        at = survey.turn(slot[station], target, face)
+        visit = survey.seconds_per_move + targets * len(faces) * survey.seconds_per_pointing
+        normals = [survey.setup.targets.get(t) for t in survey.target_names]
+        missing = (np.nan, np.nan, np.nan)
+        normal = np.array([(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64)
+        cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros(count)
+        rotation = np.stack(
+            [
+                np.stack([cosine, -sine, zero], axis=1),
+                np.stack([sine, cosine, zero], axis=1),
+                np.stack([zero, zero, zero + 1.0], axis=1),
+            ],
+            axis=1,
+        )
+        return Sightings(
+            station=station,
+            target=target,
+            instrument=np.zeros(len(station), dtype=np.int64),
+            face=face,
+            repeat=np.ones(len(station), dtype=np.int64),
+            time=slot[station] * visit + at * survey.seconds_per_pointing,
+            position=position,
+            rotation=rotation,
+            points=survey.points,
+            nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            reaimed=np.array([n.reaimed if n else True for n in normals], dtype=bool),
+            station_names=tuple(survey.station_names[s] for s in slot),
+            target_names=survey.target_names,
+        )
+
+    def rows(self, position: Floats, yaw: Floats, slot: Ints) -> tuple[Floats, Floats]:
+        """Whitened derivatives by the target and by the parameters of set-ups, in the order of `sightings`.
+
+        Effects that count time from the start of the work see the first station too.
+        """
+        if not self.effects or slot.min() == 0:
+            return self._rows(self.sightings(position, yaw, slot))
+        whole = self.sightings(np.r_[position[:1], position], np.r_[yaw[:1], yaw], np.r_[0, slot])
+        by_target, by_value = self._rows(whole)
+        own = len(self.survey.points) * len(self.survey.faces)
+        return by_target[own:], by_value[own:]
+
+    def _rows(self, sightings: Sightings) -> tuple[Floats, Floats]:
+        """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
+        values = np.zeros(self.construction.size)
+        by_point, by_value = self.construction.reading_design(sightings.raw, values)
+        rotation = sightings.rotation[sightings.station]
+        by_target = by_point @ np.swapaxes(rotation, 1, 2)
+        designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
+        noise = [self.survey.setup.instrument.noise]
+        sigma = white_noise_sigma(sightings, noise)
+        white = (self._use / sigma)[:, :, None]
+        return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
+
+    def blocks(
+        self, position: Floats, yaw: Floats, slot: Ints | None = None, seen: Bools | None = None
+    ) -> StationBlocks:
+        """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
+
+        Parameters
+        ----------
+        slot : (N,) int, optional
+            Which station of the layout each stands for (its time and name, for effects that know them).
+        seen : (N, T) bool, optional
+            Targets that each measures; default all.
+        """
+        count, targets = len(position), len(self.survey.points)
+        at = np.zeros(count, dtype=np.int64) if slot is None else slot
+        by_target, by_value = self.rows(position, yaw, at)
+        seen = np.ones((count, targets), dtype=bool) if seen is None else seen
+        weight = np.sqrt(self.survey.repeats) * seen
+        shape = (count, targets, 3 * len(self.survey.faces))
+        t = by_target.reshape(*shape, 3) * weight[:, :, None, None]
+        v = by_value.reshape(*shape, -1) * weight[:, :, None, None]
+        arm = self.survey.points[None] - position[:, None]
+        turned = t @ cross_matrix(arm)
+        x = np.concatenate([-t, turned, v], axis=3)
+        flat = x.reshape(count, -1, x.shape[3])
+        across = np.swapaxes(t, 2, 3)
+        held = holds_pose(self.survey.points, seen, self._vertical[at])
+        return StationBlocks(position, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+
+    def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
+        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout.
+
+        Parameters
+        ----------
+        targets : bool
+            Also the targets' point error.
+        """
+        schur, length, inverse, weights = self.eliminated(blocks, chosen)
+        information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
+        held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
+        information[held] = self.marginal(schur[held], length[held])
+        if targets:
+            known = np.isfinite(information).all(axis=(1, 2))
+            rms[known] = self.target_rms(schur[known], inverse[known], weights[known], self.mesh)
+        return Reduced(information, rms)
+
+    def schur(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats]:
+        """Normal matrices (B, K, K) of poses, gauge targets and parameters, all other targets eliminated.
+
+        And the squared lengths (B, K) of the columns before that, by which `marginal` decides rank.
+        """
+        return self.eliminated(blocks, chosen)[:2]
+
+    def marginal(self, schur: Floats, length: Floats) -> Floats:
+        """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated.
+
+        NaN where these leave a direction open, of columns whose squared lengths (B, K) the design would have.
+        """
+        unit, scale = unit_diagonal(schur, length)
+        roots, _ = cholesky_where_determined(unit)
+        last = slice(schur.shape[1] - len(self.scale), schur.shape[1])
+        corner = roots[:, last, last] / scale[:, last, None]
+        return corner @ np.swapaxes(corner, 1, 2)
+
+    def eliminated(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+        """Schur complement (B, K, K), squared lengths (B, K) of its columns before, and what targets leave behind.
+
+        That is the inverse blocks (B, E, 3, 3) of the targets, and these times what joins them to the rest. The
+        complement of a layout that leaves a target open is NaN.
+        """
+        kept, tt, tk = self._normal(blocks, chosen)
+        if not self._use.all():  # a whole sight places its target
+            spread = np.linalg.eigvalsh(tt)
+            open_ = spread[..., 0] <= POINT * spread[..., 2]
+            tt = tt + open_[..., None, None] * np.eye(3)
+            kept[open_.any(axis=1)] = np.nan
+        inverse = np.asarray(np.linalg.inv(tt), dtype=np.float64)
+        weights = inverse @ tk
+        size = kept.shape[1]
+        flat, flat_weights = tk.reshape(len(kept), -1, size), weights.reshape(len(kept), -1, size)
+        schur = kept - np.swapaxes(flat, 1, 2) @ flat_weights
+        return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", kept), inverse, weights
+
+    def _normal(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+        """Kept block (B, K, K), mesh targets (B, E, 3, 3) and what joins them (B, E, 3, K)."""
+        layouts, stations = chosen.shape
+        params, gauge = len(self.scale), len(self._gauge)
+        size = 6 * stations + 3 * gauge + params
+        kept = np.broadcast_to(self._other_kept, (layouts, size, size)).copy()
+        tk = np.zeros((layouts, len(self.survey.points), 3, size))
+        tt = np.zeros((layouts, len(self.survey.points), 3, 3))
+        last = slice(size - params, size)
+        for s in range(stations):
+            which = chosen[:, s]
+            at = slice(6 * s, 6 * s + 6)
+            xx, tx = blocks.xx[which], blocks.tx[which]
+            kept[:, at, at] += xx[:, :6, :6]
+            kept[:, at, last] += xx[:, :6, 6:]
+            kept[:, last, at] += xx[:, 6:, :6]
+            kept[:, last, last] += xx[:, 6:, 6:]
+            tk[:, :, :, at] = tx[:, :, :, :6]
+            tk[:, :, :, last] += tx[:, :, :, 6:]
+            tt += blocks.tt[which]
+        for g, t in enumerate(self._gauge):
+            at = slice(6 * stations + 3 * g, 6 * stations + 3 * g + 3)
+            kept[:, at, :] += tk[:, t]
+            kept[:, :, at] += np.swapaxes(tk[:, t], 1, 2)
+            kept[:, at, at] += tt[:, t]
+        if self._rank_free:
+            datum = self._datum(blocks.position[chosen])
+            own = slice(0, datum.shape[2])
+            kept[:, own, own] += np.swapaxes(datum, 1, 2) @ datum
+        mesh = tt[:, self.mesh] + self._other_tt
+        unseen = np.einsum("beii->be", mesh) == 0.0
+        return kept, mesh + unseen[:, :, None, None] * np.eye(3), tk[:, self.mesh] + self._other_tk
+
+    def _datum(self, position: Floats) -> Floats:
+        """Rows (B, f, 6 a) that hold stations at `position` (B, S, 3) against the free rigid motions.
+
+        The first of them whole; the places of all where ranges alone leave their turns out.
+        """
+        motion = self._free / np.linalg.norm(self._free, axis=0)
+        anchors = position[:, :1] if self._anchors_turn else position
+        rows = np.broadcast_to(motion.T[:, None], (len(anchors), motion.shape[1], anchors.shape[1], 6)).copy()
+        rows[..., :3] += np.cross(rows[..., 3:], anchors[:, None])
+        rows[..., 3:] *= self._anchors_turn
+        return (rows / DATUM_SIGMA * POSE_SCALE).reshape(len(rows), motion.shape[1], -1)
+
+    def target_rms(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
+        """Point error (B,) [m], root mean square, weighted as the survey says; parameters as of `target_variance`."""
+        own = self.target_variance(schur, inverse, weights, mesh)
+        weight = self._weight[self.asked(mesh)]
+        return np.sqrt(np.sum(weight * own, axis=1) / np.sum(weight * np.ones_like(own), axis=1))
+
+    def asked(self, mesh: Ints) -> Ints:
+        """(1 or B, E + gauge): targets of the survey that `target_variance` tells of."""
+        at = np.atleast_2d(mesh)
+        return np.concatenate([at, np.broadcast_to(self._gauge, (len(at), len(self._gauge)))], axis=1)
+
+    def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
+        """Squared point error (B, E + gauge) [m^2] of targets with inner constraints over them.
+
+        Effects are not estimated here, only the instrument's parameters.
+
+        Parameters
+        ----------
+        schur : (B, K, K) float
+        inverse : (B, E, 3, 3), weights : (B, E, 3, K) float
+            Of the eliminated targets that are asked about (`eliminated`).
+        mesh : (E,) or (B, E) int
+            Which targets of the survey these are; those of the gauge are asked about as well.
+        """
+        layouts, size = len(schur), schur.shape[1] - (len(self.scale) - len(self.prior_sigma))
+        covariance = np.linalg.inv(schur[:, :size, :size])
+        count, gauge = inverse.shape[1], len(self._gauge)
+        carry = np.zeros((layouts, count + gauge, 3, size))
+        carry[:, :count] = -weights[..., :size]
+        first = size - len(self.prior_sigma) - 3 * gauge
+        for g in range(gauge):
+            carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
+        motion = np.broadcast_to(
+            self._motion.reshape(-1, 3, self._rank_free)[self.asked(mesh)],
+            (layouts, count + gauge, 3, self._rank_free),
+        )
+        # Inner constraints: what is left of each target's errors without the rigid motion of all of them.
+        axes = 3 * (count + gauge)
+        rows = motion.reshape(layouts, axes, self._rank_free)
+        held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)
+        flat = carry.reshape(layouts, axes, size)
+        left = flat - rows @ (held @ flat)
+        part = held.reshape(layouts, self._rank_free, count + gauge, 3).transpose(0, 2, 1, 3)[:, :count]
+        moved = np.einsum("beij,befj->beif", inverse, part)
+        common = np.einsum("befi,beig->bfg", part, moved)
+        own = ((left @ covariance) * left).reshape(layouts, count + gauge, 3 * size).sum(axis=2)
+        own += ((rows @ common) * rows).reshape(layouts, count + gauge, 3 * self._rank_free).sum(axis=2)
+        own[:, :count] += np.einsum("beii->be", inverse) - 2.0 * np.einsum("beif,beif->be", motion[:, :count], moved)
+        return POSE_SCALE**2 * own

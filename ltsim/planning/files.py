@@ -1,0 +1,298 @@
+"""A plan as files: plan.json for programs, tables for people, a scenario to simulate it with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ltsim.arrays import Floats
+from ltsim.effects import CATALOGUE
+from ltsim.planning.detectability import Detectability, detectability
+from ltsim.planning.improvement import Expected
+from ltsim.planning.planner import Evaluated, Option, Plan
+from ltsim.planning.reasons import fewest, reasons
+from ltsim.planning.schema import (
+    EFFECTS,
+    NEXT,
+    NOMINALS,
+    PARAMETERS,
+    REFLECTORS,
+    STATIONS,
+    TRADEOFF,
+    VISIBILITY,
+    WORK,
+    NextFile,
+    PlanResult,
+)
+from ltsim.planning.survey import Survey
+from ltsim.planning.work_order import work_rows
+from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.remedies.next_measurement import NextMeasurement
+from ltsim.simulation.scenario import Scenario, scenario_to_toml
+from ltsim.simulation.sections import Station, Target
+from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
+
+
+def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
+    """The content of `plan.json`."""
+    chosen = plan.chosen
+    sentences = reasons(plan)
+    few = fewest(plan)
+    content: dict[str, Any] = {
+        "title": plan.file.title or plan.scenario.title,
+        "summary": sentences[0],
+        "reasons": sentences[1:],
+        "frame": "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, "
+        "counter-clockwise from x",
+        **_evaluated_json(chosen),
+        "reflectors": _reflectors(chosen, plan),
+        "reference": None if plan.reference is None else _evaluated_json(plan.reference),
+        "fewest_stations": None if few is None else _option_json(few),
+        "tradeoff": [_option_json(option) for option in plan.options],
+        "reflector_changes": [
+            {
+                **vars(c),
+                "do": c.what,
+                "words": c.words,
+                "position_mm": None if c.position is None else _millimetres(c.position),
+            }
+            for c in plan.changes.told
+        ],
+        "changes_tried": plan.changes.summary,
+        "starts": plan.spread,
+        "tolerances_kept": None if plan.kept is None else plan.kept.good,
+        "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
+        "settings": plan.file.model_dump(mode="json"),
+        "seed": plan.file.search.seed,
+    }
+    if found is not None:
+        content |= detectability_json(found)
+    return PlanResult.model_validate(content)
+
+
+def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
+    information = layout.information
+    sentences = information.cures()
+    return {
+        "allowed": math.isfinite(layout.value),
+        **_work(layout.survey),
+        "quality": layout.qualities,
+        "stations": _stations(layout),
+        "reflectors": _reflectors(layout),
+        "parameters": information.parameters(),
+        "undetermined": [
+            {"combination": d.coefficients(information.construction.names), "gain": d.gain, "cure": cure}
+            for d, cure in zip(information.undetermined, sentences, strict=True)
+        ],
+        "expected_improvement": None if layout.expected is None else _expected(layout.expected),
+        "not_seen": layout.table.lost(layout.survey.station_names, layout.survey.target_names),
+    }
+
+
+def _expected(e: Expected) -> dict[str, Any]:
+    found = {
+        "distance": (e.distance_before, e.distance_after, e.distance_improvement),
+        "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
+    }
+    return {
+        name: {
+            "before_um": float(before[0]) / MICROMETRE,
+            "after_um": float(after[0]) / MICROMETRE,
+            "improvement_percent": float(percent[0]),
+        }
+        for name, (before, after, percent) in found.items()
+    }
+
+
+def _stations(layout: Evaluated) -> list[dict[str, Any]]:
+    rows = []
+    sigma = layout.information.pose_covariance
+    for s, name in enumerate(layout.survey.station_names):
+        spread = [float(sigma[s, i, i]) ** 0.5 for i in range(3)]
+        rows.append(
+            {
+                "name": name,
+                "position_mm": _millimetres(layout.survey.position[s]),
+                "yaw_deg": _degrees(layout.survey.yaw[s]),
+                "sigma_position_um": [round(v / MICROMETRE, 2) for v in spread],
+                "reflectors_seen": int(layout.survey.seen[s].sum()),
+            }
+        )
+    return rows
+
+
+def _reflectors(layout: Evaluated, plan: Plan | None = None) -> list[dict[str, Any]]:
+    rows = []
+    for t, name in enumerate(layout.survey.target_names):
+        rows.append(
+            {
+                "name": name,
+                "position_mm": _millimetres(layout.survey.points[t]),
+                "sigma_um": round(float(layout.information.target_sigma[t]) / MICROMETRE, 2),
+                "stations_seeing": int(layout.survey.seen[:, t].sum()),
+            }
+        )
+        if plan is not None and plan.kept is not None and name in plan.kept.radius:
+            rows[-1]["within_mm"] = round(plan.kept.radius[name] / MILLIMETRE, 5)
+            rows[-1]["tolerance_mm"] = plan.demands.tolerance[name] / MILLIMETRE
+    return rows
+
+
+def _work(survey: Survey) -> dict[str, Any]:
+    return {
+        "faces": len(survey.faces),
+        "repeats": survey.repeats,
+        "pointings": survey.pointings,
+        "hours": round(survey.seconds / 3600, 3),
+    }
+
+
+def _option_json(option: Option) -> dict[str, Any]:
+    survey = option.survey
+    return {
+        **_work(survey),
+        "stations": len(survey.position),
+        "value": option.value,
+        "quality": option.qualities,
+        "efficient": option.efficient,
+        "layout": [
+            {"name": name, "position_mm": _millimetres(place), "yaw_deg": _degrees(yaw)}
+            for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
+        ],
+    }
+
+
+def detectability_json(found: Detectability) -> dict[str, Any]:
+    """Minimal detectable sizes in display units, pairs that are alike, effects that leave no trace."""
+    rows = []
+    for row in found.table():
+        unit = FACTOR[row.unit]
+        rows.append(
+            {
+                "effect": row.effect,
+                "parameter": row.parameter,
+                "unit": row.unit,
+                "best": row.best / unit,
+                "typical": row.typical / unit,
+                "worst": row.worst / unit,
+                "worst_at": row.worst_place,
+                "plausible": row.prior_sigma / unit,
+                "visible": row.visible,
+            }
+        )
+    pairs = [{"effect": a, "taken_for": b, "share": share} for a, b, share in found.confusable()]
+    return {"detectable": rows, "alike": pairs, "silent": list(found.silent)}
+
+
+def planned_scenario(plan: Plan) -> Scenario:
+    """The scenario with the plan's stations, reflectors and way of working: what `ltsim simulate` takes."""
+    return with_layout(plan.scenario, plan.chosen.survey, plan.file.title or plan.scenario.title)
+
+
+def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
+    """A scenario with the stations, reflectors and way of working of a survey."""
+    stations = {}
+    for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True):
+        kept = scenario.stations.get(name)
+        levelled = kept is not None and kept.levelled
+        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=_degrees(yaw), levelled=levelled)
+    fixed = set(scenario.gauge.targets) if scenario.gauge else set()
+    targets = {
+        name: scenario.targets.get(name) or Target(position_mm=_millimetres(place))
+        for name, place in zip(survey.target_names, survey.points, strict=True)
+        if name not in fixed
+    }
+    work = scenario.work.model_copy(
+        update={
+            "faces": len(survey.faces),
+            "repeats": survey.repeats,
+            "seconds_per_pointing": survey.seconds_per_pointing,
+            "minutes_per_move": survey.seconds_per_move / 60.0,
+        }
+    )
+    return scenario.model_copy(
+        update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
+    )
+
+
+def _millimetres(place: Floats) -> tuple[float, float, float]:
+    x, y, z = (round(float(v) / MILLIMETRE, 1) for v in place)
+    return x, y, z
+
+
+def _degrees(angle: float) -> float:
+    return round(float(angle) / DEGREE % 360, 2)
+
+
+def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> PlanResult:
+    """Write plan.json, the tables, scenario.toml and pictures, where a folder is given; the content of plan.json."""
+    content = plan_file(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
+    if folder is not None:
+        return write_result(folder, content, {**plan_texts(plan, content), **(pictures or {})})
+    return content
+
+
+def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | None = None) -> NextFile:
+    """The content of `next.json`: proposals of further measurements after a recording."""
+    content = {
+        "recording": source,
+        "diagnosis": summary,
+        "between": list(made.between),
+        "evidence_now": made.evidence_now,
+        "advice": made.advice,
+        "proposals": [
+            {
+                **vars(p),
+                "do": p.remedy.words,
+                "kind": p.remedy.kind,
+                "minutes": round(p.remedy.seconds / 60, 2),
+                "tells_apart": p.tells_apart,
+                "decides": p.decides,
+                "position_mm": None if p.remedy.place is None else _millimetres(p.remedy.place),
+                "yaw_deg": None if p.remedy.yaw is None else _degrees(p.remedy.yaw),
+            }
+            for p in made.proposals
+        ],
+    }
+    return NextFile.model_validate(content)
+
+
+def next_csv(content: NextFile) -> str:
+    """The content of `next.csv`."""
+    return NEXT.text(
+        [p.kind, p.minutes, p.sharper, p.serves, p.serves_factor, " ".join(p.tells_apart), p.decides, p.do]
+        for p in content.proposals
+    )
+
+
+def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str]:
+    """The files beside `plan.json`, by name."""
+    own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    spread = [s.sigma_position_um or (None,) * 3 for s in content.stations]
+    texts = {
+        STATIONS: [[s.name, *s.position_mm, s.yaw_deg, *v] for s, v in zip(content.stations, spread, strict=True)],
+        REFLECTORS: [[r.name, *r.position_mm, r.sigma_um] for r in content.reflectors],
+        TRADEOFF: [[getattr(option, name) for name in TRADEOFF.header] for option in content.tradeoff],
+        PARAMETERS: [[p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters],
+        VISIBILITY: _visibility(plan.chosen),
+    }
+    if "detectable" in content.model_fields_set:
+        texts[EFFECTS] = [[getattr(row, name) for name in EFFECTS.header] for row in content.detectable]
+    texts[NOMINALS] = [[r.name, *r.position_mm] for r in content.reflectors]
+    texts[WORK] = work_rows(plan)
+    tables = {table.file: table.text(rows) for table, rows in texts.items()}
+    return tables | {"scenario.toml": scenario_to_toml(planned_scenario(plan))}
+
+
+def _visibility(layout: Evaluated) -> list[list[Any]]:
+    words, table, survey = layout.table.words(), layout.table, layout.survey
+    return [
+        [
+            station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
+            round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
+        ]
+        for s, station in enumerate(survey.station_names)
+        for t, target in enumerate(survey.target_names)
+    ]  # fmt: skip

@@ -1,0 +1,85 @@
+"""What a layout is good for, as one number: smaller is better."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect
+from ltsim.planning.criteria import CRITERIA, CriterionName
+from ltsim.planning.fast import Reduced
+from ltsim.remedies.detectability import search_noncentrality
+
+INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
+LEAST_IMPROVEMENT = 1e-4
+"""Relative improvement under which a sweep of exchanges counts as none."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A weighted geometric mean of up to three qualities."""
+
+    weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT: 1.0})
+    """Of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error [m])
+    and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
+    """
+    criterion: CriterionName = "D"
+    """Of the instrument parameters: "D", "A" or "E"."""
+    effects: tuple[Effect, ...] = ()
+    """Those that a diagnosis should see."""
+    places: Mapping[str, int] = field(default_factory=dict)
+    """At how many places and with how many shapes a diagnosis looks for an effect; default those of `effects`."""
+
+    @property
+    def wants_targets(self) -> bool:
+        """Targets' point errors are needed."""
+        return self.weights.get(TARGETS, 0.0) > 0.0
+
+    def qualities(self, reduced: Reduced, parameters: int) -> dict[str, Floats]:
+        """The wanted qualities (B,); infinite for a layout that determines nothing."""
+        found: dict[str, Floats] = {}
+        if self.weights.get(INSTRUMENT, 0.0) > 0.0:
+            found[INSTRUMENT] = self._instrument(reduced.information[:, :parameters, :parameters])
+        if self.wants_targets:
+            found[TARGETS] = reduced.target_rms
+        if self.weights.get(DIAGNOSIS, 0.0) > 0.0:
+            found[DIAGNOSIS] = smallest_sizes(reduced.information, parameters, self.effects, self.places)
+        return {name: np.where(np.isfinite(value), value, np.inf) for name, value in found.items()}
+
+    def values(self, reduced: Reduced, parameters: int) -> Floats:
+        """(B,): the weighted geometric mean."""
+        found = self.qualities(reduced, parameters)
+        total = sum(self.weights[name] for name in found)
+        logs = [self.weights[name] / total * np.log(value) for name, value in found.items()]
+        return np.exp(np.sum(logs, axis=0))
+
+    def _instrument(self, information: Floats) -> Floats:
+        value = np.full(len(information), np.inf)
+        good = np.isfinite(information).all(axis=(1, 2))
+        if good.any():
+            value[good] = CRITERIA[self.criterion](np.asarray(np.linalg.inv(information[good])))
+        return value
+
+
+def smallest_sizes(
+    information: Floats, parameters: int, effects: Sequence[Effect], places: Mapping[str, int] | None = None
+) -> Floats:
+    """Geometric mean (B,) over effects' parameters of minimal detectable over plausible size."""
+    sought = {**Counter(effect.name for effect in effects), **(places or {})}
+    own = information[:, :parameters, :parameters]
+    value = np.full(len(information), np.inf)
+    good = np.isfinite(information).all(axis=(1, 2))
+    if not good.any():
+        return value
+    carry = information[good, :parameters, parameters:]
+    left = information[good, parameters:, parameters:] - np.swapaxes(carry, 1, 2) @ np.linalg.solve(own[good], carry)
+    needed = np.concatenate(
+        [[search_noncentrality(len(e.parameters), sought[e.name])] * len(e.parameters) for e in effects]
+    )
+    strength = np.maximum(np.einsum("bii->bi", left), 1e-12)
+    value[good] = np.exp(0.5 * np.mean(np.log(needed / strength), axis=1))
+    return value

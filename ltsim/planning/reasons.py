@@ -1,0 +1,264 @@
+"""Why a plan is as it is, in sentences, each with the number behind it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltsim.errors import NetworkError
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.planner import Evaluated, Option, Plan, measure
+from ltsim.planning.tolerances import sentences
+from ltsim.planning.workshop import objective_of
+from ltsim.units import DEGREE, MICROMETRE
+
+CRITERION_WORDS = {
+    "D": "in the geometric mean of all combinations (D)",
+    "A": "in the root mean square (A)",
+    "E": "in the worst combination (E)",
+}
+
+
+def reasons(plan: Plan) -> list[str]:
+    """The sentences, the answer first."""
+    found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
+    found += [*_yaw(plan), *_limits(plan), *_curve(plan)]
+    found += [*_undetermined(plan), *_search(plan)]
+    return found
+
+
+def _quality_words(plan: Plan, qualities: dict[str, float]) -> str:
+    words = []
+    for name, value in qualities.items():
+        if name == INSTRUMENT:
+            where = CRITERION_WORDS[plan.objective.criterion]
+            words.append(f"instrument parameters known to {value:.3f} of their prior sigma {where}")
+        elif name == TARGETS:
+            words.append(f"targets known to {value / MICROMETRE:.1f} um (root mean square)")
+        elif name == DIAGNOSIS:
+            words.append(f"effects detectable from {value:.2f} of their plausible size (geometric mean)")
+    return ", ".join(words)
+
+
+def _headline(plan: Plan) -> list[str]:
+    return [f"{plan.chosen.survey.words}; {_quality_words(plan, plan.chosen.qualities)}."]
+
+
+def _tolerances(plan: Plan) -> list[str]:
+    if plan.kept is None:
+        return []
+    found = sentences(plan.demands, plan.kept, plan.losses)
+    if plan.file.stations.count is None and plan.kept.good:
+        counts = sorted({len(option.survey.position) for option in plan.options})
+        fewer = (
+            f"{counts[0]} to {counts[-2]} were tried before and do not"
+            if len(counts) > 2
+            else (f"{counts[0]} were tried before and do not" if len(counts) == 2 else "fewer make no network")
+        )
+        lost = {"no": "", "sight": ", with any one sight blocked too", "station": ", with any one station lost too"}
+        words = lost[plan.demands.robust]
+        found.insert(1, f"{counts[-1]} stations are the fewest found that keep them{words}: {fewer}.")
+    return found
+
+
+def _against_reference(plan: Plan) -> list[str]:
+    reference, chosen = plan.reference, plan.chosen
+    if plan.file.workshop is not None:
+        return []
+    if reference is None:
+        return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
+    sentences = []
+    if not np.isfinite(reference.value):
+        lost = reference.table.lost(reference.survey.station_names, reference.survey.target_names)
+        why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
+        sentences.append(f"The scenario's own layout does not keep the plan's rules{why}.")
+    for name, value in chosen.qualities.items():
+        if name in reference.qualities:
+            factor = reference.qualities[name] / value
+            word = "better" if factor >= 1 else "worse"
+            count = len(reference.survey.position)
+            sentences.append(
+                f"That is {max(factor, 1 / factor):.2f} times {word} for {name} than the scenario's own layout of "
+                f"{count} stations, worked in the same way ({_shown(name, reference.qualities[name])} there)."
+            )
+    sentences += _parameters(reference, chosen)
+    if reference.expected is not None and chosen.expected is not None:
+        a, b = reference.expected, chosen.expected
+        sentences.append(
+            f"Expected improvement by the paper's criteria, for errors of the size the maker guarantees: distance "
+            f"{b.distance_improvement[0]:.0f} % (there {a.distance_improvement[0]:.0f} %), coordinate "
+            f"{b.coordinate_improvement[0]:.0f} % (there {a.coordinate_improvement[0]:.0f} %)."
+        )
+    return sentences
+
+
+def _shown(name: str, value: float) -> str:
+    return f"{value / MICROMETRE:.1f} um" if name == TARGETS else f"{value:.3f}"
+
+
+def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
+    """The parameters that gain most and those that lose."""
+    before, after = reference.information.parameters(), chosen.information.parameters()
+    ratio = [float(str(b["sigma"])) / float(str(a["sigma"])) for a, b in zip(after, before, strict=True)]
+    order = np.argsort(ratio)[::-1]
+
+    def words(i: int) -> str:
+        a, b = after[i], before[i]
+        return f"{a['name']} {float(str(b['sigma'])):.3g} to {float(str(a['sigma'])):.3g} {a['unit']}"
+
+    gained = [words(i) for i in order[:4] if ratio[i] > 1.05]
+    lost = [words(i) for i in order[::-1][:3] if ratio[i] < 0.95]
+    sentences = []
+    if gained:
+        sentences.append(f"Parameters that gain most (sigma): {'; '.join(gained)}.")
+    if lost:
+        sentences.append(f"Parameters known less well than there: {'; '.join(lost)}.")
+    return sentences
+
+
+def _what_each_station_does(plan: Plan) -> list[str]:
+    """What is lost without a station, and which parameter it serves most."""
+    chosen = plan.chosen
+    sentences = []
+    for s, name in enumerate(chosen.survey.station_names):
+        left = chosen.survey.without(s)
+        try:
+            information = LayoutInformation.of(left, chosen.information.construction)
+        except NetworkError as problem:
+            sentences.append(f"Without {name} the network falls apart: {problem}.")
+            continue
+        if INSTRUMENT in chosen.qualities:
+            objective = Objective({INSTRUMENT: 1.0}, plan.objective.criterion)
+            value, now = measure(left, objective, information.construction)[0], chosen.qualities[INSTRUMENT]
+        else:
+            value, now = information.target_rms, chosen.information.target_rms
+        ratio = information.instrument_sigma / chosen.information.instrument_sigma
+        worst = int(np.argmax(ratio))
+        place = chosen.survey.position[s]
+        sentences.append(
+            f"{name} at ({place[0]:.2f}, {place[1]:.2f}) m: without it the quality is {100 * (value / now - 1):.0f} % "
+            f"worse, most for {information.construction.names[worst]} (sigma {100 * (ratio[worst] - 1):.0f} % larger)."
+        )
+    return sentences
+
+
+def _yaw(plan: Plan) -> list[str]:
+    """What the turns of the stations are worth."""
+    chosen = plan.chosen
+    equal = LayoutInformation.of(
+        chosen.survey.replace(yaw=np.full(len(chosen.survey.yaw), float(chosen.survey.yaw[0]))),
+        chosen.information.construction,
+    )
+    ratio = equal.instrument_sigma / chosen.information.instrument_sigma
+    worst = int(np.argmax(ratio))
+    if ratio[worst] < 1.1:
+        return []
+    turns = ", ".join(
+        f"{name} {yaw / DEGREE:.0f}" for name, yaw in zip(chosen.survey.station_names, chosen.survey.yaw, strict=True)
+    )
+    return [
+        f"The base is turned between stations ({turns} deg): at equal turns "
+        f"{equal.construction.names[worst]} would have a sigma {ratio[worst]:.1f} times as large."
+    ]
+
+
+def _limits(plan: Plan) -> list[str]:
+    """Rules that hold the layout: the floor's edge, the elevation limits, the spacing."""
+    survey, site = plan.chosen.survey, plan.site
+    sentences = []
+    gap = np.linalg.norm(survey.position[:, None, :2] - survey.position[None, :, :2], axis=2)
+    close = [
+        f"{survey.station_names[i]} and {survey.station_names[j]}"
+        for i, j in np.argwhere(np.triu(gap < 1.02 * site.spacing, 1))
+    ]
+    if close:
+        sentences.append(f"The least distance of {site.spacing:g} m holds {', '.join(close)} apart.")
+    edge = []
+    for name, place in zip(survey.station_names, survey.position, strict=True):
+        moved = place + 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+        if not site.allowed(moved).all():
+            edge.append(name)
+    if edge:
+        verb = "stands" if len(edge) == 1 else "stand"
+        sentences.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
+    if site.least < len(survey.position):
+        least = survey.seen.sum(axis=0).min()
+        sentences.append(f"Every reflector is seen from at least {least} station{'s' if least > 1 else ''}.")
+    if not survey.seen.all():
+        missing = int((~survey.seen).sum())
+        lost = plan.chosen.table.lost(survey.station_names, survey.target_names)
+        more = "; and more" if missing > 3 else ""
+        sentences.append(f"{missing} pairs do not see each other: {'; '.join(lost[:3])}{more}.")
+    return sentences
+
+
+def _same_way(plan: Plan, option: Option) -> bool:
+    chosen = plan.chosen.survey
+    return option.survey.faces == chosen.faces and option.survey.repeats == chosen.repeats
+
+
+def fewest(plan: Plan) -> Option | None:
+    """The option with the fewest stations that is as good as the scenario's own layout, worked in the same way."""
+    if plan.reference is None or not plan.reference.qualities:
+        return None
+    goal = _own_value(plan)
+    good = [o for o in plan.options if _same_way(plan, o) and o.value <= goal]
+    return min(good, key=lambda o: (len(o.survey.position), o.value), default=None)
+
+
+def _curve(plan: Plan) -> list[str]:
+    sentences = []
+    few, goal = fewest(plan), " ".join(plan.chosen.qualities)
+    reference = plan.reference
+    if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
+        sentences.append(
+            f"{len(few.survey.position)} stations are enough to match the {len(reference.survey.position)} of the "
+            f"scenario's own layout ({_shown(goal, few.value)} against {_shown(goal, _own_value(plan))}) in "
+            f"{few.hours:.1f} h."
+        )
+    now = next((o for o in plan.options if o.survey is plan.chosen.survey or _is_chosen(plan, o)), None)
+    dearer = [o for o in plan.options if o.efficient and now is not None and o.value < 0.95 * now.value]
+    if now is not None and dearer:
+        next_ = min(dearer, key=lambda o: o.hours)
+        faces = "both faces" if len(next_.survey.faces) == 2 else "one face"
+        change = next_.hours - now.hours
+        time = f"{60 * change:.0f} min more" if change > 0 else f"{-60 * change:.0f} min less"
+        sentences.append(
+            f"{now.value / next_.value:.1f} times better still with {len(next_.survey.position)} stations, {faces}, "
+            f"{next_.survey.repeats} round{'s' if next_.survey.repeats > 1 else ''}: {time}."
+        )
+    return sentences
+
+
+def _own_value(plan: Plan) -> float:
+    if plan.reference is None:
+        return float("inf")
+    survey = plan.reference.survey
+    return measure(survey, objective_of(plan.file, survey), plan.chosen.information.construction)[0]
+
+
+def _is_chosen(plan: Plan, option: Option) -> bool:
+    same = len(option.survey.position) == len(plan.chosen.survey.position)
+    return same and _same_way(plan, option)
+
+
+def _undetermined(plan: Plan) -> list[str]:
+    information = plan.chosen.information
+    sentences = []
+    for direction, cure in zip(information.undetermined, information.cures(), strict=True):
+        terms = " ".join(f"{v:+.2f} {n}" for n, v in direction.coefficients(information.construction.names).items())
+        advice = f"; cure: {cure}" if cure else ""
+        sentences.append(f"Not determined (gain {direction.gain:.2f}): {terms}{advice}.")
+    return sentences
+
+
+def _search(plan: Plan) -> list[str]:
+    count = len(plan.spread)
+    if count < 2:
+        return []
+    wide = 100 * (plan.spread[-1] / plan.spread[0] - 1)
+    close = sum(value < 1.02 * plan.spread[0] for value in plan.spread)
+    return [
+        f"{count} independent searches ended within {wide:.1f} % of the best, {close} of them within 2 %: "
+        + ("no much better layout is to be expected." if close > 1 else "more starts may find a better one.")
+    ]

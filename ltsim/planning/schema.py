@@ -1,0 +1,373 @@
+"""plan.json, next.json and the tables beside them: what stands in them, for writers and readers."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from ltsim.calibration.schema import CombinationEntry
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
+from ltsim.recording.result_table import ResultTable, numbers, texts
+
+Qualities = dict[str, Known]
+
+STATIONS = ResultTable(
+    "stations.csv",
+    "where the tripod goes",
+    (
+        *texts(station="name"),
+        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", yaw_deg="where azimuth zero looks to"),
+        *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
+    ),
+)
+REFLECTORS = ResultTable(
+    "reflectors.csv",
+    "reflectors and how well they become known",
+    (
+        *texts(target="name"),
+        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", sigma_um="expected, rms of the axes"),
+    ),
+)
+TRADEOFF = ResultTable(
+    "tradeoff.csv",
+    "ways of working, each with the best layout found for it",
+    (
+        *numbers(stations="how many", faces="1 or 2", repeats="rounds", pointings="how many", hours="of work"),
+        *numbers(value="objective, smaller is better"),
+        *texts(efficient="True where nothing as cheap is better"),
+    ),
+)
+PARAMETERS = ResultTable(
+    "parameters.csv",
+    "how well the instrument becomes known",
+    (
+        *texts(parameter="name", unit="of the sigmas"),
+        *numbers(sigma="expected", sigma_of_own_layout="with the scenario's own stations", prior_sigma="without data"),
+        *numbers(gain="share of the prior variance that the data remove"),
+    ),
+)
+VISIBILITY = ResultTable(
+    "visibility.csv",
+    "which station sees which target",
+    (
+        *texts(station="name", target="name", sees="yes or no", why_not="what is in the way"),
+        *numbers(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
+    ),
+)
+EFFECTS = ResultTable(
+    "effects.csv",
+    "smallest effects that would be found",
+    (
+        *texts(effect="id", parameter="name", unit="of the sizes"),
+        *numbers(best="at the best place", typical="at a place in the middle", worst="at the worst place"),
+        *texts(worst_at="which that is"),
+        *numbers(plausible="sigma of what is to be expected", visible="median share of its signature that is left"),
+    ),
+)
+NEXT = ResultTable(
+    "next.csv",
+    "proposals of further measurements, the best first",
+    (
+        *texts(kind="of measurement"),
+        *numbers(minutes="of work", sharper="mean factor on the sigmas of the instrument's parameters"),
+        *texts(serves="the parameter it serves most"),
+        *numbers(serves_factor="factor on that one's sigma"),
+        *texts(tells_apart="effects that it tells from the first", decides="True where all are told apart", do="words"),
+    ),
+)
+NOMINALS = ResultTable(
+    "nominals.csv",
+    "every point in the hall's axes, for the tracker's software",
+    (*texts(name="of the point"), *numbers(x_mm="place", y_mm="as x_mm", z_mm="as x_mm")),
+)
+WORK = ResultTable(
+    "work-order.csv",
+    "every pointing in the order of the work, with what the tracker should show",
+    (
+        *numbers(step="from 1"),
+        *texts(station="name", target="name"),
+        *numbers(face="1 or 2", round="from 1", minutes="since the first pointing"),
+        *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
+    ),
+)
+TABLES = (NOMINALS, WORK, STATIONS, REFLECTORS, TRADEOFF, PARAMETERS, VISIBILITY, EFFECTS)
+
+
+class PlaceEntry(Entry):
+    """A place for a tripod."""
+
+    name: str
+    """Its name."""
+    position_mm: Vector
+    """Centre of the head, in the workshop's frame."""
+    yaw_deg: Finite
+    """Direction of azimuth zero, counter-clockwise from x."""
+
+
+class StationEntry(PlaceEntry):
+    """Where a tripod goes."""
+
+    sigma_position_um: tuple[Known, ...] = ()
+    """Expected, of each coordinate."""
+    reflectors_seen: int = 0
+    """How many."""
+
+
+class ReflectorEntry(Entry):
+    """A reflector and how well it becomes known."""
+
+    name: str
+    """Its name."""
+    position_mm: Vector
+    """Its place."""
+    sigma_um: Known
+    """Expected error of the point."""
+    stations_seeing: int = 0
+    """How many."""
+    within_mm: Known = None
+    """Distance that its error keeps at the goal's level; of points with a tolerance."""
+    tolerance_mm: Known = None
+    """What it may be."""
+
+
+class ParameterEntry(Entry):
+    """How well an instrument parameter becomes known."""
+
+    name: str
+    """Its name."""
+    unit: str = ""
+    """Of both sigmas."""
+    sigma: Finite
+    """Expected."""
+    prior_sigma: Finite
+    """What is known before."""
+    gain: Known = None
+    """Share of the prior variance that the readings would remove."""
+
+
+class ImprovementEntry(Entry):
+    """One of the paper's criteria, expected."""
+
+    before_um: Finite
+    """Mean."""
+    after_um: Finite
+    """Mean."""
+    improvement_percent: Finite
+    """Of the mean."""
+
+
+class LayoutEntry(Entry):
+    """A layout with what is known of it before measuring."""
+
+    allowed: bool = True
+    """It keeps the plan's rules."""
+    hours: Finite
+    """What the work takes."""
+    pointings: int = 0
+    """How many."""
+    faces: int = 1
+    """One face or both."""
+    repeats: int = 1
+    """How many rounds."""
+    quality: Qualities = Field(default_factory=dict)
+    """Each that the goal weighs; smaller is better."""
+    stations: tuple[StationEntry, ...]
+    """Where the tripods go."""
+    reflectors: tuple[ReflectorEntry, ...] = ()
+    """The mesh."""
+    parameters: tuple[ParameterEntry, ...] = ()
+    """Of the instrument."""
+    undetermined: tuple[CombinationEntry, ...] = ()
+    """What it would not tell."""
+    expected_improvement: dict[str, ImprovementEntry] | None = None
+    """By the paper's criteria."""
+    not_seen: tuple[str, ...] = ()
+    """Which station does not see which reflector, and why."""
+
+
+class OptionEntry(Entry):
+    """One way of working and the best layout found for it."""
+
+    stations: int
+    """How many."""
+    faces: int
+    """One face or both."""
+    repeats: int
+    """How many rounds."""
+    pointings: int
+    """How many."""
+    hours: Finite
+    """What the work takes."""
+    value: Known = None
+    """Its quality as one number; smaller is better."""
+    quality: Qualities = Field(default_factory=dict)
+    """Each that the goal weighs."""
+    efficient: bool = False
+    """Nothing cheaper is as good."""
+    layout: tuple[PlaceEntry, ...] = ()
+    """Where the tripods go."""
+
+
+class DetectableSize(Entry):
+    """Smallest size of an effect that a layout would show, at its best and its worst place."""
+
+    effect: str
+    """Id of the catalogue."""
+    parameter: str = ""
+    """Name of the parameter."""
+    unit: str = ""
+    """Of the sizes."""
+    best: Known = None
+    """Smallest size found, at the best place or shape."""
+    typical: Known = None
+    """At the median one."""
+    worst: Known = None
+    """At the worst one."""
+    worst_at: str | None = None
+    """Which that is."""
+    plausible: Finite = 0.0
+    """A bad but plausible size."""
+    visible: Known = None
+    """Median share of its signature that the adjustment leaves."""
+
+
+class AlikeEntry(Entry):
+    """Two effects that a layout can hardly tell apart; `share` of the first's trace is explained by the second."""
+
+    effect: str
+    """Id of the catalogue."""
+    taken_for: str
+    """The effect that explains it too."""
+    share: Finite
+    """Of the trace that is explained."""
+
+
+class ChangeEntry(Entry):
+    """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
+
+    do: str
+    """`move`, `add` or `remove`."""
+    words: str = ""
+    """What to do and what it brings, for a person."""
+    reflector: str = ""
+    """Which is moved or left out."""
+    place: str = ""
+    """Where it goes."""
+    position_mm: Vector | None = None
+    """Of that place."""
+    gain_um: Finite
+    """Fall of the point error of all other targets, root mean square."""
+    quality: Finite
+    """Factor on the plan's objective; smaller is better."""
+    serves: str = ""
+    """The parameter, or the target, that gains most, or loses most where a reflector is left out."""
+    serves_factor: Finite = 1.0
+    """Factor on that one's standard deviation."""
+
+
+class LossEntry(Entry):
+    """What remains of the tolerances when a station or a sight is lost."""
+
+    lost: str
+    """The station, or the sight, in words."""
+    kept: bool
+    """All tolerances hold."""
+    ratio: Known = None
+    """Largest error over its tolerance; null where a point has no place any more."""
+    worst: str = ""
+    """The point with that ratio."""
+    unseen: tuple[str, ...] = ()
+    """Points with a tolerance that nobody sees any more."""
+
+
+class PlanResult(ResultFile, LayoutEntry):
+    """`plan.json`: from `plan`."""
+
+    FILE: ClassVar[str] = "plan.json"
+    format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
+    """Which format and version this file is in."""
+    title: str = ""
+    """Free text."""
+    summary: str
+    """The answer in a sentence."""
+    reasons: tuple[str, ...] = ()
+    """Why."""
+    frame: str = ""
+    """Of all coordinates."""
+    reference: LayoutEntry | None = None
+    """The scenario's own layout."""
+    fewest_stations: OptionEntry | None = None
+    """The fewest that match the scenario's own layout."""
+    tradeoff: tuple[OptionEntry, ...] = ()
+    """All ways of working that were tried, the cheapest first."""
+    starts: tuple[Known, ...] = ()
+    """Value that each independent search found."""
+    reflector_changes: tuple[ChangeEntry, ...] = ()
+    """One reflector moved, added or left out, the best first."""
+    changes_tried: str = ""
+    """How many such changes were tried, and how many help."""
+    tolerances_kept: bool | None = None
+    """All points keep their tolerances; null without any."""
+    losses: tuple[LossEntry, ...] = ()
+    """What remains of the tolerances without each station, and without each sight of such a point."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """The plan file."""
+    seed: int | None = None
+    """Root of the search."""
+    detectable: tuple[DetectableSize, ...] = ()
+    """How small effects may be and still be found."""
+    alike: tuple[AlikeEntry, ...] = ()
+    """Pairs that it could not tell apart."""
+    silent: tuple[str, ...] = ()
+    """Effects that leave no trace."""
+
+    @property
+    def value_unit(self) -> tuple[float, str]:
+        """Factor and unit in which a person reads the objective: lengths where targets alone are its goal."""
+        return (1e6, "µm") if set(self.quality) == {"targets"} else (1.0, "")
+
+
+class ProposalEntry(Entry):
+    """One further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
+
+    do: str
+    """What to do, for a person."""
+    kind: str = ""
+    """What sort of addition it is."""
+    minutes: Finite
+    """What it takes."""
+    sharper: Finite
+    """Factor on the standard deviations of the instrument's parameters."""
+    serves: str = ""
+    """The parameter that gains most."""
+    serves_factor: Finite = 1.0
+    """Factor on that one's standard deviation."""
+    evidence: dict[str, Finite] = Field(default_factory=dict)
+    """Expected chi-square against each other explanation."""
+    tells_apart: tuple[str, ...] = ()
+    """Explanations that it would tell apart."""
+    decides: bool = False
+    """It tells all of them apart."""
+    position_mm: Vector | None = None
+    """Of a further station."""
+    yaw_deg: Known = None
+    """Of a further station."""
+
+
+class NextFile(ResultFile):
+    """`next.json`: from `plan --after`."""
+
+    FILE: ClassVar[str] = "next.json"
+    format: Literal["ltsim-next/1"] = "ltsim-next/1"
+    """Which format and version this file is in."""
+    diagnosis: str = ""
+    """What the diagnosis said."""
+    between: tuple[str, ...] = ()
+    """The explanations to decide between."""
+    evidence_now: dict[str, Finite] = Field(default_factory=dict)
+    """Chi-square between them as it is."""
+    advice: str = ""
+    """What to do first, in a sentence."""
+    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
+    """The best first."""

@@ -1,0 +1,218 @@
+"""A plan file and its scenario as a site to search on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects import find_effect
+from ltsim.effects.effect import Effect
+from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import sightings_of
+from ltsim.planning.floor import ground_of
+from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.site import Site
+from ltsim.planning.spec import WALLS, PlanFile, Surface
+from ltsim.planning.survey import Survey
+from ltsim.planning.tolerances import importance
+from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.scene.meshes import walls
+from ltsim.scene.nests import nest_places
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.sections import Placing
+from ltsim.simulation.simulator import simulate
+from ltsim.simulation.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
+from ltsim.units import MILLIMETRE
+
+LEANING = 1e-3
+"""Cosine deficit of an instrument's axis that a plan of upright stations may neglect (2.6 deg)."""
+
+
+def survey_of(scenario: Scenario) -> Survey:
+    """The scenario as a survey: its layout as planned, its set-up, its order and its clock.
+
+    Raises
+    ------
+    SetupError
+        When a station leans (a plan knows upright ones only), there is more than one tracker, or its ranges are not
+        recorded.
+    """
+    if scenario.instruments:
+        named = ", ".join(scenario.instruments)
+        raise SetupError(f"the scenario names its trackers ({named}); a plan is for one, stated as [instrument]")
+    if scenario.instrument.observables not in (OBSERVABLES, RANGES):
+        raise SetupError("instrument.observables: a plan is for ranges with both angles, or for ranges alone")
+    layout, work = planned(scenario), scenario.work
+    lean = 1.0 - layout.rotation[:, 2, 2]
+    if lean.max() > LEANING:
+        raise SetupError(f"station {layout.stations[int(lean.argmax())]} leans; a plan knows upright stations only")
+    recording, _ = simulate(scenario.model_copy(update={"placing": _EXACT}), 0)
+    return Survey(
+        setup=recording.setup,
+        station_names=layout.stations,
+        target_names=layout.targets,
+        position=layout.position,
+        yaw=np.arctan2(layout.rotation[:, 1, 0], layout.rotation[:, 0, 0]),
+        points=layout.points,
+        seen=visibility_of(scenario, layout).visible,
+        faces=tuple(range(1, work.faces + 1)),
+        repeats=work.repeats,
+        seconds_per_pointing=work.seconds_per_pointing,
+        seconds_per_move=60.0 * work.minutes_per_move,
+        rank=None if work.order == "as-listed" else _rank(recording, layout),
+        face_by_face=work.face_order == "per-station",
+        observables=scenario.instrument.observables,
+    )
+
+
+RANGES = ("distance",)
+SIGHTS = 3
+"""Stations whose ranges place a reflector."""
+_EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+
+
+def _rank(recording: Recording, layout: Layout) -> Ints:
+    """(S, T): place of each target in each station's first round; targets not seen come last."""
+    count = len(layout.targets)
+    first = np.full((len(layout.stations), count), np.inf)
+    names = [layout.targets.index(name) for name in recording.targets]
+    stations = [layout.stations.index(name) for name in recording.stations]
+    np.minimum.at(
+        first,
+        (np.array(stations)[recording.station], np.array(names)[recording.target]),
+        recording.time,
+    )
+    return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
+
+
+def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> Site:
+    """The freedom of a plan with a number of stations and a way of measuring."""
+    survey = survey_of(scenario)
+    mm = MILLIMETRE
+    levels = survey.position[:, 2]
+    layout = planned(scenario)
+    areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
+    places, names = candidate_places(plan, scenario)
+    wanted = plan.stations.seen_from
+    least = stations if wanted == "all" else min(wanted, stations)
+    if not survey.is_whole and least < SIGHTS:
+        if stations < SIGHTS or "seen_from" in plan.stations.model_fields_set:
+            raise SetupError(f"ranges alone place a reflector from {SIGHTS} stations, not from {least}; ask for more")
+        least = SIGHTS
+    return Site(
+        survey=with_stations(survey, stations).replace(
+            faces=tuple(range(1, faces + 1)),
+            repeats=repeats,
+            importance=importance(plan),
+            seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
+            seconds_per_move=survey.seconds_per_move
+            if plan.budget.minutes_per_move is None
+            else 60.0 * plan.budget.minutes_per_move,
+        ),
+        areas=areas,
+        keep_outs=keep_outs,
+        limits=sight_limits(scenario, scenario.instrument),
+        play=plan.stations.play_mm * mm,
+        aimed=~layout.reaimed,
+        obstacles=obstacles_of(scenario),
+        spacing=plan.stations.spacing_mm * mm,
+        least=least,
+        fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
+        places=places,
+        place_names=names,
+        reflector_spacing=plan.reflectors.spacing_mm * mm,
+    )
+
+
+def with_stations(survey: Survey, count: int) -> Survey:
+    """The survey with its first stations, or with more of them standing for places yet to be found."""
+    have = len(survey.position)
+    names = [*survey.station_names]
+    free = (f"S{i}" for i in range(1, have + count + 1) if f"S{i}" not in names)
+    names += [next(free) for _ in range(max(count - have, 0))]
+    index = np.arange(count) % have
+    shift = (np.arange(count) // have)[:, None] * [0.37, 0.23, 0.0]
+    rank = survey.rank
+    return survey.replace(
+        station_names=tuple(names[:count]),
+        position=survey.position[index] + shift,
+        yaw=survey.yaw[index] + np.arange(count) // have,
+        seen=survey.seen[index],
+        rank=None if rank is None else rank[index],
+    )
+
+
+def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
+    """Candidate places (P, 3) [m] of reflectors and their names; None where they stay."""
+    points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
+    names = [p.name for p in plan.reflectors.places]
+    for body in plan.reflectors.on:
+        points.append(_on_body(plan, scenario, body))
+        names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
+    for surface in plan.reflectors.surfaces:
+        points.append(_on_surface(surface))
+        names += [f"{surface.name}-{r + 1}-{c + 1}" for r in range(surface.rows) for c in range(surface.columns)]
+    if not points:
+        return None, ()
+    return np.concatenate(points) * MILLIMETRE, tuple(names)
+
+
+def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
+    """Places (P, 3) [mm], to the millimetre, on the surfaces of an obstacle or on the walls."""
+    if body == WALLS:
+        triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
+    else:
+        triangles = np.concatenate([part for name, part in bodies_of(scenario) if name == body])
+    reach, apart = plan.reflectors.reach_mm * MILLIMETRE, plan.reflectors.apart_mm * MILLIMETRE
+    found = nest_places(triangles, reach, apart, obstacles_of(scenario), closed=body != WALLS)
+    return np.asarray(np.round(found / MILLIMETRE))
+
+
+def _on_surface(surface: Surface) -> Floats:
+    """Places (rows x columns, 3) [mm] in rows from the origin upwards."""
+    r, c = np.meshgrid(np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns), indexing="ij")
+    across, up = np.array(surface.across_mm), np.array(surface.up_mm)
+    return np.array(surface.origin_mm) + r.reshape(-1, 1) * up + c.reshape(-1, 1) * across
+
+
+def staying(plan: PlanFile, scenario: Scenario) -> Bools:
+    """(T,): targets that the search leaves where they are: all without candidate places; else what must stay."""
+    names, given = scenario.target_names, plan.reflectors
+    if not (given.surfaces or given.places or given.on):
+        return np.ones(len(names), dtype=bool)
+    return _kept(plan, scenario, names, [point.name for point in plan.listed])
+
+
+def fixed_of(plan: PlanFile, scenario: Scenario, survey: Survey) -> Bools:
+    """(T,): targets of a survey whose places are no matter of choice: all that is not free or called movable."""
+    free = plan.reflectors.movable
+    demanded = [point.name for point in plan.listed if point.name not in free and point.group not in free]
+    return _kept(plan, scenario, survey.target_names, demanded)
+
+
+def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequence[str]) -> Bools:
+    kept = {*plan.reflectors.keep, *listed, *(scenario.gauge.targets if scenario.gauge else ())}
+    return np.array([name in kept for name in names], dtype=bool)
+
+
+def objective_of(plan: PlanFile, survey: Survey) -> Objective:
+    """What the plan asks of a layout; an effect of one station is looked for at each of them."""
+    goal = plan.goal
+    weights = {INSTRUMENT: goal.instrument, TARGETS: goal.targets, DIAGNOSIS: goal.diagnosis}
+    effects: list[Effect] = []
+    for name in goal.effects if goal.diagnosis else ():
+        kind = find_effect(name)
+        if kind.scope == "station":
+            effects += [kind(stations=(station,)) for station in survey.station_names]
+        elif kind.scope == "all":
+            effects.append(kind())
+        else:
+            message = "acts on single targets or readings; name effects of all or of a station"
+            raise SetupError(f"goal.effects: {name} {message}")
+    built = misalignment()
+    sightings = sightings_of(survey.recording(built), survey.state(built)) if effects else None
+    places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}
+    return Objective(weights, goal.criterion, tuple(effects), places)

@@ -1,0 +1,187 @@
+"""Where everything truly stands, and the pointings in the order of the work: the part of a trial that may be kept."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.effect import Effect
+from ltsim.errors import SetupError
+from ltsim.geometry.polar import to_polar
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.model.construction import Construction
+from ltsim.randomness import stream
+from ltsim.scene.sightings import Sightings
+from ltsim.scene.visibility import Visibility
+from ltsim.simulation.balls import true_lift
+from ltsim.simulation.physics import construction_of, effects_of
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.workshop import Layout, planned, visibility_of
+from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
+
+NOTES = 20
+"""Pairs that do not see each other are named one by one up to this number."""
+LEVEL_GAP = 0.5
+"""Heights further apart than this [m] are different levels."""
+
+
+@dataclass(frozen=True)
+class Fieldwork:
+    """A scenario with its true geometry; draws of errors and noise on it are `simulator.measure`."""
+
+    scenario: Scenario
+    layout: Layout
+    """True poses and points, of every target, seen or not."""
+    sightings: Sightings
+    """The pointings, at the true geometry, of the targets that are seen; covariates are the air readings."""
+    effects: tuple[Effect, ...]
+    notes: tuple[str, ...]
+    """Which station does not see which target, and why; of many pairs, how many and why."""
+
+    @cached_property
+    def construction(self) -> Construction:
+        """That of the scenario's instruments."""
+        return construction_of(self.scenario)
+
+
+def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
+    """Place everything, leave out what is not seen, and order the work; `plan` as in `placed`.
+
+    Raises
+    ------
+    SetupError
+        When a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or a ball
+        stands off along a normal that is not known.
+    """
+    layout = placed(scenario, seed, *key, plan=plan)
+    table = visibility_of(scenario, layout)
+    for s, name in enumerate(layout.stations):
+        if not table.visible[s].any():
+            reason = table.words()[s][0]
+            raise SetupError(f"stations.{name}: sees no reflector ({layout.targets[0]} is {reason}); move it")
+    sightings = _sightings(scenario, layout, table.visible, seed, *key)
+    sightings = replace(sightings, lift=true_lift(scenario, sightings, seed, *key))
+    return Fieldwork(
+        scenario=scenario,
+        layout=layout,
+        sightings=sightings,
+        effects=effects_of(scenario),
+        notes=_notes(layout, table),
+    )
+
+
+def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Layout:
+    """The layout where it truly stands: as planned, with the scatter of `placing`; the gauge moves as one body.
+
+    `plan` is what `planned` gives for the scenario, for who asks many times.
+    """
+    plan, placing = plan or planned(scenario), scenario.placing
+    position, rotation, points = plan.position.copy(), plan.rotation.copy(), plan.points.copy()
+    draws = np.array([stream(seed, *key, "placing", "station", name).standard_normal(6) for name in scenario.stations])
+    levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
+    tilt = [placing.tilt_deg * DEGREE if own is None else own for own in levelled]
+    leans = from_rotation_vector(np.array([[t * d[3], t * d[4], 0.0] for t, d in zip(tilt, draws, strict=True)]))
+    yaws = np.array([about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
+    position += placing.station_mm * MILLIMETRE * draws[:, :3]
+    rotation = leans @ yaws @ rotation
+    moves = [stream(seed, *key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
+    points[: len(moves)] += placing.target_mm * MILLIMETRE * np.array(moves).reshape(-1, 3)
+    if scenario.gauge is not None:
+        body = slice(len(scenario.targets), None)
+        draw = stream(seed, *key, "placing", "gauge").standard_normal(6)
+        turn = from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
+        centre = points[body].mean(axis=0)
+        points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
+    return plan.at(position, rotation, points)
+
+
+def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
+    lost = table.lost(layout.stations, layout.targets)
+    if len(lost) <= NOTES:
+        return tuple(lost)
+    reasons = Counter(reason for line in table.words() for reason in line if reason)
+    told = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
+    return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {told}",)
+
+
+def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:
+    """The pointings in the order of the work, without targets that nobody sees."""
+    kept = np.flatnonzero(visible.any(axis=0))
+    renumbered = np.full(len(layout.targets), -1)
+    renumbered[kept] = np.arange(len(kept))
+    visits = [_visit(scenario, layout, s, visible[s], seed, *key) for s in range(len(layout.stations))]
+    station = np.repeat(np.arange(len(visits)), [len(visit) for visit in visits])
+    target, face, repeat = np.concatenate(visits).T
+    work = scenario.work
+    spent = [np.append(np.full(len(v), work.seconds_per_pointing), 60.0 * work.minutes_per_move) for v in visits]
+    time = np.concatenate([[0.0], np.cumsum(np.concatenate(spent))])[np.arange(len(station)) + station]
+    index = {name: i for i, name in enumerate(scenario.trackers)}
+    of_station = np.array([index[s.instrument or ""] for s in scenario.stations.values()], dtype=np.int64)
+    return Sightings(
+        station=station,
+        target=renumbered[target],
+        instrument=of_station[station],
+        face=face,
+        repeat=repeat,
+        time=time,
+        position=layout.position,
+        rotation=layout.rotation,
+        points=layout.points[kept],
+        nest_normal=layout.nest_normal[kept],
+        reaimed=layout.reaimed[kept],
+        station_names=layout.stations,
+        target_names=tuple(layout.targets[k] for k in kept),
+        covariates=_air(scenario, time),
+    )
+
+
+def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, seed: int, *key: str | int) -> Ints:
+    """(k, 3): target, face and repeat of one station's visit in the order of the work."""
+    work = scenario.work
+    faces, pointings = np.arange(1, work.faces + 1), []
+    for repeat in range(1, work.repeats + 1):
+        order = _order(scenario, layout, station, repeat, seed, *key)
+        order = order[visible[order]]
+        if work.face_order == "per-target":
+            pair = np.repeat(order, len(faces)), np.tile(faces, len(order))
+        else:
+            pair = np.tile(order, len(faces)), np.repeat(faces, len(order))
+        pointings.append(np.stack([*pair, np.full(len(pair[0]), repeat)], axis=1))
+    return np.concatenate(pointings)
+
+
+def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int) -> Ints:
+    """Targets in the order in which a station points at them."""
+    count = len(layout.targets)
+    if scenario.work.order == "as-listed":
+        return np.arange(count)
+    if scenario.work.order == "level-by-level":
+        azimuth = to_polar(layout.points - layout.position[station])[:, 1]
+        levels = _levels(layout.points[:, 2])
+        return np.lexsort((azimuth, levels))
+    draw = stream(seed, *key, "order", layout.stations[station], repeat)
+    return draw.permutation(count)
+
+
+def _levels(heights: Floats) -> Floats:
+    """Number (T,) of each height's level, the highest first."""
+    down = np.argsort(-heights, kind="stable")
+    steps = np.concatenate([[0.0], -np.diff(heights[down]) > LEVEL_GAP])
+    levels = np.zeros(len(heights))
+    levels[down] = np.cumsum(steps)
+    return levels
+
+
+def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
+    """What the instrument's sensors read: to 0.1 of their units."""
+    room = scenario.workshop
+    temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
+    return {
+        "air_temperature_c": np.round(temperature, 1),
+        "air_pressure_hpa": np.full(len(time), round(room.pressure_hpa, 1)),
+        "relative_humidity_pct": np.full(len(time), round(room.humidity_pct, 1)),
+    }

@@ -1,0 +1,142 @@
+"""The gauge: points of a rigid frame from the lengths between them, and what a measuring machine says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import SetupError
+from ltsim.geometry.expansion import Expansion
+from ltsim.randomness import stream
+from ltsim.simulation.sections import Cmm, Gauge
+from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
+
+TABLE_2 = MappingProxyType(
+    {
+        "columns": (357.6066, 388.0144, 454.4203, 590.1060, 386.7815, 355.9437),
+        "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
+    }
+)
+"""The paper's six lengths [mm] of 25-26, 25-27, 25-28, 26-27, 26-28, 27-28, under both readings of its Table 2."""
+REALISED = 1e-7
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The gauge at the temperature of its calibration."""
+
+    names: tuple[str, ...]
+    """(k,)."""
+    points: Floats
+    """(k, 3) [m]: in the frame's own axes, origin in the middle."""
+    first: Ints
+    second: Ints
+    """(g,): pairs whose lengths are known."""
+
+    @property
+    def length(self) -> Floats:
+        """(g,) [m]: true lengths."""
+        return np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
+
+
+def frame_of(gauge: Gauge) -> Frame:
+    """The frame that has the gauge's lengths.
+
+    Raises
+    ------
+    SetupError
+        When a length is missing, twice there, or no frame in space has these lengths.
+    """
+    names = gauge.targets
+    pairs = list(combinations(range(len(names)), 2))
+    lengths = np.array(_lengths(gauge, pairs)) * MILLIMETRE
+    first, second = np.array(pairs, dtype=np.int64).T
+    frame = Frame(names, embedded(len(names), first, second, lengths), first, second)
+    worst = int(np.argmax(np.abs(frame.length - lengths)))
+    if abs(frame.length[worst] - lengths[worst]) > REALISED:
+        a, b = names[first[worst]], names[second[worst]]
+        has, wanted = frame.length[worst] / MILLIMETRE, lengths[worst] / MILLIMETRE
+        message = f"the nearest one has {has:.4f} mm between {a} and {b} instead of {wanted:.4f}"
+        raise SetupError(f"gauge: no frame in space has these lengths; {message}")
+    return frame
+
+
+def _lengths(gauge: Gauge, pairs: list[tuple[int, int]]) -> list[float]:
+    names = gauge.targets
+    if not gauge.distance:
+        if len(names) != 4:
+            message = "the paper's gauge has four; state the lengths of another one as [[gauge.distance]]"
+            raise SetupError(f"gauge.targets: holds {len(names)} reflectors, but {message}")
+        return list(TABLE_2[gauge.reading])
+    stated: dict[frozenset[str], float] = {}
+    for i, line in enumerate(gauge.distance):
+        key = frozenset((line.from_, line.to))
+        if len(key) != 2 or not key <= set(names) or key in stated:
+            problem = "is there twice" if key in stated else "is no pair of two of gauge.targets"
+            raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
+        stated[key] = line.length_mm
+    for a, b in pairs:
+        if frozenset((names[a], names[b])) not in stated:
+            raise SetupError(f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(pairs)}")
+    return [stated[frozenset((names[a], names[b]))] for a, b in pairs]
+
+
+def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
+    """Points (count, 3) [m] with the given distances, or the nearest to them, around their middle.
+
+    Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): coordinates are eigenvectors of the doubly
+    centred squared distances. The axes follow the extents, longest first; signs are fixed by the first point.
+    """
+    squared = np.zeros((count, count))
+    squared[first, second] = squared[second, first] = lengths**2
+    centring = np.eye(count) - 1.0 / count
+    value, vector = np.linalg.eigh(-0.5 * centring @ squared @ centring)
+    largest = np.argsort(value)[::-1][:3]
+    points = np.zeros((count, 3))
+    points[:, : len(largest)] = vector[:, largest] * np.sqrt(np.maximum(value[largest], 0.0))
+    points *= np.where(points[0] < 0, -1.0, 1.0)
+    return points
+
+
+def expansion(gauge: Gauge, workshop_c: float) -> float:
+    """Factor of all lengths between calibration and workshop."""
+    measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
+    return Expansion.of(gauge.expansion_per_k, measured - gauge.calibrated_at_c).factor
+
+
+def orientation(gauge: Gauge) -> Floats:
+    """Rotation (3, 3) from the frame's own axes to the workshop."""
+    angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
+    return Rotation.from_euler("xyz", angles).as_matrix()
+
+
+def in_workshop(gauge: Gauge, frame: Frame, workshop_c: float) -> Floats:
+    """Points (k, 3) [m] of the frame where the scenario puts it, grown to the workshop's temperature."""
+    points: Floats = expansion(gauge, workshop_c) * frame.points @ orientation(gauge).T
+    return points + np.array(gauge.position_mm) * MILLIMETRE
+
+
+def length_sigma(cmm: Cmm, length: Floats) -> Floats:
+    """Standard deviation (g,) [m] of lengths (g,) [m] from the measuring machine: its largest error over `coverage`."""
+    largest = cmm.constant_um + length / MILLIMETRE / cmm.length_divisor_mm
+    return largest * MICROMETRE / cmm.coverage
+
+
+def nominal_points(points: Floats, names: tuple[str, ...], cmm: Cmm, seed: int, *key: str | int) -> Floats:
+    """Coordinates (T, 3) [m] of points (T, 3) as the measuring machine gives them.
+
+    Its largest error A + L / K means a random part A of each length, half its variance from either end, and a
+    scale error of each axis.
+    """
+    random = cmm.constant_um * MICROMETRE / cmm.coverage / np.sqrt(2.0)
+    scale = MICROMETRE / MILLIMETRE / cmm.length_divisor_mm / cmm.coverage
+    axes = scale * stream(seed, *key, "cmm", "axes").standard_normal(3)
+    each = np.array([stream(seed, *key, "cmm", "point", name).standard_normal(3) for name in names])
+    centre = points.mean(axis=0)
+    error: Floats = cmm.noise_factor * ((points - centre) * axes + random * each.reshape(-1, 3))
+    return points + error

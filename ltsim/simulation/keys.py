@@ -1,0 +1,104 @@
+"""Dotted keys of a scenario: what kind of value each takes and in which unit, and values that carry their unit."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Literal
+
+from ltsim.effects import find_effect
+from ltsim.errors import LtsimError, SetupError
+from ltsim.recording.files import shown
+from ltsim.simulation.physics import construction_of
+from ltsim.simulation.scenario import Scenario
+from ltsim.units import in_unit, unit_of_key
+
+Kind = Literal["number", "integer", "boolean", "string", "table"]
+KINDS: tuple[Kind, ...] = ("number", "integer", "boolean", "string")
+
+
+@lru_cache(maxsize=1)
+def _schema() -> dict[str, Any]:
+    return Scenario.model_json_schema(by_alias=True)
+
+
+def kind_of(key: str) -> Kind:
+    """The kind of value at a dotted key; `table` for lists and tables, and for what no scenario has."""
+    found = {_type(choice) for node in _at(key) for choice in _choices(node)}
+    return next((kind for kind in KINDS if kind in found), "table")
+
+
+def meaning_of(key: str) -> str:
+    """What the reference says of a dotted key; empty for a name that a person gave, such as a parameter's."""
+    return next((node["description"].replace("\n", " ") for node in _at(key) if "description" in node), "")
+
+
+def _at(key: str) -> list[dict[str, Any]]:
+    """The schemas of what may stand at a dotted key."""
+    found = [_schema()]
+    for part in key.split("."):
+        around = (choice for node in found for choice in _choices(node))
+        found = [inside for node in around if (inside := _inside(node, part)) is not None]
+    return found
+
+
+def _choices(node: dict[str, Any]) -> list[dict[str, Any]]:
+    """The alternatives of a schema, references followed."""
+    if "$ref" in node:
+        return _choices(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
+    return [choice for entry in node["anyOf"] for choice in _choices(entry)] if "anyOf" in node else [node]
+
+
+def _inside(node: dict[str, Any], part: str) -> dict[str, Any] | None:
+    """The schema below one part of a key: a named entry, any entry, or that of a list."""
+    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
+    below = below or (node.get("items") if part.isdecimal() else None)
+    return below if isinstance(below, dict) else None
+
+
+def _type(node: dict[str, Any]) -> str:
+    words = node.get("enum", [node.get("const")])
+    return "integer" if isinstance(words[0], int) else str(node.get("type", "string"))
+
+
+def unit_of(scenario: Scenario, key: str) -> str:
+    """The unit of the value at a dotted key: that in its name, or that of the parameter it is called after."""
+    *parents, last = key.split(".")
+    try:
+        if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
+            built = construction_of(scenario)
+            return built.parameters[built.index(last)].unit
+        if parents[:1] == ["effects"] and parents[2:] in (["values"], ["shape"]):
+            kind = find_effect(scenario.effects[int(parents[1]) - 1].name)
+            own = kind.parameters if parents[2] == "values" else kind.shape
+            return next((entry.unit for entry in own if entry.name == last), "")
+    except (LtsimError, ValueError, IndexError):
+        return ""
+    return unit_of_key(last)
+
+
+def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
+    """A value as the key takes it: a text such as ``2 urad`` becomes a number in the key's unit.
+
+    Raises
+    ------
+    SetupError
+        When the text is no quantity of this kind; `where` is named.
+    """
+    if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
+        return value
+    unit = unit_of(scenario, key)
+    found = in_unit(value, unit) if unit else None
+    if unit and found is None:
+        raise SetupError(f"{where}: {key} is '{shown(value)}', but it is in {unit}: write a number, or one of {unit}")
+    return value if found is None else found
+
+
+def value_at(table: dict[str, Any], key: str) -> Any:
+    """The value at a dotted key of a scenario's tables; None where there is none."""
+    inner: Any = table
+    for part in key.split("."):
+        if isinstance(inner, list) and part.isdecimal() and 1 <= int(part) <= len(inner):
+            inner = inner[int(part) - 1]
+        else:
+            inner = inner.get(part) if isinstance(inner, dict) else None
+    return inner

@@ -1,0 +1,225 @@
+"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their values."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects import BASELINE, find_effect
+from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.noise import white_noise_sigma
+from ltsim.effects.smr_incidence import SmrIncidence
+from ltsim.errors import ModelError, SetupError
+from ltsim.model.construction import Construction, construction, dh, misalignment
+from ltsim.randomness import stream
+from ltsim.scene.sightings import Sightings
+from ltsim.simulation.scenario import Scenario, table_name
+from ltsim.simulation.sections import EffectEntry, Instrument, Smr
+from ltsim.units import ARCSECOND, DEGREE, FACTOR, MICROMETRE
+
+PLACES = ("stations", "targets")
+WIDER = 100.0
+"""Times beyond the bounds of a search that a length or a time constant may be simulated."""
+
+
+def construction_of(scenario: Scenario) -> Construction:
+    """The construction of the scenario's trackers, which is one for all."""
+    instrument = next(iter(scenario.trackers.values()))
+    if instrument.construction == "dh":
+        return dh(instrument.harmonics, instrument.degree)
+    return construction(instrument.construction)
+
+
+def planned_construction(scenario: Scenario) -> Construction:
+    """The construction whose parameters a plan for the scenario's tracker is to determine.
+
+    Of the D-H chain's 78 parameters only those that are misalignments can be planned for: they stand for all. Ranges
+    alone tell of those that act on ranges.
+    """
+    built = construction_of(scenario)
+    if built.name == "steering-mirror":
+        return built
+    read = {name for tracker in scenario.trackers.values() for name in tracker.observables}
+    return misalignment(effect for effect in BASELINE if read & {*effect.observables})
+
+
+def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
+    """Mean and standard deviation (I, p) [SI] from which each tracker's errors are drawn; those stated have none.
+
+    Raises
+    ------
+    SetupError
+        When an error is stated that the construction does not have.
+    """
+    laws = [_law(tracker, construction, name) for name, tracker in scenario.trackers.items()]
+    return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
+
+
+def _law(instrument: Instrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
+    stated = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
+    for error in stated:
+        try:
+            construction.index(error)
+        except ModelError as problem:
+            raise SetupError(f"{table_name(name)}.errors.{error}: {problem}") from None
+    parameters = construction.parameters
+    mean = np.array([stated.get(p.name, 0.0) * p.factor for p in parameters])
+    free = [instrument.draws and p.name not in stated for p in parameters]
+    prior = np.array([p.sigma_from(instrument.prior) for p in parameters])
+    return mean, np.where(free, instrument.error_factor * prior, 0.0)
+
+
+def instrument_values(scenario: Scenario, construction: Construction, seed: int, *key: str | int) -> Floats:
+    """True values (I, p) [SI] of each tracker's parameters: as stated, drawn from the prior, or 0.
+
+    A draw is keyed by the tracker's name, if it has one, and the parameter: another tracker changes no other draw.
+
+    Raises
+    ------
+    SetupError
+        When an error is stated that the construction does not have.
+    """
+    values, sigma = instrument_law(scenario, construction)
+    for i, name in enumerate(scenario.trackers):
+        own = (*key, "instrument", name) if name else (*key, "instrument")
+        for k in np.flatnonzero(sigma[i]):
+            values[i, k] = sigma[i, k] * stream(seed, *own, construction.names[k]).standard_normal()
+    return values
+
+
+def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
+    """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
+    trackers = scenario.trackers.values()
+    factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
+    return factor[:, None] * white_noise_sigma(sightings, [tracker.noise for tracker in trackers])
+
+
+def resolution_of(scenario: Scenario) -> Floats:
+    """Steps (I, 3) [m, rad, rad] of each tracker's readings; 0 for none."""
+    steps = [tracker.resolution for tracker in scenario.trackers.values()]
+    units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
+    return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
+
+
+def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> Effect:
+    """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
+
+    Raises
+    ------
+    ModelError
+        When there is no such effect or constant, or a value does not fit.
+    """
+    kind = find_effect(name)
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in PLACES}
+    units = {s.name: FACTOR[s.unit] for s in kind.shape}
+    constants: dict[str, Any] = {}
+    for key, value in shape.items():
+        if key not in fields:
+            known = ", ".join(sorted(fields)) or "none"
+            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
+        constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
+    effect = kind(**places, **constants)
+    _check_constants(effect)
+    return effect
+
+
+def _check_constants(effect: Effect) -> None:
+    """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
+
+    Raises
+    ------
+    ModelError
+        Naming the constant and what would do.
+    """
+    hints = get_type_hints(type(effect))
+    for field in dataclasses.fields(effect):
+        known, value = get_args(hints[field.name]), getattr(effect, field.name)
+        if get_origin(hints[field.name]) is Literal and value not in known:
+            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, known))}")
+    for shape in effect.shape:
+        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
+        low, high = shape.low / WIDER, shape.high * WIDER
+        if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
+            bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
+            raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
+
+
+def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
+    """A constant in SI, of the type its default has."""
+    if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
+        raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
+    if isinstance(default, int):
+        if float(value) != int(value):
+            raise ModelError(f"{key} is {value}, expected a whole number")
+        return int(value)
+    return value * unit if isinstance(default, float) else value
+
+
+def shape_of(effect: Effect) -> dict[str, Any]:
+    """The constants of an effect, as `effect_from` takes them."""
+    units = {s.name: FACTOR[s.unit] for s in effect.shape}
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in PLACES]
+    values = {name: getattr(effect, name) for name in names}
+    return {name: value / units[name] if name in units else value for name, value in values.items()}
+
+
+def incidence_effect(smr: Smr) -> SmrIncidence:
+    """The reflectors' error against incidence, by the scenario's table."""
+    table = tuple(x * MICROMETRE for x in smr.table_um)
+    return SmrIncidence(table=table, direction=smr.direction_deg * DEGREE)
+
+
+def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
+    """The scenario's effects in the order of its file; the reflectors' incidence error, if it is on, is the last.
+
+    Raises
+    ------
+    SetupError
+        Naming the entry and what would be right.
+    """
+    effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
+    if scenario.smr.incidence_error:
+        effects.append(incidence_effect(scenario.smr))
+    return tuple(effects)
+
+
+def _effect_of(entry: EffectEntry, number: int) -> Effect:
+    try:
+        effect = effect_from(entry.name, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except (ModelError, ValueError, TypeError, KeyError) as problem:
+        raise SetupError(f"effects.{number}: {problem}") from None
+    names = [p.name for p in effect.parameters]
+    for name in entry.values:
+        if name not in names:
+            raise SetupError(f"effects.{number}.values: {entry.name} has no '{name}', it has {', '.join(names)}")
+    return effect
+
+
+def effect_values(scenario: Scenario, effects: tuple[Effect, ...], seed: int, *key: str | int) -> tuple[Floats, ...]:
+    """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
+
+    A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances
+    and what is never negative are drawn positive.
+    """
+    seen: Counter[tuple[str, str]] = Counter()
+    values = []
+    for i, effect in enumerate(effects):
+        entry = scenario.effects[i] if i < len(scenario.effects) else None
+        place = effect.place
+        seen[effect.name, place] += 1
+        amount = np.zeros(len(effect.parameters))
+        for k, parameter in enumerate(effect.parameters):
+            if entry is not None and parameter.name in entry.values:
+                amount[k] = entry.values[parameter.name] * parameter.factor
+            elif entry is not None and entry.draw:
+                own = (effect.name, place, seen[effect.name, place], parameter.name)
+                draw = stream(seed, *key, "effect", *own).standard_normal()
+                upward = parameter.positive or isinstance(effect, NoiseEffect)
+                amount[k] = parameter.prior_sigma * (abs(draw) if upward else draw)
+        values.append(amount)
+    return tuple(values)

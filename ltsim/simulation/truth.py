@@ -1,0 +1,311 @@
+"""The truth of a simulated recording: kept in a file of its own (ltsim-truth/1), which no calibrator opens."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from pydantic import Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect
+from ltsim.errors import ModelError, RecordError
+from ltsim.evaluation.schema import NOMINAL
+from ltsim.geometry.rotations import quaternion
+from ltsim.notebook import Columns, Shown
+from ltsim.recording.files import read_text, write_text
+from ltsim.recording.settings import sentence
+from ltsim.recording.setup import Finite, Section, Vector
+from ltsim.simulation.physics import effect_from, shape_of
+from ltsim.units import FACTOR, MILLIMETRE
+
+Format = Literal["ltsim-truth/1"]
+
+
+@dataclass(frozen=True)
+class AppliedEffect:
+    """An effect that was at work, with the true values (q,) [SI] of its parameters."""
+
+    effect: Effect
+    values: Floats
+
+
+@dataclass(frozen=True)
+class TrackerTruth:
+    """One of the trackers of a recording: where it stood, and its drawn noise over the stated one."""
+
+    name: str
+    stations: tuple[str, ...]
+    noise_factor: float = 1.0
+
+
+@dataclass(frozen=True, repr=False)
+class Truth(Shown):
+    """What a recording was made from; SI units, the workshop's frame."""
+
+    title: str
+    seed: int
+    stations: tuple[str, ...]
+    position: Floats
+    """(S, 3) [m]."""
+    rotation: Floats
+    """(S, 3, 3): instrument frame to workshop."""
+    targets: tuple[str, ...]
+    points: Floats
+    """(T, 3) [m]: where no effect moves them."""
+    construction: str
+    instrument: Mapping[str, float]
+    """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
+    units: Mapping[str, str]
+    """The unit each is shown in."""
+    effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
+    """Everything beyond the instrument's parameters."""
+    noise_factor: float = 1.0
+    """Drawn noise over stated noise, of an instrument without a name."""
+    trackers: tuple[TrackerTruth, ...] = ()
+    """Where instruments have names."""
+    nominal: Floats | None = None
+    """(T, 3) [m]: the targets as a measuring machine gave them."""
+
+    def _lines(self) -> list[str]:
+        title = f"{self.title}: " if self.title else ""
+        effects = ", ".join(applied.effect.name for applied in self.effects) or "no effects"
+        return [f"Truth: {title}seed {self.seed}, {len(self.instrument)} instrument parameters, {effects}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"instrument": self._instrument, "targets": self._targets}
+
+    def _instrument(self) -> Columns:
+        return {
+            "parameter": list(self.instrument),
+            "value": [value / FACTOR[self.units[name]] for name, value in self.instrument.items()],
+            "unit": list(self.units.values()),
+        }
+
+    def _targets(self) -> Columns:
+        x, y, z = (self.points / MILLIMETRE).T
+        return {"target": list(self.targets), "x_mm": x.tolist(), "y_mm": y.tolist(), "z_mm": z.tolist()}
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of a truth file."""
+        content: dict[str, Any] = {
+            "format": get_args(Format)[0],
+            "title": self.title,
+            "seed": self.seed,
+            "construction": self.construction,
+            "parameters": [
+                _parameter_to_json(name, value / FACTOR[self.units[name]], self.units[name])
+                for name, value in self.instrument.items()
+            ],
+            "effects": [_effect_to_json(applied) for applied in self.effects],
+            **self._instruments_to_json(),
+            "stations": [
+                {
+                    "name": name,
+                    "position_mm": (self.position[i] / MILLIMETRE).tolist(),
+                    "rotation_quaternion": quaternion(self.rotation[i]).tolist(),
+                }
+                for i, name in enumerate(self.stations)
+            ],
+            "targets": [
+                {"name": name, "position_mm": (self.points[i] / MILLIMETRE).tolist()}
+                for i, name in enumerate(self.targets)
+            ],
+        }
+        if self.nominal is not None:
+            content["nominal"] = [
+                {"name": name, "position_mm": (self.nominal[i] / MILLIMETRE).tolist()}
+                for i, name in enumerate(self.targets)
+            ]
+        return content
+
+    def _instruments_to_json(self) -> dict[str, Any]:
+        if not self.trackers:
+            return {"noise_factor": self.noise_factor}
+        named = [{"name": t.name, "stations": [*t.stations], "noise_factor": t.noise_factor} for t in self.trackers]
+        return {"instruments": named}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Truth:
+        """The truth of a truth file's contents; raises RecordError."""
+        try:
+            table = TruthFile.model_validate_json(json.dumps(content), strict=True)
+        except ValidationError as problem:
+            raise RecordError(sentence(problem.errors()[0], TruthFile), file=file) from None
+        unknown = {p.unit for p in table.parameters} - set(FACTOR)
+        if unknown:
+            raise RecordError(f"'{unknown.pop()}' is no unit, expected one of {', '.join(FACTOR)}", file=file)
+        targets = [p.position_mm for p in table.targets]
+        nominal = [p.position_mm for p in table.nominal or ()]
+        if nominal and [p.name for p in table.nominal or ()] != [p.name for p in table.targets]:
+            raise RecordError("the nominal points are not those of the targets, in their order", file=file)
+        return cls(
+            title=table.title,
+            seed=table.seed,
+            stations=tuple(s.name for s in table.stations),
+            position=np.array([s.position_mm for s in table.stations]).reshape(-1, 3) * MILLIMETRE,
+            rotation=Rotation.from_quat([s.rotation_quaternion for s in table.stations]).as_matrix(),
+            targets=tuple(p.name for p in table.targets),
+            points=np.array(targets).reshape(-1, 3) * MILLIMETRE,
+            construction=table.construction,
+            instrument={p.flat_name: p.value * FACTOR[p.unit] for p in table.parameters},
+            units={p.flat_name: p.unit for p in table.parameters},
+            effects=tuple(_effect_from_json(e, file) for e in table.effects),
+            noise_factor=table.noise_factor,
+            trackers=tuple(TrackerTruth(t.name, t.stations, t.noise_factor) for t in table.instruments),
+            nominal=np.array(nominal) * MILLIMETRE if nominal else None,
+        )
+
+
+class _Number(Section):
+    """A parameter."""
+
+    name: str
+    """Its name."""
+    value: Finite
+    """What it truly is."""
+    unit: str
+    """Of the value."""
+
+
+class _InstrumentNumber(_Number):
+    """A parameter of an instrument."""
+
+    instrument: str = ""
+    """Whose it is, where there are several."""
+
+    @property
+    def flat_name(self) -> str:
+        """As of `Construction.names_of`."""
+        return f"{self.name}@{self.instrument}" if self.instrument else self.name
+
+
+class _Tracker(Section):
+    """An instrument with a name."""
+
+    name: str
+    """As the set-up names it."""
+    stations: tuple[str, ...] = ()
+    """Where it stood."""
+    noise_factor: Finite = 1.0
+    """How many times the stated noise its true one is."""
+
+
+class _Effect(Section):
+    """An effect of the catalogue."""
+
+    effect: str
+    """Id of the catalogue."""
+    stations: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
+    targets: tuple[str, ...] = ()
+    """Where it acts; empty for all."""
+    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    """Constants by name."""
+    parameters: tuple[_Number, ...] = ()
+    """True values."""
+
+
+class _Point(Section):
+    """A point."""
+
+    name: str
+    """Its name."""
+    position_mm: Vector
+    """Where it truly stands, in the workshop's frame."""
+
+
+class _Pose(_Point):
+    """A station."""
+
+    rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
+    """From instrument to workshop; x, y, z, w."""
+
+
+class TruthFile(Section):
+    """`truth.json`: from `simulate --truth`."""
+
+    format: Format
+    """Which format and version this file is in."""
+    title: str = ""
+    """Free text."""
+    seed: int = 0
+    """Root of the random draws."""
+    construction: str
+    """Which model made the readings."""
+    parameters: tuple[_InstrumentNumber, ...] = ()
+    """True errors of the instruments."""
+    effects: tuple[_Effect, ...] = ()
+    """Physics beyond them."""
+    noise_factor: Finite = 1.0
+    """How many times the stated noise the true one is, of an instrument without a name."""
+    instruments: tuple[_Tracker, ...] = ()
+    """The instruments, where they have names."""
+    stations: tuple[_Pose, ...] = Field(min_length=1)
+    """True poses."""
+    targets: tuple[_Point, ...] = Field(min_length=1)
+    """True points."""
+    nominal: tuple[_Point, ...] | None = None
+    """Points as a measuring machine gave them."""
+
+
+def _parameter_to_json(flat_name: str, value: float, unit: str) -> dict[str, Any]:
+    name, _, instrument = flat_name.partition("@")
+    return {"name": name, "value": value, "unit": unit} | ({"instrument": instrument} if instrument else {})
+
+
+def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:
+    effect = applied.effect
+    return {
+        "effect": effect.name,
+        "stations": list(effect.stations),
+        "targets": list(effect.targets),
+        "shape": shape_of(effect),
+        "parameters": [
+            {"name": p.name, "value": float(v) / p.factor, "unit": p.unit}
+            for p, v in zip(effect.parameters, applied.values, strict=True)
+        ],
+    }
+
+
+def _effect_from_json(entry: _Effect, file: object) -> AppliedEffect:
+    try:
+        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except (ModelError, ValueError, TypeError) as problem:
+        raise RecordError(str(problem), file=file, column="effects") from None
+    stated = {p.name: p.value for p in entry.parameters}
+    return AppliedEffect(effect, np.array([stated.get(p.name, 0.0) * p.factor for p in effect.parameters]))
+
+
+def write_truth(truth: Truth, path: Path) -> None:
+    """Write a truth file at once."""
+    write_text(path, json.dumps(truth.to_json(), indent=1) + "\n")
+
+
+def read_truth(path: Path) -> Truth:
+    """Read a truth file; raises RecordError."""
+    try:
+        content = json.loads(read_text(path))
+    except ValueError as problem:
+        raise RecordError(f"is not JSON ({' '.join(str(problem).split())})", file=path) from None
+    if not isinstance(content, dict):
+        raise RecordError("holds no table, expected a truth file", file=path)
+    return Truth.from_json(content, path)
+
+
+def nominal_csv(truth: Truth) -> str:
+    """The table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, which verification reads.
+
+    Raises
+    ------
+    ModelError
+        When the scenario has no measuring machine.
+    """
+    if truth.nominal is None:
+        raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
+    return NOMINAL.text([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))

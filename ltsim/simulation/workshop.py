@@ -1,0 +1,142 @@
+"""The workshop as planned: poses, points, nests, obstacles, and who sees whom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ltsim.arrays import Bools, Floats
+from ltsim.errors import SetupError
+from ltsim.scene.meshes import Obstacles, box, cylinder, placed, read_mesh, together
+from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
+from ltsim.simulation.gauge import frame_of, in_workshop
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.sections import Instrument
+from ltsim.units import DEGREE, MILLIMETRE
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What stands where; SI units, the workshop's frame."""
+
+    stations: tuple[str, ...]
+    targets: tuple[str, ...]
+    position: Floats
+    """(S, 3) [m]."""
+    rotation: Floats
+    """(S, 3, 3): instrument frame to workshop."""
+    points: Floats
+    """(T, 3) [m]."""
+    nest_normal: Floats
+    """(T, 3): unit vectors, NaN where unknown."""
+    reaimed: Bools
+    """(T,)."""
+
+    def at(self, position: Floats, rotation: Floats, points: Floats) -> Layout:
+        """The same layout with everything where it truly stands."""
+        return replace(self, position=position, rotation=rotation, points=points)
+
+
+def planned(scenario: Scenario) -> Layout:
+    """The layout of a scenario, exactly as its file says; reflectors of the mesh first, then the gauge's.
+
+    Raises
+    ------
+    SetupError
+        When no gauge has the stated lengths.
+    """
+    stations = scenario.stations.values()
+    position = np.array([s.position_mm for s in stations], dtype=np.float64) * MILLIMETRE
+    angles = np.array([[s.roll_deg, s.pitch_deg, s.yaw_deg] for s in stations], dtype=np.float64) * DEGREE
+    points = np.array([t.position_mm for t in scenario.targets.values()], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+    if scenario.gauge is not None:
+        frame = frame_of(scenario.gauge)
+        points = np.concatenate([points, in_workshop(scenario.gauge, frame, scenario.workshop.temperature_c)])
+    normal, reaimed = _nests(scenario, position, points)
+    return Layout(
+        stations=tuple(scenario.stations),
+        targets=scenario.target_names,
+        position=position,
+        rotation=Rotation.from_euler("xyz", angles).as_matrix(),
+        points=points,
+        nest_normal=normal,
+        reaimed=reaimed,
+    )
+
+
+def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
+    """Normals (T, 3) and which reflectors are re-aimed (T,); fixed nests without a normal are aimed at the stations."""
+    missing = (np.nan, np.nan, np.nan)
+    stated = [t.nest_normal or missing for t in scenario.targets.values()]
+    own = [t.reaimed for t in scenario.targets.values()]
+    if scenario.gauge is not None:
+        stated += [scenario.gauge.nest_normal or missing] * len(scenario.gauge.targets)
+        own += [None] * len(scenario.gauge.targets)
+    normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    usual = scenario.smr.nests == "re-aimed"
+    reaimed = np.array([usual if one is None else one for one in own], dtype=bool)
+    open_ = ~reaimed & ~np.isfinite(normal[:, 0])
+    if open_.any():
+        normal[open_] = aimed_normals(position, points[open_])[0]
+    return normal, reaimed
+
+
+def sight_limits(scenario: Scenario, tracker: Instrument) -> SightLimits:
+    """What a tracker of the scenario and its reflectors allow."""
+    limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
+    return SightLimits(
+        elevation_min=limits.elevation_min_deg * DEGREE,
+        elevation_max=limits.elevation_max_deg * DEGREE,
+        range_min=limits.range_min_mm * MILLIMETRE,
+        range_max=limits.range_max_mm * MILLIMETRE,
+        acceptance=scenario.smr.acceptance_deg * DEGREE,
+        opening=None if cone is None else cone * DEGREE,
+    )
+
+
+def obstacles_of(scenario: Scenario) -> Obstacles | None:
+    """What stands in the way, or None in an empty workshop; raises SetupError."""
+    parts = bodies_of(scenario)
+    return together(triangles for _, triangles in parts) if parts else None
+
+
+def bodies_of(scenario: Scenario) -> list[tuple[str, Floats]]:
+    """Name and triangles (m, 3, 3) [m] of each obstacle in its place; raises SetupError as `obstacles_of`."""
+    parts = []
+    for entry in scenario.workshop.obstacles:
+        if entry.file is not None:
+            triangles = read_mesh(Path(entry.file), entry.unit)
+        elif entry.box_mm is not None:
+            triangles = box(np.array(entry.box_mm) * MILLIMETRE)
+        elif entry.cylinder_mm is not None:
+            diameter, height = np.array(entry.cylinder_mm) * MILLIMETRE
+            triangles = cylinder(float(diameter), float(height))
+        else:
+            raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
+        there = placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+        parts.append((entry.name, there))
+    return parts
+
+
+def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibility:
+    """Who sees whom, and why not, in a scenario as planned or with another layout; each tracker within its limits."""
+    there = planned(scenario) if layout is None else layout
+    obstacles = obstacles_of(scenario)
+    own = [[there.stations.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers]
+    tables = [
+        visibility(
+            there.position[stations],
+            there.points,
+            sight_limits(scenario, tracker),
+            rotation=there.rotation[stations],
+            nest_normal=there.nest_normal,
+            reaimed=there.reaimed,
+            obstacles=obstacles,
+        )
+        for stations, tracker in zip(own, scenario.trackers.values(), strict=True)
+    ]
+    return in_order(tables, np.argsort(np.concatenate(own)))

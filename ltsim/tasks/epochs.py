@@ -1,0 +1,193 @@
+"""Did points move between two recordings? The congruence test, and which points moved.
+
+Each epoch is adjusted by itself; the second is brought onto the first by the rigid motions that one of them leaves open
+(and a scale, if asked for). What remains is compared with the full covariance of both. Points that moved are found one
+by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import ModelError, NetworkError, unknown_name
+from ltsim.geometry.alignment import align
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.recording.coordinates import Coordinates
+from ltsim.recording.lengths import COEFFICIENT
+from ltsim.recording.setup import Gauge
+from ltsim.tasks.congruence import Congruence, Gap, judged, rows_of
+from ltsim.tasks.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
+
+SPACE = np.arange(3)
+ALIGNING = 6
+STILL = 1e-9
+"""Share of the extent by which a unit motion has to move points along the axes that are known."""
+
+
+def compare(
+    first: Adjustment,
+    second: Adjustment,
+    *,
+    stable: Sequence[str] | None = None,
+    scaled: bool = False,
+    same_instrument: bool = False,
+    level: float = 0.05,
+) -> Congruence:
+    """Compare the points that two converged adjustments share, each in its own frame; options as of `ltsim.compare`.
+
+    Raises
+    ------
+    ModelError
+        When a stable point is not common.
+    NetworkError
+        When too few points are common.
+    """
+    lost = {*first.lost_targets, *second.lost_targets}
+    common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
+    known = _frame(common, stable)
+    if len(common) < 4:
+        raise NetworkError(f"the recordings share {len(common)} points; at least 4 are needed to see one of them move")
+    if stable is not None and len(stable) < 3:
+        raise ModelError(f"{len(stable)} stable points hold no frame; name at least 3")
+    at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
+    given = _in_common(first, second, same_instrument)
+    one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
+    return judged(_aligned(one, other, scaled, known), common, known & (stable is not None), scaled, level)
+
+
+def compare_coordinates(
+    first: Coordinates,
+    second: Coordinates,
+    *,
+    stable: Sequence[str] | None = None,
+    free: bool = False,
+    scaled: bool = False,
+    level: float = 0.05,
+) -> Congruence:
+    """Compare two lists of coordinates in one frame; where their frames are `free`, the second may move as a whole.
+
+    Raises
+    ------
+    ModelError
+        When a stable point is not common, or the lists know other axes.
+    NetworkError
+        When too few points are common.
+    """
+    if first.axes != second.axes:
+        raise ModelError(
+            f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
+        )
+    common = [name for name in first.names if name in second.names]
+    known = _frame(common, stable)
+    held = len(first.axes) if free or scaled else 0
+    if len(common) < held + 1:
+        raise NetworkError(
+            f"the lists share {len(common)} points; at least {held + 1} are needed to see one of them move"
+        )
+    if stable is not None and len(stable) < held:
+        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+    one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
+    return judged(_aligned(one, other, scaled, known, first.along), common, known & (stable is not None), scaled, level)
+
+
+def _frame(common: Sequence[str], stable: Sequence[str] | None) -> Bools:
+    """(T,): which common points may hold the frame: all, or those said to be stable."""
+    for name in stable or ():
+        if name not in common:
+            raise unknown_name("common point", name, common)
+    return np.array([stable is None or name in stable for name in common])
+
+
+@dataclass(frozen=True)
+class _Epoch:
+    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and the rigid motions (6, f) that are open.
+
+    `by_given` (T a, g) is how the points follow what the epochs may have in common, in standard deviations.
+    """
+
+    points: Floats
+    covariance: Floats
+    by_given: Floats
+    free: Floats
+
+    @classmethod
+    def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> _Epoch:
+        reach = reach_of(adjustment, at)
+        groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
+        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
+        return cls(adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
+
+    @classmethod
+    def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> _Epoch:
+        """Points of a list."""
+        at = np.array([found.names.index(name) for name in common])
+        rows = rows_of(at, len(found.axes))
+        open_ = np.eye(6) if free else np.zeros((6, 0))
+        return cls(found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), open_)
+
+
+def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
+    """Groups of observations that are the same ones in both epochs, errors included: equal statements."""
+    one, other = first.recording.setup, second.recording.setup
+    common = []
+    if same_instrument:
+        if first.problem.prior_sigma.shape != second.problem.prior_sigma.shape:
+            raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
+        common.append(PRIORS)
+    if one.gauge is not None and other.gauge is not None and _certificate(one.gauge) == _certificate(other.gauge):
+        shared = [a.problem.gauge.shared for a in (first, second)]
+        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(COEFFICIENT))]
+    known = [
+        {name: t.known_mm for name, t in setup.targets.items() if t.known_mm is not None} for setup in (one, other)
+    ]
+    if known[0] and known[0] == known[1]:
+        common.append(CONTROL)
+    return common
+
+
+def _certificate(gauge: Gauge) -> Gauge:
+    """What was known of the lengths before they were used: not how warm they were then."""
+    plain = {"measured_at_c": None, "sigma_temperature_k": None}
+    lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
+    return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
+
+
+def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: Ints = SPACE) -> Gap:
+    """The second epoch moved onto the first; where both frames are held, as they are; along `axes` (a,)."""
+    one, other, turn = first.points, second.points, np.eye(3)
+    middle = one[known].mean(axis=0)
+    both = np.hstack([first.free, second.free])
+    free = scipy.linalg.orth(both) if both.shape[1] else both
+    if free.shape[1] and len(axes) > 1:
+        weights = known.astype(np.float64)
+        for _ in range(ALIGNING):
+            turn, shift = align(second.points, one, weights)
+            other = second.points @ turn.T + shift
+            off = np.linalg.norm(other - one, axis=1)
+            weights = known / (off + np.median(off[known]) + 1e-12)  # A point that moved must not turn the rest.
+    big = np.kron(np.eye(len(one)), turn[np.ix_(axes, axes)])
+    shared = first.by_given @ second.by_given.T @ big.T
+    covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
+    motions = rigid_motion(one, middle)
+    motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
+    motions = motions.reshape(len(one), 3, -1)[:, axes].reshape(len(covariance), -1)
+    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(one - middle).max()]
+    if motions.shape[1]:
+        basis = scipy.linalg.orth(motions)
+        covariance = covariance + np.trace(covariance) * basis @ basis.T
+    if scaled:
+        motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
+    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes)
+
+
+def _about(free: Floats, centre: Floats) -> Floats:
+    """Motions (6, f) with their turns about a centre instead of the origin."""
+    about = free.copy()
+    about[:3] += np.cross(free[3:].T, centre).T
+    return about

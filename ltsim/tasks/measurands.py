@@ -1,0 +1,240 @@
+"""From points to results: what each kind of task reports, in units a person reads, for one or many sets of points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
+from ltsim.errors import ModelError, unknown_name
+from ltsim.tasks.features import Feature, fit
+from ltsim.tasks.minimum_zone import minimum_zone, zone_widths
+from ltsim.tasks.spec import Task
+from ltsim.units import DEGREE, MILLIMETRE, PPM
+
+STEP = 1e-5
+"""[m] Half the step of the central differences: rounding and curvature are both far below a nanometre."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """One number of a task: its name, its unit, and the unit in SI."""
+
+    name: str
+    unit: str
+    factor: float
+
+
+def _mm(*names: str) -> list[Output]:
+    return [Output(name, "mm", MILLIMETRE) for name in names]
+
+
+def _deg(*names: str) -> list[Output]:
+    return [Output(name, "deg", DEGREE) for name in names]
+
+
+def _plain(*names: str) -> list[Output]:
+    return [Output(name, "", 1.0) for name in names]
+
+
+@dataclass(frozen=True)
+class Measurand:
+    """A task on the points of a network."""
+
+    task: Task
+    at: Ints
+    """(k,): its targets among the network's points."""
+    near: Feature | None = field(default=None, repr=False)
+    """The element fitted to the estimated points: start of every further fit and side of every direction."""
+    zone: Feature | None = field(default=None, repr=False)
+    """The element of their minimum zone, where the task asks for it."""
+
+    @classmethod
+    def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Measurand:
+        """The task on targets of a network at points (T, 3) [m].
+
+        Raises
+        ------
+        ModelError
+            When a target does not exist, was not determined, or the points do not determine the feature.
+        """
+        for name in task.targets:
+            if name not in targets:
+                raise unknown_name("target", name, targets)
+        at = np.array([targets.index(name) for name in task.targets])
+        lost = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[at]).all(axis=1))]
+        if lost:
+            raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
+        try:
+            near = fit(task.kind, points[at]) if task.kind in _FEATURES else None
+            zone = minimum_zone(task.kind, points[at]) if near is not None and task.zone == "minimum" else None
+            found = cls(task, at, near, zone)
+            found.values(points)
+        except ModelError as problem:
+            raise ModelError(f"task {task.name}: {problem}") from None
+        wrong = [name for name in task.tolerances if name not in {o.name for o in found.outputs}]
+        if wrong:
+            raise ModelError(f"task {task.name}: {unknown_name('result', wrong[0], [o.name for o in found.outputs])}")
+        return found
+
+    @property
+    def outputs(self) -> list[Output]:
+        """The numbers of the task, in order."""
+        kind = self.task.kind
+        if kind in _FEATURES:
+            return _FEATURES[kind]
+        if kind in ("point", "rod"):
+            return _mm("x", "y", "z")
+        if kind == "distance":
+            return _mm("distance")
+        if kind == "angle":
+            return _deg("angle")
+        if kind == "deviation":
+            each = [_mm(f"{name}.dx", f"{name}.dy", f"{name}.dz", f"{name}.distance") for name in self.task.targets]
+            return [output for outputs in each for output in outputs]
+        scale = [Output("scale", "ppm", PPM)] if self.task.scale else []
+        return [*_mm("x", "y", "z"), *_deg("turn-x", "turn-y", "turn-z"), *scale]
+
+    def values(self, points: Floats, stretch: Floats | float = 1.0) -> Floats:
+        """Results (..., k) [SI] of points (..., T, 3) [m], each set shrunk about its middle by its `stretch` (...)."""
+        chosen = points[..., self.at, :]
+        middle = chosen.mean(axis=-2, keepdims=True)
+        chosen = middle + (chosen - middle) / np.asarray(stretch)[..., None, None]
+        kind = self.task.kind
+        if kind == "point":
+            return chosen[..., 0, :]
+        if kind == "rod":
+            way = chosen[..., 1, :] - chosen[..., 0, :]
+            along = way / np.linalg.norm(way, axis=-1, keepdims=True)
+            return chosen[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
+        if kind == "distance":
+            return np.linalg.norm(chosen[..., 1, :] - chosen[..., 0, :], axis=-1)[..., None]
+        if kind == "angle":
+            return _angle(chosen)[..., None]
+        if kind in _FEATURES:
+            return self._feature(chosen)
+        return self._fitted(chosen)
+
+    def by_points(self, points: Floats, stretch: float = 1.0) -> Floats:
+        """Derivative (k, 3 T) of the results by the coordinates of points (T, 3), by central differences."""
+        count = 3 * len(self.at)
+        columns = (3 * self.at[:, None] + np.arange(3)).ravel()
+        steps = np.zeros((2 * count, points.size))
+        steps[np.arange(count), columns] = STEP
+        steps[count + np.arange(count), columns] = -STEP
+        values = self.values(points + steps.reshape(2 * count, *points.shape), stretch)
+        change = np.zeros((values.shape[1], points.size))
+        change[:, columns] = (values[:count] - values[count:]).T / (2 * STEP)
+        return change
+
+    def by_stretch(self, points: Floats, stretch: float = 1.0) -> Floats:
+        """Derivative (k,) of the results by the stretch."""
+        both = np.array([stretch + STEP, stretch - STEP])
+        values = self.values(np.broadcast_to(points, (2, *points.shape)), both)
+        return (values[0] - values[1]) / (2 * STEP)
+
+    def _feature(self, chosen: Floats) -> Floats:
+        task, near = self.task, self.near
+        found = fit(task.kind, chosen, near)
+        normal = found.normal
+        if near is not None and task.kind != "sphere":
+            normal = normal * np.sign(np.einsum("...i,i->...", normal, near.normal))[..., None]
+        form = _form(task.kind, found.deviations)
+        if self.zone is not None:
+            form = zone_widths(task.kind, chosen.reshape(-1, *chosen.shape[-2:]), self.zone).reshape(chosen.shape[:-2])
+        diameter = 2.0 * (found.radius + task.radius_offset_mm * MILLIMETRE)
+        parts = {
+            "centre": found.centre,
+            "normal": normal,
+            "diameter": diameter[..., None],
+            "form": form[..., None],
+            "offset": np.einsum("...i,...i->...", normal, found.centre)[..., None],
+        }
+        return np.concatenate([parts[name] for name in _PARTS[task.kind]], axis=-1)
+
+    def _fitted(self, chosen: Floats) -> Floats:
+        """Transformation, pose or deviations from the nominal points."""
+        task = self.task
+        nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
+        if task.kind == "deviation" and not task.fit:
+            return _gaps(chosen - nominal)
+        rotation, shift, scale = best_fit(nominal, chosen, scaled=task.scale)
+        if task.kind == "deviation":
+            back = np.einsum("...ji,...nj->...ni", rotation, chosen - shift[..., None, :]) / scale[..., None, None]
+            return _gaps(back - nominal)
+        from scipy.spatial.transform import Rotation  # slow to load
+
+        turn = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(shift.shape)
+        ratio = [scale[..., None] - 1.0] if task.scale else []
+        return np.concatenate([shift, turn, *ratio], axis=-1)
+
+
+def best_fit(source: Floats, goal: Floats, *, scaled: bool = False) -> tuple[Floats, Floats, Floats]:
+    """Rotation (..., 3, 3), shift (..., 3) and scale (...) with ``goal ~ scale * source @ rotation.T + shift``.
+
+    Parameters
+    ----------
+    source : (n, 3) float, [m]
+    goal : (..., n, 3) float, [m]
+    scaled : bool
+        Estimate the scale too; 1 otherwise.
+
+    Raises
+    ------
+    ModelError
+        When the points lie on one line.
+
+    References
+    ----------
+    Umeyama, IEEE Trans. PAMI 13 (1991) 376.
+    """
+    centre, middle = source.mean(axis=0), goal.mean(axis=-2)
+    arms = source - centre
+    moment = np.einsum("...ni,nj->...ij", goal - middle[..., None, :], arms)
+    u, s, v = np.linalg.svd(moment)
+    if len(source) < 3 or not np.all(s[..., 1] > 1e-9 * s[..., 0]):
+        raise ModelError("a best fit needs at least three points that are not on one line")
+    sign = np.sign(np.linalg.det(u @ v))
+    flip = np.ones_like(s)
+    flip[..., 2] = sign
+    rotation = (u * flip[..., None, :]) @ v
+    scale = np.sum(s * flip, axis=-1) / np.sum(arms**2) if scaled else np.ones(moment.shape[:-2])
+    return rotation, middle - scale[..., None] * (rotation @ centre), scale
+
+
+def _angle(chosen: Floats) -> Floats:
+    first, second = chosen[..., 0, :] - chosen[..., 1, :], chosen[..., 2, :] - chosen[..., 1, :]
+    across = np.linalg.norm(np.cross(first, second), axis=-1)
+    if not np.all(np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1) > 0):
+        raise ModelError("an arm of the angle has no length")
+    return np.arctan2(across, np.einsum("...i,...i->...", first, second))
+
+
+def _gaps(gap: Floats) -> Floats:
+    rows = np.concatenate([gap, np.linalg.norm(gap, axis=-1, keepdims=True)], axis=-1)
+    return rows.reshape(*gap.shape[:-2], -1)
+
+
+def _form(kind: str, deviations: Floats) -> Floats:
+    """Width (...) of the zone that holds all deviations: a diameter for a line, peak to valley for the others."""
+    return 2.0 * deviations.max(axis=-1) if kind == "line" else np.ptp(deviations, axis=-1)
+
+
+_PARTS = {
+    "line": ("normal", "form"),
+    "plane": ("normal", "offset", "form"),
+    "circle": ("centre", "diameter", "normal", "form"),
+    "sphere": ("centre", "diameter", "form"),
+    "cylinder": ("normal", "diameter", "form"),
+}
+_DIRECTION = _plain("direction-x", "direction-y", "direction-z")
+_NORMAL = _plain("normal-x", "normal-y", "normal-z")
+_FEATURES = {
+    "line": [*_DIRECTION, *_mm("straightness")],
+    "plane": [*_NORMAL, *_mm("offset", "flatness")],
+    "circle": [*_mm("x", "y", "z", "diameter"), *_NORMAL, *_mm("roundness")],
+    "sphere": _mm("x", "y", "z", "diameter", "sphericity"),
+    "cylinder": [*_DIRECTION, *_mm("diameter", "cylindricity")],
+}

@@ -1,0 +1,81 @@
+"""The law of propagation: uncertainty of each result, its budget, joint covariance of all tasks (JCGM 100, 102)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from ltsim.arrays import Floats
+from ltsim.geometry.expansion import Expansion
+from ltsim.tasks.inputs import Inputs
+from ltsim.tasks.measurands import Measurand
+from ltsim.tasks.spec import Growth
+
+
+def expansion_of(growth: Growth | None) -> Expansion:
+    """The part's expansion as an input: it was too long by that factor when it was measured."""
+    if growth is None:
+        return Expansion()
+    kelvin = growth.measured_c - growth.reference_c
+    return Expansion.of(growth.expansion_per_k, kelvin, growth.sigma_expansion_per_k, growth.sigma_temperature_k)
+
+
+def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
+    """Name and size of each error of the part's expansion."""
+    named = [("expansion of the part", stretch.by_coefficient), ("temperature of the part", stretch.by_temperature)]
+    return [(name, change) for name, change in named if change]
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """Results of all tasks together by the law of propagation."""
+
+    values: Floats
+    """(k,): results of all tasks, one after another [SI]."""
+    covariance: Floats
+    """(k, k)."""
+    shares: dict[str, Floats]
+    """(k,): variance of each result by source; they add up to the diagonal of the covariance."""
+    kinds: dict[str, str]
+    """``A`` or ``B`` of each source."""
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard uncertainty (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def expanded(self, coverage: float) -> Floats:
+        """Expanded uncertainty (k,) for a coverage probability, each result by itself (normal)."""
+        return float(special.ndtri(0.5 + coverage / 2)) * self.sigma
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlation (k, k) of the results; NaN where a result has no uncertainty."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
+        return correlation
+
+
+def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> Propagated:
+    """First-order propagation of every source through adjustment and tasks."""
+    points = inputs.points
+    values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
+    by_points = np.concatenate([m.by_points(points, stretch.factor) for m in measurands])
+    by_stretch = np.concatenate([m.by_stretch(points, stretch.factor) for m in measurands])
+    covariance = np.zeros((len(values), len(values)))
+    shares: dict[str, Floats] = {}
+    kinds: dict[str, str] = {}
+    for source in inputs.sources:
+        reached = by_points @ source.response
+        covariance += reached @ reached.T
+        shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
+        kinds[source.name] = source.kind
+    for name, sigma in parts_of(stretch):
+        reached = by_stretch * sigma
+        covariance += np.outer(reached, reached)
+        shares[name] = reached**2
+        kinds[name] = "B"
+    return Propagated(values, covariance, shares, kinds)

@@ -1,0 +1,127 @@
+"""The hall's axes: results in coordinates that a person names, the shape of the network untouched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three, read_axes
+from ltsim.adjustment.estimate import adjust
+from ltsim.calibration import adjust_network
+from ltsim.errors import RecordError
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Station, Target
+from tests.networks import STATIONS, YAWS, network
+
+TURN, SHIFT = from_rotation_vector(np.array([0.2, -0.4, 2.2])), np.array([120.0, -40.0, 7.0])
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return network(faces=2, seed=5, stations=3)[0]
+
+
+def hall(recording: Recording, names: list[str], *, noise: float = 0.0) -> dict[str, np.ndarray]:
+    """The network's targets in other axes."""
+    points = adjust(recording).state.points @ TURN.T + SHIFT
+    spread = noise * np.sin(np.arange(3 * len(points))).reshape(-1, 3)
+    return {name: points[recording.targets.index(name)] + spread[recording.targets.index(name)] for name in names}
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, None] - points[None], axis=2)
+
+
+def test_results_come_out_in_named_coordinates(recording: Recording) -> None:
+    plain = adjust(recording)
+    goal = hall(recording, ["T01", "T06", "T12", "T20", "T25"])
+    found = adjust(in_axes_of_points(recording, goal, "hall.csv"))
+    for name, place in goal.items():
+        np.testing.assert_allclose(found.state.points[recording.targets.index(name)], place, atol=2e-9)
+    np.testing.assert_allclose(distances(found.state.points), distances(plain.state.points), atol=1e-9)
+    np.testing.assert_allclose(found.chi2, plain.chi2, rtol=1e-7)
+    np.testing.assert_allclose(found.state.rotation, TURN @ plain.state.rotation, atol=1e-9)
+
+
+def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
+    """By the 3-2-1 rule, in covariance too: what defines the axes is not uncertain in them."""
+    named = in_axes_of_three(recording, "T01", "T04", "T20")
+    for found in (adjust_network(named), adjust(named)):
+        points = found.points if hasattr(found, "points") else found.state.points
+        a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
+        np.testing.assert_allclose([*a, b[1], b[2], c[2]], 0.0, atol=1e-9)
+        assert b[0] > 0 < c[1]
+        sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+        np.testing.assert_allclose(sigma[recording.targets.index("T01")], 0.0, atol=1e-9)
+        assert sigma[recording.targets.index("T20")][0] > 1e-6
+    assert "axes in which coordinates of the datum's targets are stated" in adjust_network(named).frame
+
+
+def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:
+    goal = hall(recording, list(recording.targets[:12]), noise=3e-3)
+    goal["T05"] = goal["T05"] + [0.4, 0.0, 0.0]
+    found = in_axes_of_points(recording, goal, "hall.csv")
+    assert "11 targets fit it within" in found.notes[-1]
+    assert "left out of the datum: T05 (397 mm)" in found.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda p: p * 1000, "1000 times as far apart"),
+        (lambda p: p * [1, 1, -1], "left-handed"),
+        (lambda p: p[[3, 5, 1, 0, 2, 4]], "times as far apart|another hall"),
+    ],
+)
+def test_what_is_not_this_network_is_refused(recording: Recording, change: object, says: str) -> None:
+    names = ["T01", "T06", "T12", "T20", "T25", "T16"]
+    places = np.array(list(hall(recording, names).values()))
+    with pytest.raises(RecordError, match=says):
+        in_axes_of_points(recording, dict(zip(names, change(places), strict=True)), "hall.csv")  # type: ignore[operator]
+
+
+def test_wrong_frames(recording: Recording) -> None:
+    goal = hall(recording, ["T01", "T06", "T12"])
+    with pytest.raises(RecordError, match="holds 2 of the recording's targets"):
+        in_axes_of_points(recording, {k: goal[k] for k in ("T01", "T06")}, "hall.csv")
+    with pytest.raises(RecordError, match="'T99', which was never measured"):
+        in_axes_of_three(recording, "T01", "T99", "T20")
+    with pytest.raises(RecordError, match="lie on one line"):
+        in_axes_of_three(recording, "T01", "T02", "T03")
+    known = recording.setup.model_copy(update={"targets": {"T01": Target(known_mm=(0.0, 0.0, 0.0))}})
+    with pytest.raises(RecordError, match="leave --frame out"):
+        in_axes_of_points(recording.replace(setup=known), goal, "hall.csv")
+
+
+def test_a_file_of_axes(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("target,x_mm,y_mm,z_mm,sigma_x_mm\nA,1,2,3,0.1\nB,,,,\n")
+    (tmp_path / "b.txt").write_text("A 1 2 1000\n")
+    (tmp_path / "c.csv").write_text("# from the drawing\nname;x_mm;y_mm;z_mm\nA;1,0;2;3\nB;;;\n")
+    for name in ("a.csv", "b.txt", "c.csv"):
+        found = read_axes(tmp_path / name)
+        assert list(found) == ["A"]
+        np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
+    (tmp_path / "d.csv").write_text("point;x_mm;y_mm;z_mm\nA;1;2;3\n")
+    with pytest.raises(RecordError, match=r"d.csv: has no column target or name"):
+        read_axes(tmp_path / "d.csv")
+
+
+def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Recording) -> None:
+    stated = {
+        name: Station(position_mm=tuple((STATIONS[i] * 1e3).round(-2)), yaw_deg=float(np.degrees(YAWS[i]).round()))
+        for i, name in enumerate(recording.stations)
+    }
+    placed = recording.replace(setup=recording.setup.model_copy(update={"stations": stated}))
+    found, plain = adjust_network(placed), adjust_network(recording)
+    for station, place in zip(found.stations, STATIONS, strict=False):
+        np.testing.assert_allclose(station.position, place, atol=0.15)
+    assert "floor plan" in found.frame
+    np.testing.assert_allclose(found.fit.chi2, plain.fit.chi2, rtol=1e-7)
+    np.testing.assert_allclose(found.stations[0].sigma_position, 0, atol=1e-7)
+    elsewhere = {name: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, name in enumerate(recording.stations)}
+    lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
+    assert "station S1" in adjust_network(lost).frame
+    assert "floor plan" not in adjust_network(lost).frame

@@ -1,0 +1,247 @@
+"""Balls of several radii in one job: what is adjusted is one point a target, whatever ball was in its nest."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment import adjust
+from ltsim.adjustment.gross import explain_gross
+from ltsim.arrays import Floats
+from ltsim.campaigns.cell import truth_of
+from ltsim.errors import NetworkError, RecordError, SetupError
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import ideal, misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.exchange import write
+from ltsim.recording.native import read_recording, write_recording
+from ltsim.recording.recording import Recording
+from ltsim.recording.reflectors import excess_radii
+from ltsim.recording.setup import Target
+from ltsim.recording.slips import UNIT_SLIPS
+from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
+from ltsim.simulation.truth import Truth
+from ltsim.tasks.inputs import Inputs
+from ltsim.tasks.spec import tasks_from
+
+HERE = Path("balls.toml")
+BALLS = {"large": {"radius_mm": 19.05}, "small": {"radius_mm": 6.35}, "middle": {"radius_mm": 11.1125}}
+CONTROL = ("T01", "T08", "T17", "T24")
+OFF = -12.7
+"""[mm] What the small ball's centre is nearer to its seat."""
+
+
+def scenario(**changes: Any) -> Scenario:
+    """The paper's room with the small ball in eight nests and the middle one at station 3."""
+    small = {f"targets.T{i:02d}.reflector": "small" for i in range(9, 17)}
+    stated = {
+        "reflectors": BALLS,
+        "reference_radius_mm": 19.05,
+        "smr.reflector": "large",
+        "smr.incidence_error": False,
+        "instrument.errors": {},
+        "stations.S3.reflector": "middle",
+    }
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    return changed(load_scenario("paper-workshop"), stated | small | keys, HERE)
+
+
+def controlled(recording: Recording, truth: Truth, known: tuple[str, ...] = CONTROL) -> Recording:
+    """The recording with some targets known as they are."""
+    targets = dict(recording.setup.targets)
+    for name in known:
+        place = tuple((1e3 * truth.points[truth.targets.index(name)]).tolist())
+        targets[name] = targets[name].model_copy(update={"known_mm": place, "known_sigma_mm": 0.002})
+    return with_setup(recording, targets=targets)
+
+
+def with_setup(recording: Recording, **changes: Any) -> Recording:
+    return recording.replace(setup=recording.setup.model_copy(update=changes))
+
+
+def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
+    """Adjusted less true coordinates (T, 3) [m], and the covariances."""
+    found = adjust(recording)
+    return found.state.points - truth.points, found.target_covariance
+
+
+def test_targets_are_the_centres_of_the_reference_ball() -> None:
+    recording, truth = lt.simulate(scenario(), seed=3)
+    assert set(recording.labels["reflector"]) == set(BALLS)
+    miss, covariance = misses(controlled(recording, truth), truth)
+    normalised = np.einsum("ti,tij,tj->t", miss, np.linalg.inv(covariance), miss)
+    assert 0.4 < normalised.mean() / 3 < 2.0
+    assert normalised.max() < 20.0
+    assert np.abs(miss).max() < 50e-6
+
+
+def test_without_the_column_they_are_off_by_the_difference_of_the_radii() -> None:
+    recording, truth = lt.simulate(scenario(stations__S3__reflector="none"), seed=3)
+    plain = with_setup(controlled(recording, truth).replace(labels={}), reflectors={})
+    miss, _ = misses(plain, truth)
+    for i, name in enumerate(recording.targets):
+        normal = np.array(recording.target_setup(name).nest_normal)
+        expected = OFF if name in {f"T{k:02d}" for k in range(9, 17)} else 0.0
+        np.testing.assert_allclose(1e3 * miss[i], expected * normal, atol=0.06)
+
+
+@pytest.mark.parametrize("known", [(), CONTROL[:1], CONTROL[:2]])
+def test_a_network_that_nothing_holds_in_the_frame_of_the_normals_is_refused(known: tuple[str, ...]) -> None:
+    recording, truth = lt.simulate(scenario(), seed=3)
+    with pytest.raises(NetworkError, match=r"nothing holds this network .* three known points"):
+        adjust(controlled(recording, truth, known))
+
+
+def test_levels_hold_it_where_the_normals_are_vertical() -> None:
+    up = {f"targets__T{i:02d}__nest_normal": [0, 0, 1] for i in range(1, 25)}
+    levels = {f"stations__S{i}__levelled": True for i in range(1, 6)}
+    upright = scenario(**up, **levels, smr__nests="re-aimed", gauge__nest_normal=[0, 0, 1])
+    recording, truth = lt.simulate(upright, seed=3)
+    found = adjust(recording)
+    assert 0.8 < found.sigma0 < 1.2 and not found.gross.any()
+    apart, true = (np.linalg.norm(p[:, None] - p[None], axis=2) for p in (found.state.points, truth.points))
+    assert np.abs(apart - true).max() < 80e-6
+
+
+@pytest.mark.parametrize("construction", [ideal(), misalignment()])
+def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> None:
+    recording, truth = lt.simulate(scenario(), seed=3)
+    model = MeasurementModel(recording, construction)
+    draw = stream(1, "balls")
+    state = State(truth.position, truth.rotation, truth.points, np.zeros((1, construction.size)))
+    pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.points.shape))
+    there = model.linearised(state)
+    first = np.einsum("nij,nj->ni", there.by_pose, pose[recording.station])
+    first += np.einsum("nij,nj->ni", there.by_target, points[recording.target])
+    zero = np.zeros_like(state.instrument), np.zeros(0)
+    exact = model.predict(state.moved(pose, points, *zero)) - model.predict(state.moved(-pose, -points, *zero))
+    exact[:, 1] = wrap(exact[:, 1])
+    np.testing.assert_allclose(exact / 2, first, atol=1e-12)
+    np.testing.assert_allclose(there.readings, model.predict(state), atol=1e-13)
+
+
+def test_calibration_and_its_criteria_know_the_balls() -> None:
+    recording, truth = lt.simulate(scenario(), seed=3)
+    one = lt.simulate(scenario(reflectors="none", stations__S3__reflector="none"), seed=3)[0]
+    found, alone = lt.calibrate(controlled(recording, truth)), lt.calibrate(controlled(one, truth))
+    assert found.fit.sigma0 == pytest.approx(alone.fit.sigma0, abs=0.01)
+    assert found.criteria is not None and alone.criteria is not None
+    mine, plain = found.criteria.distance.before.values, alone.criteria.distance.before.values
+    np.testing.assert_allclose(mine, plain, atol=3e-6)
+    for method in (lambda: lt.calibrate(recording, method="distance"), lambda: lt.evaluate(recording)):
+        with pytest.raises(NetworkError, match="several radii stood at different"):
+            method()
+
+
+def test_a_radius_that_errs_is_an_error_of_all_its_pointings() -> None:
+    errs = {"reflectors__small": {"radius_mm": 6.35, "sigma_radius_mm": 0.1}}
+    (one, _), (other, _) = lt.simulate(scenario(), seed=3), lt.simulate(scenario(**errs), seed=3)
+    changed_rows = np.any(one.readings != other.readings, axis=1)
+    small = np.array(one.labels["reflector"]) == "small"
+    assert not changed_rows[~small].any() and changed_rows[small].all()
+
+
+def test_a_recording_is_written_and_read_again_with_its_balls(tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scenario(), seed=3)
+    write_recording(recording, tmp_path / "rec")
+    again = read_recording(tmp_path / "rec")
+    assert again.setup == recording.setup and again.labels == recording.labels
+    text = scenario_to_toml(scenario())
+    assert scenario_from(tomllib.loads(text), HERE) == scenario()
+
+
+def without_normal(recording: Recording) -> Recording:
+    return with_setup(recording, targets=recording.setup.targets | {"T10": Target(reflector="small")})
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (without_normal, r"setup.toml: targets.T10.nest_normal is missing: its ball small has a radius of 6.35 mm"),
+        (
+            lambda r: with_setup(r, reference_radius_mm=None),
+            r"different radii \(small of 6.35 and middle of 11.1125 and large of 19.05 mm\): state reference_radius_mm",
+        ),
+        (
+            lambda r: with_setup(r, reflectors={k: v for k, v in r.setup.reflectors.items() if k != "small"}),
+            r"there is no table \[reflectors.small\]; reflectors: large, middle",
+        ),
+        (
+            lambda r: with_setup(r.replace(labels={}), targets={}),
+            r"observations.csv, row 1, column reflector: no ball is named here or by targets.T\d+.reflector",
+        ),
+    ],
+)
+def test_what_is_missing_is_told_in_a_sentence(spoil: Any, sentence: str, tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scenario(), seed=3)
+    with pytest.raises(RecordError, match=sentence):
+        write_recording(spoil(recording), tmp_path / "rec")
+    assert not (tmp_path / "rec").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"reference_radius_mm": "none"}, "state reference_radius_mm"),
+        ({"smr__reflector": "huge"}, r"there is no table \[reflectors.huge\]"),
+        ({"smr__reflector": "none"}, r"targets.T\d+.reflector is missing"),
+        ({"smr__nests": "re-aimed"}, r"targets.T\d+.nest_normal is missing"),
+    ],
+)
+def test_a_scenario_says_what_its_balls_lack(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(SetupError, match=sentence):
+        lt.simulate(scenario(**changes), seed=3)
+
+
+def test_one_radius_for_all_moves_nothing() -> None:
+    recording, _ = lt.simulate(scenario(), seed=3)
+    same = {name: ball.model_copy(update={"radius_mm": 5.0}) for name, ball in recording.setup.reflectors.items()}
+    assert excess_radii(with_setup(recording, reflectors=same, reference_radius_mm=None, targets={})) is None
+    assert excess_radii(with_setup(recording, reflectors={})) is None
+
+
+def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
+    with pytest.raises(SetupError, match="trials in batch measure with one ball"):
+        truth_of(scenario(), 1)
+
+
+def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
+    errs = scenario(reflectors__small__sigma_radius_mm=0.01, stations__S3__reflector="none")
+    recording, truth = lt.simulate(errs, seed=3)
+    point = {"name": "p", "kind": "point", "targets": ["T12"]}
+    stated = {"format": "ltsim-tasks/1", "source": "rec", "calibrate": False, "task": [point]}
+    inputs = Inputs.of(controlled(recording, truth), tasks_from(stated, "tasks.toml"))
+    source = next(s for s in inputs.sources if s.name == "radius of small")
+    normal = np.array(recording.target_setup("T12").nest_normal)
+    assert source.kind == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
+    np.testing.assert_allclose(1e3 * source.response[:, 0], 0.01 * normal, atol=1e-3)
+
+
+def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
+    recording, truth = lt.simulate(scenario(), seed=3)
+    row = recording.labels["reflector"].index("small")
+    readings = recording.readings.copy()
+    readings[[row]] = next(slip for slip in UNIT_SLIPS if slip.name == "gon").written(readings[[row]])
+    mended, _, (finding,) = explain_gross(adjust(controlled(recording.with_readings(readings), truth)))
+    assert finding.effect == "wrong-unit" and finding.rows.tolist() == [row]
+    np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
+
+
+def test_a_format_that_knows_no_normals_refuses_them(tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scenario(), seed=3)
+    with pytest.raises(RecordError, match="gama-local does not know; write the recording as native"):
+        write(recording, tmp_path / "out.gkf", "gama-local")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_reference_without_radii_is_said_to_change_nothing(tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scenario(reflectors="none", stations__S3__reflector="none"), seed=3)
+    write_recording(recording, tmp_path / "rec")
+    (note,) = read_recording(tmp_path / "rec").notes
+    assert note.startswith("reference_radius_mm changes nothing")

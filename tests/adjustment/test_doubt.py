@@ -1,0 +1,203 @@
+"""A result that is none is refused with what would be right; what is in doubt is said first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.campaign.workshop import workshop
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.curvature import BENT, curvature
+from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.verdict import Case, verdict
+from ltsim.calibration import adjust_network
+from ltsim.errors import LtsimError, NetworkError
+from ltsim.geometry.polar import to_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Instrument, Noise, Station, Target
+
+
+def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:
+    """The workshop with its stated noise, from some of its stations."""
+    recording, _ = workshop()
+    keep = recording.station < stations
+    rows = {n: getattr(recording, n)[keep] for n in ("station", "target", "face", "repeat", "time", "readings")}
+    recording = recording.replace(**rows, stations=recording.stations[:stations])
+    noise = stream(seed, "doubt").standard_normal(recording.readings.shape) * recording.sigma()
+    return recording.with_readings(recording.readings + noise)
+
+
+def with_known(recording: Recording, points: np.ndarray) -> Recording:
+    """The recording with known coordinates of its first targets."""
+    named = zip(recording.targets, points, strict=False)
+    known = {name: Target(known_mm=tuple(1e3 * point), known_sigma_mm=0.01) for name, point in named}
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": known}))
+
+
+def test_a_sound_recording_has_no_doubts() -> None:
+    found = adjust(noisy())
+    assert doubts(found) == ()
+    assert verdict(found).case is Case.CLEAN
+    adjust_network(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
+
+
+def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
+    recording = noisy()
+    with pytest.raises(NetworkError, match=r"contradict each other .* they fit as gon, not degrees"):
+        adjust_network(recording.with_readings(recording.readings * [1.0, 200 / 180, 200 / 180]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda x: x * [1.0, -1.0, 1.0], "fit mirrored"),
+        (lambda x: 2.0 * x, "fit scaled by 0.5"),
+        (lambda x: 0.0 * x, "at one place"),
+        (lambda x: x[[1, 0, 2, 3, 5, 4, 6, 7]], "coordinates and names"),
+    ],
+)
+def test_known_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
+    with pytest.raises(NetworkError, match=rf"known points contradict the readings.*{words}"):
+        adjust_network(with_known(noisy(), change(workshop()[1].points[:8])))
+
+
+def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right() -> None:
+    recording = noisy(stations=2)
+    target = recording.target.copy()
+    first, second = (np.flatnonzero((recording.station == 1) & (target == t))[0] for t in (3, 17))
+    target[[first, second]] = target[[second, first]]
+    judged = verdict(adjust(recording.replace(target=target)))
+    assert judged.case is Case.IN_DOUBT
+    assert judged.sentence.startswith(f"{recording.targets[3]}, {recording.targets[17]}: two stations disagree")
+
+
+def test_a_station_with_clockwise_azimuths_is_doubted_aloud() -> None:
+    recording = noisy()
+    readings = recording.readings.copy()
+    readings[recording.station == 3, 1] *= -1
+    judged = verdict(adjust(recording.with_readings(readings)))
+    assert judged.case is not Case.CLEAN
+    assert "station S4" in judged.sentence or "Station S4" in judged.sentence
+
+
+def test_a_station_without_readings_left_has_no_standard_deviation() -> None:
+    """Names rotated at one station: nothing of it fits, and what is held is not known."""
+    recording = noisy()
+    own = recording.station == 2
+    target = recording.target.copy()
+    target[own] = np.roll(target[own], 5)
+    found = adjust(recording.replace(target=target), robust=True)
+    kept = found.problem.use[own].any()
+    sigma = np.sqrt(np.einsum("sii->si", found.pose_covariance))
+    assert np.isfinite(sigma[[0, 1, 3, 4]]).all()
+    if kept:
+        assert verdict(found).sentence.startswith("Station S3 keeps")
+    else:
+        assert np.isnan(sigma[2]).all()
+        assert found.lost_stations == ("S3",)
+        assert "station S3: it has no standard deviation" in verdict(found).sentence
+
+
+def test_a_station_over_the_target_that_it_measures_is_refused_with_its_row() -> None:
+    recording = noisy()
+    setup = recording.setup.model_copy(update={"stations": {"S2": Station(over="T03")}})
+    with pytest.raises(NetworkError, match=r"row 31: station S2 stands over target T03 and measures it"):
+        adjust(recording.replace(setup=setup))
+
+
+def test_targets_on_one_line_are_said_to_be_on_one_line() -> None:
+    recording, state = workshop()
+    line = state.points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
+    points = state.points.copy()
+    points[:10] = line
+    local = np.einsum(
+        "nji,nj->ni", state.rotation[recording.station], points[recording.target] - state.position[recording.station]
+    )
+    readings = to_polar(local)
+    readings[(recording.station == 4) & (recording.target >= 10)] = np.nan
+    with pytest.raises(NetworkError, match=r"S5: the 10 targets that it shares .* lie on one line"):
+        adjust(recording.with_readings(readings))
+
+
+@pytest.mark.parametrize("clock", [True, False])
+@pytest.mark.parametrize("times", [2, 50])
+def test_copies_of_rows_do_not_sharpen_a_result(times: int, clock: bool) -> None:
+    once = noisy().replace(has_clock=clock)
+    rows = {n: np.tile(getattr(once, n), times) for n in ("station", "target", "face", "repeat", "time")}
+    copied = adjust(once.replace(**rows, readings=np.tile(once.readings, (times, 1))))
+    found = adjust(once)
+    assert copied.chi2 == pytest.approx(found.chi2)
+    assert copied.dof == found.dof
+    assert copied.target_covariance == pytest.approx(found.target_covariance, rel=1e-9, abs=1e-16)
+    assert doubts(copied)[0].startswith(f"{(times - 1) * len(once)} rows repeat others to the last digit")
+    assert not copied.rejected.any()
+
+
+def test_readings_that_repeat_by_chance_are_no_copies() -> None:
+    recording = noisy()
+    rows = {n: np.tile(getattr(recording, n), 2) for n in ("station", "target", "face", "repeat")}
+    readings = np.tile(recording.readings, (2, 1))
+    later = recording.replace(**rows, readings=readings, time=np.arange(2.0 * len(recording)))
+    assert adjust(later).copies == 0
+    readings[-5:, 0] += 1e-6
+    assert adjust(later.replace(readings=readings, has_clock=False)).copies == 0
+
+
+def test_two_targets_do_for_levelled_stations() -> None:
+    recording = noisy(stations=3)
+    keep = np.isin(recording.target, [0, 3])
+    rows = {n: getattr(recording, n)[keep] for n in ("station", "face", "repeat", "time", "readings")}
+    levelled = {name: Station(levelled=True) for name in recording.stations}
+    setup = recording.setup.model_copy(update={"stations": levelled, "gauge": None})
+    target = (recording.target[keep] == 3).astype(np.int64)
+    found = adjust(recording.replace(**rows, target=target, targets=("A", "B"), setup=setup))
+    assert found.solution.converged
+    assert np.isfinite(found.pose_covariance).all()
+
+
+def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
+    huge = Noise(distance_mm=1e9, azimuth_arcsec=1e9, elevation_arcsec=1e9)
+    recording = noisy()
+    with pytest.raises(LtsimError, match="not determined by the observations and their stated noise"):
+        adjust_network(
+            recording.replace(setup=recording.setup.model_copy(update={"instrument": Instrument(noise=huge)}))
+        )
+    for vertical in ((0, 0, 0), (1e-300, 0, 0)):
+        with pytest.raises(ValueError, match="a direction should not have length zero"):
+            Station(vertical=vertical)
+        with pytest.raises(ValueError, match="a direction should not have length zero"):
+            Target(nest_normal=vertical)
+    with pytest.raises(ValueError, match="greater than or equal to"):
+        Target(known_mm=(0, 0, 0), known_sigma_mm=1e-300)
+
+
+def on_a_line(off: float) -> tuple[Recording, State]:
+    """The workshop whose last station sees ten targets only, `off` [m] a line."""
+    recording, state = workshop()
+    points, use = state.points.copy(), (recording.station != 4) | (recording.target < 10)
+    line = points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
+    points[:10] = line + off * stream(1, "line").standard_normal((10, 3))
+    rows = {n: getattr(recording, n)[use] for n in ("station", "target", "face", "repeat", "time", "readings")}
+    recording = recording.replace(**rows)
+    where = State(state.position, state.rotation, points, np.zeros((1, 0)))
+    return recording.with_readings(MeasurementModel(recording, ideal()).predict(where)), where
+
+
+@pytest.mark.parametrize(("off", "bent"), [(3e-2, False), (1e-3, True)])
+def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) -> None:
+    """Curvature against what repeated trials show: 95 % regions hold, or hold far less often."""
+    recording, where = on_a_line(off)
+    rng, inside, trials = stream(2, "bent"), 0, 40
+    for _ in range(trials):
+        noise = rng.standard_normal(recording.readings.shape) * recording.sigma()
+        found = adjust(recording.with_readings(recording.readings + noise), start=where)
+        gap = found.state.position[4] - where.position[4]
+        inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
+    assert (curvature(found)[4] > BENT) == bent
+    assert (inside < 0.8 * trials) == bent
+    assert any("targets of station S5 hold its pose so weakly" in doubt for doubt in doubts(found)) == bent
+    assert not curvature(found)[:4].any()

@@ -1,0 +1,469 @@
+"""Networks of every kind: what may be missing, what may be known beforehand, and start values from nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.seeds import multilaterate, relative_orientation
+from ltsim.adjustment.start import start_network
+from ltsim.errors import NetworkError
+from ltsim.geometry.polar import to_polar
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.model.construction import ideal, misalignment
+from ltsim.model.measurement import MeasurementModel
+from ltsim.randomness import stream
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recording.setup import Gauge, Instrument, Noise, Setup, Station, Target
+from tests.networks import drawn, network
+
+EXACT = 2e-8
+
+
+def with_setup(recording: Recording, **changes) -> Recording:
+    return recording.replace(setup=recording.setup.model_copy(update=changes))
+
+
+def levelled(recording: Recording) -> Recording:
+    return with_setup(recording, stations={name: Station(levelled=True) for name in recording.stations})
+
+
+def known(recording: Recording, points: np.ndarray, which, **changes) -> Recording:
+    targets = dict(recording.setup.targets)
+    for i in which:
+        name = recording.targets[i]
+        place = tuple(1e3 * points[i])
+        targets[name] = targets.get(name, Target()).model_copy(
+            update={"known_mm": place, "known_sigma_mm": 0.001, **changes}
+        )
+    return with_setup(recording, targets=targets)
+
+
+def blanked(recording: Recording, rows: np.ndarray, columns) -> Recording:
+    readings = recording.readings.copy()
+    readings[np.ix_(np.flatnonzero(rows), columns)] = np.nan
+    return recording.with_readings(readings)
+
+
+def distances(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, None] - points[None], axis=2)
+
+
+def assert_same_shape(found, points: np.ndarray, atol: float = EXACT) -> None:
+    assert found.solution.converged, found.solution.status
+    np.testing.assert_allclose(distances(found.state.points), distances(points), atol=atol)
+
+
+# --- readings that are missing ------------------------------------------------------------------------------------
+
+
+def test_targets_without_any_range_are_intersected():
+    recording, truth = network(faces=2)
+    found = adjust(blanked(recording, np.isin(recording.target, [3, 17, 20]), [0]))
+    assert not found.gross.any()
+    assert_same_shape(found, truth.state.points)
+
+
+def test_a_station_without_ranges_is_resected_and_one_without_angles_too():
+    recording, truth = network()
+    recording = blanked(recording, recording.station == 1, [0])
+    recording = blanked(recording, recording.station == 3, [1, 2])
+    found = adjust(recording)
+    assert_same_shape(found, truth.state.points)
+    # Three turns of the station that reads ranges alone are no unknowns.
+    assert found.dof == found.problem.use.sum() + 6 - (6 * 5 + 3 * 28 - 6 - 3)
+    there = np.linalg.norm(found.state.position[3] - found.state.position[0])
+    assert there == pytest.approx(np.linalg.norm(truth.state.position[3] - truth.state.position[0]), abs=EXACT)
+
+
+def test_azimuths_alone_and_elevations_alone_add_to_the_others():
+    recording, truth = network()
+    recording = blanked(levelled(recording), recording.station == 2, [0, 2])
+    recording = blanked(recording, recording.station == 4, [1])
+    found = adjust(recording)
+    assert_same_shape(found, truth.state.points)
+    # The height of the one and the yaw of the other are no unknowns.
+    assert found.dof == found.problem.use.sum() + 6 + 10 - (6 * 5 + 3 * 28 - 4 - 2)
+
+
+def test_beams_alone_take_their_scale_from_known_lengths():
+    recording, truth = network(seed=None)
+    found = adjust(blanked(recording, np.full(len(recording), True), [0]))
+    assert_same_shape(found, truth.state.points, atol=2e-7)
+    with pytest.raises(NetworkError, match="scale"):
+        adjust(with_setup(blanked(recording, np.full(len(recording), True), [0]), gauge=None))
+
+
+def test_beams_alone_take_scale_and_frame_from_known_points():
+    recording, truth = network()
+    recording = with_setup(blanked(recording, np.full(len(recording), True), [0]), gauge=None)
+    found = adjust(known(recording, truth.state.points, [0, 9, 22]))
+    assert found.problem.free.shape[1] == 0
+    np.testing.assert_allclose(found.state.points, truth.state.points, atol=1e-7)
+
+
+def test_ranges_alone_are_multilaterated():
+    recording, truth = network()
+    found = adjust(blanked(recording, np.full(len(recording), True), [1, 2]))
+    assert_same_shape(found, truth.state.points, atol=1e-6)
+    assert found.dof == 140 + 6 - (3 * 5 + 3 * 28 - 6)
+
+
+def test_algebraic_beginnings_are_exact():
+    rng = stream(4, "points")
+    points, stations = rng.uniform(-3, 3, (12, 3)), rng.uniform(-3, 3, (5, 3))
+    found = multilaterate(np.linalg.norm(stations[:, None] - points[None], axis=2))
+    assert found is not None
+    np.testing.assert_allclose(distances(np.vstack(found)), distances(np.vstack([stations, points])), atol=1e-8)
+    turn = from_rotation_vector(np.array([0.4, -1.1, 2.0]))
+    place = np.array([0.6, -0.8, 0.0])
+    beams = [points / np.linalg.norm(points, axis=1)[:, None], (points - place) @ turn]
+    beams[1] /= np.linalg.norm(beams[1], axis=1)[:, None]
+    pose = relative_orientation(*beams)
+    assert pose is not None
+    np.testing.assert_allclose(pose[0], place, atol=1e-9)
+    np.testing.assert_allclose(pose[1], turn, atol=1e-9)
+
+
+def test_what_no_reading_ties_is_named():
+    recording, _ = network()
+    lonely = blanked(recording, (recording.target == 5) & (recording.station != 2), [0, 1, 2])
+    lonely = blanked(lonely, (recording.target == 5) & (recording.station == 2), [0])
+    with pytest.raises(NetworkError, match="target T06"):
+        start_network(lonely.select(lonely.measured.any(axis=1)))
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("target", [5, 25])
+def test_a_target_that_loses_its_azimuths_is_left_out_and_the_rest_adjusted(robust, target):
+    recording, _ = network(seed=3, stations=3)
+    here = recording.target == target
+    lonely = blanked(recording, here & (recording.station == 2), [0, 1, 2])
+    lonely = blanked(lonely, here & (recording.station < 2), [1, 2] if robust else [1])
+    lonely = blanked(lonely, here & (recording.station == 1), [0])
+    lonely = lonely.select(lonely.measured.any(axis=1))
+    found = adjust(lonely, misalignment(), robust=robust)
+    name = f"T{target + 1:02d}"
+    assert found.lost_targets == (name,)
+    found.solution.require_success()
+    without = with_setup(recording.select(~here), gauge=gauge_without(recording, name))
+    rest = adjust(without, misalignment(), robust=robust)
+    assert found.dof == rest.dof
+    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    others = [i for i, n in enumerate(found.recording.targets) if n != name]
+    np.testing.assert_allclose(found.state.points[others], rest.state.points, atol=1e-10)
+    np.testing.assert_allclose(found.target_covariance[others], rest.target_covariance, rtol=1e-5, atol=1e-16)
+    assert np.isnan(found.target_covariance[found.recording.targets.index(name)]).all()
+
+
+def test_a_target_left_open_by_readings_out_of_use_is_left_out():
+    """Two stations see T06; one reading of each is not used: a range and an elevation leave a circle."""
+    recording, _ = network(seed=3)
+    recording = recording.select((recording.target != 5) | (recording.station < 2))
+    use = np.ones(recording.readings.shape, dtype=bool)
+    rows = np.flatnonzero(recording.target == 5)
+    use[rows] = [[True, False, True], [False, False, False]]
+    found = adjust(recording, misalignment(), use=use)
+    assert found.lost_targets == ("T06",)
+    assert found.rejected[rows].all()
+    rest = adjust(recording.select(recording.target != 5), misalignment())
+    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+    use[rows[1], 1] = True
+    assert adjust(recording, misalignment(), use=use).lost_targets == ()
+
+
+def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustment():
+    """Azimuths of both of its stations apart by 700 urad: which is right nobody can say, what is left does not do."""
+    recording, _ = network(seed=5)
+    recording = recording.select((recording.target != 5) | (recording.station < 2))
+    rows = np.flatnonzero(recording.target == 5)
+    readings = recording.readings.copy()
+    readings[rows, 1] += [4e-4, -3e-4]
+    readings[rows[1], [0, 2]] = np.nan
+    found = adjust(recording.with_readings(readings), misalignment(), robust=True)
+    found.solution.require_success()
+    assert found.lost_targets == ("T06",)
+    assert found.rejected.sum() == 4
+    rest = adjust(recording.select(recording.target != 5), misalignment())
+    assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
+
+
+def gauge_without(recording, name):
+    gauge = recording.gauge
+    kept = tuple(d for d in gauge.distance if name not in (d.from_, d.to))
+    return gauge.model_copy(update={"distance": kept})
+
+
+# --- what is known beforehand -------------------------------------------------------------------------------------
+
+
+def test_levelled_stations_need_two_common_targets():
+    recording, truth = network()
+    keep = (recording.station != 4) | np.isin(recording.target, [0, 13])
+    with pytest.raises(NetworkError, match="S5"):
+        adjust(recording.select(keep))
+    assert_same_shape(adjust(levelled(recording.select(keep))), truth.state.points)
+
+
+def test_levels_that_follow_a_curved_surface():
+    """Plumb lines that differ are what the axes follow: ignoring it shows in the levels and nowhere else."""
+    recording, truth = network()
+    lines = np.array([[1e-3, 0, 1], [0, 2e-3, 1], [-1e-3, 1e-3, 1], [0, 0, 1], [2e-3, 0, 1]])
+    lines /= np.linalg.norm(lines, axis=1)[:, None]
+    tilts = from_rotation_vector(np.cross([0.0, 0.0, 1.0], lines))
+    state = dataclasses.replace(truth.state, rotation=tilts @ truth.state.rotation)
+    recording = recording.with_readings(
+        MeasurementModel(recording, ideal()).predict(dataclasses.replace(state, instrument=np.zeros((1, 0))))
+    )
+    stations = {n: Station(levelled=True, vertical=tuple(v)) for n, v in zip(recording.stations, lines, strict=True)}
+    found = adjust(with_setup(recording, stations=stations))
+    assert found.problem.free.shape[1] == 4
+    assert found.chi2 < 1e-3
+    assert adjust(levelled(recording)).chi2 > 1e4
+
+
+def test_known_points_define_the_frame_along_the_axes_that_are_known():
+    recording, truth = network(seed=8)
+    made = known(levelled(recording), truth.state.points, [0])
+    made = known(made, truth.state.points, [5], known_axes="y")
+    made = known(made, truth.state.points, [7, 12], known_axes="z")
+    found = adjust(made, misalignment())
+    assert found.problem.control.count == 6
+    assert found.problem.free.shape[1] == 0
+    assert np.abs(found.state.points - truth.state.points).max() < 3e-4
+    np.testing.assert_allclose(found.state.points[[7, 12], 2], truth.state.points[[7, 12], 2], atol=3e-5)
+
+
+def test_one_known_point_and_levels_leave_the_yaw_to_the_datum():
+    recording, truth = network(seed=8)
+    made = known(levelled(recording), truth.state.points, [0])
+    targets = dict(made.setup.targets)
+    place = tuple(1e3 * truth.state.points[12])
+    name = made.targets[12]
+    targets[name] = targets[name].model_copy(update={"approximate_mm": place, "datum": True})
+    found = adjust(with_setup(made, targets=targets), misalignment())
+    assert found.problem.free.shape[1] == 1
+    assert np.abs(found.state.points - truth.state.points).max() < 1e-3
+    arm, gap = truth.state.points[12] - truth.state.points[0], found.state.points[12] - truth.state.points[12]
+    assert abs(arm[0] * gap[1] - arm[1] * gap[0]) < 1e-9
+
+
+# --- marks and heights --------------------------------------------------------------------------------------------
+
+
+def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
+    """Six levelled instruments on marks that are each other's targets, heights over the marks, two sets at the first.
+
+    Readings are computed here by hand, without the measurement model.
+    """
+    rng = stream(11, "marks")
+    marks = np.column_stack([rng.uniform(0, 60, (9, 2)), rng.uniform(0, 5, 9)])
+    names = [f"M{i}" for i in range(9)]
+    over = [0, 1, 2, 3, 4, 5, 0]
+    stations = ["M0", "M1", "M2", "M3", "M4", "M5", "M0#2"]
+    instrument, target = rng.uniform(1.4, 1.8, 7), rng.uniform(0.1, 2.0, 9)
+    yaw = rng.uniform(-3, 3, 7)
+    rows, readings = [], []
+    for s, mark in enumerate(over):
+        for t in range(9):
+            if t == mark:
+                continue
+            up = np.array([0.0, 0.0, 1.0])
+            arm = marks[t] + target[t] * up - marks[mark] - instrument[s] * up
+            readings.append(to_polar((about_z(yaw[s]).T @ arm)[None])[0])
+            rows.append((s, t))
+    station, seen = np.array(rows, dtype=np.int64).T
+    setup = Setup(
+        instrument=Instrument(noise=Noise(distance_mm=1.0, azimuth_arcsec=1.0, elevation_arcsec=1.0)),
+        stations={
+            n: Station(levelled=True, levelling_sigma_arcsec=1e-3, over=names[m], instrument_height_mm=1e3 * h)
+            for n, m, h in zip(stations, over, instrument, strict=True)
+        },
+        targets={n: Target(height_mm=1e3 * h) for n, h in zip(names, target, strict=True)},
+    )
+    recording = Recording(
+        setup,
+        tuple(stations),
+        tuple(names),
+        station,
+        seen,
+        np.ones_like(station),
+        np.ones_like(station),
+        np.arange(len(station), dtype=np.float64),
+        np.array(readings),
+    )
+    if seed is not None:
+        noise = stream(seed, "noise").standard_normal(recording.readings.shape)
+        recording = recording.with_readings(recording.readings + recording.sigma() * noise)
+    return recording, marks
+
+
+def test_instruments_on_marks_share_the_place_of_the_target():
+    recording, marks = total_stations()
+    found = adjust(recording)
+    assert_same_shape(found, marks)
+    assert found.problem.unknowns.size == 3 * 9 + 3 * 7
+    assert found.dof == 3 * len(recording) + 2 * 7 - 3 * 9 - 3 * 7 + 4
+    height = 1e-3 * recording.station_setup("M0").instrument_height_mm
+    np.testing.assert_allclose(found.state.position[0] - found.state.points[0], [0, 0, height], atol=1e-12)
+    np.testing.assert_array_equal(found.state.position[0][:2], found.state.position[6][:2])
+
+
+def test_a_start_off_the_marks_is_put_onto_them():
+    recording, _ = total_stations(3)
+    found = adjust(recording)
+    off = dataclasses.replace(found.state, position=found.state.position + 0.3)
+    again = adjust(recording, start=off)
+    np.testing.assert_allclose(again.state.position, found.state.position, atol=1e-9)
+    assert again.chi2 == pytest.approx(found.chi2, abs=1e-6)
+
+
+def test_heights_of_single_pointings_and_horizontal_distances():
+    recording, marks = total_stations()
+    heights = recording.heights()
+    stations = {n: s.model_copy(update={"instrument_height_mm": 0.0}) for n, s in recording.setup.stations.items()}
+    columns = dict(zip(HEIGHT_COLUMNS, (1e3 * heights[0], 1e3 * heights[1]), strict=True))
+    moved = with_setup(recording, stations=stations, targets={}).replace(covariates=columns)
+    assert_same_shape(adjust(moved), marks)
+    flat = np.arange(len(recording)) % 2 == 0
+    readings = recording.readings.copy()
+    readings[flat, 0] *= np.cos(readings[flat, 2])
+    labels = {KIND_COLUMN: tuple("horizontal" if f else "" for f in flat)}
+    assert_same_shape(adjust(recording.with_readings(readings).replace(labels=labels)), marks)
+
+
+def test_marks_that_are_no_targets_are_shared_and_may_be_known():
+    recording, marks = total_stations()
+    # The first mark is seen from nowhere; its two sets stand on a known place.
+    keep = recording.select(~np.isin(recording.target, [0]))
+    assert "M0" not in keep.targets
+    place = Target(known_mm=tuple(1e3 * marks[0]), known_sigma_mm=0.01)
+    found = adjust(with_setup(keep, targets={**keep.setup.targets, "M0": place}))
+    assert found.problem.free.shape[1] == 1
+    assert found.problem.unknowns.size == 3 * 9 + 3 * 7
+    height = 1e-3 * recording.station_setup("M0").instrument_height_mm
+    np.testing.assert_allclose(found.state.position[0], marks[0] + [0, 0, height], atol=1e-8)
+    assert_same_shape(found, marks[1:])
+
+
+def test_known_points_may_have_a_full_covariance():
+    """Turned with their covariances they give the same network turned; alike in all directions they are as before."""
+    recording, truth = network(seed=3, stations=3)
+    points, places = truth.state.points, [2, 9, 14, 21]
+    shifted = points + 1e-3 * stream(3, "known").standard_normal(points.shape)
+    roots = stream(3, "roots").uniform(0.3, 2.0, (len(points), 3, 3))
+    found = []
+    for turn in (np.eye(3), about_z(0.7)):
+        targets = {}
+        for i in places:
+            matrix = turn @ (roots[i] @ roots[i].T) @ turn.T
+            place = tuple(1e3 * turn @ shifted[i])
+            entries = tuple(matrix[np.triu_indices(3)])
+            targets[recording.targets[i]] = Target(known_mm=place, known_covariance_mm2=entries)
+        found.append(adjust(with_setup(recording, targets=targets)))
+        assert found[-1].solution.converged
+    assert found[1].chi2 == pytest.approx(found[0].chi2, rel=1e-9)
+    np.testing.assert_allclose(found[1].state.points, found[0].state.points @ about_z(0.7).T, atol=1e-9)
+    gap = found[0].state.points[places[0]] - shifted[places[0]]
+    assert np.linalg.norm(gap) > 1e-4
+    by_sigma = adjust(known(recording, shifted, places, known_sigma_mm=0.5))
+    by_matrix = adjust(known(recording, shifted, places, known_covariance_mm2=(0.25, 0, 0, 0.25, 0, 0.25)))
+    assert by_matrix.chi2 == pytest.approx(by_sigma.chi2, rel=1e-12)
+
+
+@pytest.mark.parametrize("entries", [(1, 2, 0, 1, 0, 1), (1, 0, 0, 1, 0, 0), (-1, 0, 0, 1, 0, 1)])
+def test_a_covariance_is_positive_in_every_direction(entries):
+    with pytest.raises(ValueError, match="positive in every direction"):
+        Target(known_mm=(0, 0, 0), known_covariance_mm2=entries)
+
+
+def test_the_start_is_good_enough_with_the_noise_of_total_stations():
+    for seed in range(5):
+        recording, marks = total_stations(seed)
+        recording = blanked(recording, stream(seed, "rows").uniform(size=len(recording)) < 0.5, [0])
+        found = adjust(recording)
+        assert found.solution.converged
+        assert found.p_value > 1e-5
+        assert not found.gross.any()
+        assert_same_shape(found, marks, atol=0.01)
+
+
+# --- several instruments, datum -----------------------------------------------------------------------------------
+
+
+def test_each_instrument_has_its_own_parameters():
+    construction = misalignment()
+    values = np.stack([drawn(construction, 1), drawn(construction, 2)])
+    recording, truth = network(faces=2)
+    stations = {n: Station(instrument="AB"[i % 2]) for i, n in enumerate(recording.stations)}
+    recording = with_setup(recording, stations=stations, instruments={"A": Instrument(), "B": Instrument()})
+    state = dataclasses.replace(truth.state, instrument=values)
+    recording = recording.with_readings(MeasurementModel(recording, construction).predict(state))
+    noise = stream(3, "noise").standard_normal(recording.readings.shape)
+    found = adjust(recording.with_readings(recording.readings + recording.sigma() * noise), construction)
+    for i in range(2):
+        error = found.state.instrument[i] - values[i]
+        normalised = error @ np.linalg.solve(found.instrument_covariance_of(i), error) / construction.size
+        assert 0.3 < normalised < 2.2
+    assert found.p_value > 0.001
+
+
+def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
+    recording, _ = network(seed=4)
+    recording = with_setup(recording, gauge=Gauge())
+    chosen = [recording.targets[i] for i in (0, 7, 12, 20, 23)]
+    at = [recording.targets.index(n) for n in chosen]
+    plain, tied = adjust(recording, misalignment()), adjust(recording, misalignment(), datum=chosen)
+    trace = [np.trace(a.target_covariance[at].sum(axis=0)) for a in (plain, tied)]
+    assert trace[1] < 0.9 * trace[0]
+    whole = adjust(recording, misalignment(), datum=recording.targets)
+    assert np.trace(whole.target_covariance.sum(axis=0)) < np.trace(tied.target_covariance.sum(axis=0))
+    assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
+    np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)
+    np.testing.assert_allclose(
+        tied.kept_covariance[np.ix_(*2 * [tied.problem.unknowns.pose[2]])], tied.pose_covariance[2], rtol=1e-8
+    )
+
+
+def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
+    recording, truth = network(seed=4)
+    turn, shift = about_z(0.7), np.array([30.0, -10.0, 2.0])
+    rough = truth.state.points @ turn.T + shift + 1e-3 * stream(1, "rough").standard_normal((28, 3))
+    targets = {
+        n: t.model_copy(update={"approximate_mm": tuple(1e3 * rough[i]), "datum": i % 2 == 0})
+        for i, (n, t) in enumerate((n, recording.target_setup(n)) for n in recording.targets)
+    }
+    found = adjust(with_setup(recording, targets=targets), misalignment())
+    gap = found.state.points[::2] - rough[::2]
+    arms = rough[::2] - rough[::2].mean(axis=0)
+    np.testing.assert_allclose(gap.mean(axis=0), 0, atol=1e-10)
+    np.testing.assert_allclose(np.cross(arms, gap).sum(axis=0), 0, atol=1e-6)
+    assert found.datum is not None
+
+
+# --- anything missing anywhere ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("kind", ["tracker", "levelled", "known", "marks"])
+def test_any_readings_may_be_missing(kind, seed):
+    """Sixty per cent of the ranges, a quarter of everything, or nine ranges of ten: it starts, converges and fits."""
+    if kind == "marks":
+        recording, points = total_stations(seed)
+    else:
+        recording, truth = network(seed=seed)
+        points = truth.state.points
+    if kind == "levelled":
+        recording = levelled(recording)
+    if kind == "known":  # In the coordinates of a country: 1e-10 m is all that is left of the digits.
+        recording = known(recording, points + 1e6, stream(seed, "known").permutation(28)[:4])
+    lost = stream(seed, "lost").uniform(size=recording.readings.shape)
+    share = [(0.6, 0, 0), (0.25, 0.25, 0.25), (0.9, 0, 0)][seed % 3]
+    recording = recording.with_readings(np.where(lost < share, np.nan, recording.readings))
+    recording = recording.select(recording.measured.any(axis=1))
+    found = adjust(recording)
+    assert found.p_value > 1e-5
+    assert not found.gross.any()
+    rough = 0.02 if kind == "marks" else 1e-3
+    assert_same_shape(found, points, atol=rough)

@@ -1,0 +1,178 @@
+"""Known lengths with materials, temperatures and errors that several share; lengths that were measured in place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment import adjust
+from ltsim.adjustment.rows import GaugeRows
+from ltsim.errors import LtsimError, RecordError
+from ltsim.geometry.expansion import Expansion
+from ltsim.recording.lengths import KnownLengths
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Gauge, GaugeDistance
+from ltsim.solve.design import as_dense
+from tests.networks import network
+
+STEEL = {"expansion_per_k": 11.5e-6, "sigma_expansion_per_k": 1e-6}
+INVAR = {"expansion_per_k": 1.2e-6, "sigma_expansion_per_k": 0.3e-6}
+
+
+def line(first: str, second: str, length: float = 2000.0, **more: Any) -> GaugeDistance:
+    return GaugeDistance.model_validate({"from": first, "to": second, "length_mm": length, "sigma_mm": 0.001, **more})
+
+
+def with_gauge(recording: Recording, *lines: GaugeDistance, **more: Any) -> Recording:
+    gauge = Gauge.model_validate({"materials": {"steel": STEEL, "invar": INVAR}, "distance": lines, **more})
+    return recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+
+
+@pytest.fixture(scope="module")
+def measured() -> Recording:
+    return network(seed=3)[0]
+
+
+def test_a_length_grows_with_its_own_material_and_temperature(measured: Recording) -> None:
+    recording = with_gauge(
+        measured,
+        line("T01", "T02", material="steel", measured_at_c=27.0, sigma_temperature_k=0.1),
+        line("T03", "T04", material="steel"),
+        line("T05", "T06", material="invar"),
+        line("T07", "T08", measured_in_place=True, measured_at_c=27.0),
+        measured_at_c=23.0,
+        sigma_temperature_k=0.5,
+        expansion_per_k=23e-6,
+    )
+    known = KnownLengths.of(recording)
+    np.testing.assert_allclose(known.factor - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
+    np.testing.assert_allclose(known.length, 2.0 * known.factor, rtol=1e-15)
+    expected = {
+        "expansion of steel": [14e-6, 6e-6, 0, 0],
+        "temperature of T01-T02": [2.3e-6, 0, 0, 0],
+        "temperature of the gauge": [0, 11.5e-6, 1.2e-6, 0],
+        "expansion of invar": [0, 0, 1.8e-6, 0],
+    }
+    assert set(known.shared) == set(expected)
+    for name, change in expected.items():
+        np.testing.assert_allclose(known.shared[name], change, atol=1e-12, err_msg=name)
+
+
+def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: Recording) -> None:
+    warm = np.where(np.isin(measured.target, [0, 1]), 25.0 + measured.station, np.nan)
+    recording = measured.replace(covariates={**measured.covariates, "bar_c": warm})
+    stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
+    assert KnownLengths.of(stated).factor[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
+    for wrong, said in (
+        (line("T01", "T02", measured_at_c="bar_k"), "no column of numbers"),
+        (line("T03", "T04", measured_at_c="bar_c"), "is empty where T03 and T04"),
+        (line("T01", "T02", material="brass"), "expected one of steel, invar"),
+    ):
+        with pytest.raises(RecordError, match=said):
+            KnownLengths.of(with_gauge(recording, wrong))
+
+
+def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording) -> None:
+    lines = [line(f"T0{i}", f"T0{i + 1}", 1000.0 * i, material="steel") for i in (1, 3, 5)]
+    recording = with_gauge(measured, *lines, measured_at_c=30.0, sigma_temperature_k=0.2)
+    gauge = GaugeRows.of(recording)
+    length = np.array([1.0, 3.0, 5.0])
+    shared = (10 * 1e-6) ** 2 + (11.5e-6 * 0.2) ** 2
+    covariance = shared * np.outer(length, length) + 1e-6**2 * np.eye(3)
+    np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
+    white = gauge.whitened(np.eye(3))
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(3), atol=1e-12)
+    idle = gauge.without(np.array([False, True, False]))
+    kept = np.ix_([0, 2], [0, 2])
+    left = idle.whitened(np.eye(3))
+    np.testing.assert_allclose((left.T @ left)[kept], np.linalg.inv(covariance[kept]), rtol=1e-12)
+    assert not left[:, 1].any()
+    found = adjust(recording)
+    rows = as_dense(found.solution.system.design)[int(found.problem.use.sum()) :][:3]
+    columns = found.problem.unknowns.target[gauge.first]
+    along = gauge.directions(found.state.points)
+    np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
+
+
+def test_a_length_measured_in_place_is_an_observation_with_its_sigma(measured: Recording) -> None:
+    """An interferometer's length and a known one are the same row, in a workshop of any temperature."""
+    points = adjust(measured).state.points
+    ends = {"first": "T01", "second": "T08"}
+    length = 1e3 * float(np.linalg.norm(points[0] - points[7]))
+    plain = with_gauge(measured, line(*ends.values(), length))
+    warm = with_gauge(measured, line(*ends.values(), length, measured_in_place=True), measured_at_c=35.0, **STEEL)
+    one, other = adjust(plain), adjust(warm)
+    assert one.dof == other.dof == adjust(with_gauge(measured)).dof + 1
+    np.testing.assert_allclose(other.state.points, one.state.points, atol=1e-12)
+    tied = adjust(with_gauge(measured, line(*ends.values(), length + 0.05, measured_in_place=True)))
+    gap = 1e3 * float(np.linalg.norm(tied.state.points[0] - tied.state.points[7])) - length
+    assert 0.04 < gap < 0.05  # held to 1 um, against readings of some 10 um
+
+
+def scene(**changes: Any) -> lt.Scenario:
+    """The paper's workshop at 27 C with two bars of steel and one of invar in place of the gauge."""
+    bars = [
+        {"from": "T01", "to": "T24", "sigma_um": 1.0, "material": "steel"},
+        {"from": "T03", "to": "T20", "sigma_um": 1.0, "material": "steel", "measured_at_c": "air_temperature_c"},
+        {"from": "T05", "to": "T12", "sigma_um": 1.0, "material": "invar", "sigma_temperature_k": 0.1},
+        {"from": "T02", "to": "T10", "sigma_um": 1.0, "measured_in_place": True},
+    ]
+    table = {"gauge": "none", "materials": {"steel": STEEL, "invar": INVAR}, "lengths": bars, **changes}
+    return lt.scenario("paper-workshop", table)
+
+
+def test_simulated_certificates_err_as_they_say_and_together() -> None:
+    gaps, spread = [], np.zeros((0, 0))
+    for seed in range(250):
+        recording, truth = lt.simulate(scene(**{"work.repeats": 1}), seed=seed)
+        gauge = GaugeRows.of(recording)
+        places = truth.points[[truth.targets.index(name) for name in recording.targets]]
+        gaps.append(gauge.whitened(gauge.length - gauge.predict(places)))
+        spread = gauge.spread
+    both = np.array(gaps)
+    np.testing.assert_allclose(np.corrcoef(both.T), np.eye(4), atol=0.2)
+    np.testing.assert_allclose(both.std(axis=0), 1.0, atol=0.15)
+    correlated = spread @ spread.T
+    assert correlated[0, 1] / np.sqrt(correlated[0, 0] * correlated[1, 1]) > 0.9
+
+
+def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None:
+    recording, _ = lt.simulate(scene(), seed=1)
+    lt.write(recording, tmp_path / "rec")
+    assert lt.read(tmp_path / "rec").setup == recording.setup
+    task = {"name": "far", "kind": "distance", "targets": ["T01", "T20"]}
+    found = lt.uncertainty(recording, {"task": [task], "monte_carlo": {"most_trials": 10_000}})
+    shares = found.linear.shares
+    assert {"known lengths", "expansion of steel", "expansion of invar", "temperature of the gauge"} <= set(shares)
+    assert found.linear.kinds["expansion of steel"] == "B"
+    total = sum(share[0] for share in shares.values())
+    assert total == pytest.approx(found.linear.covariance[0, 0], rel=1e-9)
+    adjusted = found.inputs.adjustment
+    names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
+    arm = adjusted.state.points[names[0]] - adjusted.state.points[names[1]]
+    unit = np.concatenate([arm, -arm]) / np.linalg.norm(arm)
+    at = adjusted.problem.unknowns.target[names].ravel()
+    pick = np.zeros((adjusted.problem.unknowns.size, 6))
+    pick[at, np.arange(6)] = 1.0
+    whole = unit @ adjusted.factor.covariance_columns(pick)[at] @ unit
+    assert total == pytest.approx(whole, rel=1e-6)
+
+
+def test_what_cannot_be_is_said_in_a_sentence() -> None:
+    for changes, said in (
+        ({"lengths.1.from": "T99"}, "lengths.1.from names 'T99'"),
+        ({"lengths.1.material": "brass"}, "not one of steel, invar"),
+        ({"lengths.2.measured_at_c": "bar_c"}, "expected a number or 'air_temperature_c'"),
+    ):
+        with pytest.raises(LtsimError, match=said):
+            scene(**changes)
+
+
+def test_expansion_by_hand() -> None:
+    grown = Expansion.of(11.5e-6, -5.0, 1e-6, 0.1)
+    assert grown.factor == pytest.approx(1 - 57.5e-6)
+    assert (grown.by_coefficient, grown.by_temperature) == pytest.approx((-5e-6, 1.15e-6))

@@ -1,0 +1,57 @@
+"""An adjustment that is only planned, and problems that share their structure."""
+
+import numpy as np
+import pytest
+from tests.campaign.workshop import workshop
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.errors import NetworkError
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel
+from ltsim.solve.gauss_newton import Status
+
+
+def test_a_planned_adjustment_has_the_precision_of_the_solved_one() -> None:
+    recording, state = workshop(faces=2)
+    planned, solved = Adjustment.planned(recording, state, misalignment()), adjust(recording, misalignment())
+    assert planned.solution.status is Status.PLANNED
+    assert planned.solution.converged
+    for name in ("instrument_covariance", "pose_covariance", "target_covariance", "redundancy"):
+        ours, theirs = getattr(planned, name), getattr(solved, name)
+        assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-9 * np.abs(theirs).max())
+
+
+def test_a_plan_that_leaves_a_station_open_is_refused_with_its_name() -> None:
+    recording, state = workshop()
+    readings = recording.readings.copy()
+    readings[(recording.station == 3) & (recording.target > 1)] = np.nan
+    with pytest.raises(NetworkError, match="station S4 sees fewer than three targets off one line"):
+        Adjustment.planned(recording.with_readings(readings), state)
+
+
+def test_a_problem_elsewhere_is_the_one_made_from_nothing() -> None:
+    recording, state = workshop(faces=2)
+    there = state.moved(np.full((5, 6), 0.01), np.full((28, 3), 0.02), np.zeros((1, 16)), np.zeros(0))
+    order = np.random.default_rng(0).permutation(len(recording))
+    rows = {name: getattr(recording, name)[order] for name in ("station", "target", "face", "repeat", "time")}
+    moved = recording.replace(**rows, readings=recording.readings[order])
+    model = MeasurementModel(moved, misalignment())
+    ours = NetworkProblem.of(MeasurementModel(recording, misalignment())).elsewhere(model).linearise(there)
+    alone = NetworkProblem.of(model).linearise(there)
+    np.testing.assert_array_equal(ours.design, alone.design)
+    np.testing.assert_array_equal(ours.residual, alone.residual)
+
+
+def test_other_readings_in_use_are_counted_anew() -> None:
+    recording, _ = workshop()
+    problem = NetworkProblem.of(MeasurementModel(recording, misalignment()))
+    use = problem.use.copy()
+    use[recording.target == 5] = False
+    use[recording.station == 2, 1] = False
+    fewer = problem.using(use)
+    assert np.flatnonzero(fewer.unseen_targets).tolist() == [5]
+    assert fewer.structure.yaw.tolist() == [2]
+    assert fewer.structure.held == len(fewer.structure.held_columns) == 4
+    assert fewer.unknowns is problem.unknowns
+    assert problem.dof - fewer.dof == (~use).sum() - 4

@@ -1,0 +1,95 @@
+"""Networks that nobody here made, where they lie beside the checkout; see results/04_real_networks/README.md."""
+
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.recording import read
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "recordings"
+EXPERIMENT = ROOT / "experiments" / "04_real_networks"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="../shared/recordings is not beside this checkout")
+pytestmark = [needs_data, pytest.mark.skipif(not EXPERIMENT.is_dir(), reason="the experiments are not here")]
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    """The experiment's functions."""
+    return import_module("experiments.04_real_networks.run")
+
+
+@pytest.mark.parametrize("name", ["local_3d", "2020-barta-phase_0-1TK"])
+def test_gama_free_networks_agree_to_the_printed_digit(experiment, name):
+    ours, theirs = adjust(read(DATA / "gama-3d-networks" / f"{name}.gkf")), experiment.gama_result(name)
+    assert ours.dof == theirs.dof
+    assert ours.sigma0 * theirs.apriori == pytest.approx(theirs.aposteriori, rel=5e-5)
+    assert np.abs(experiment.difference(ours, name)).max() < 5e-7
+    assert np.abs(experiment.sigma_ratio(ours, name) - 1).max() < 0.001
+    assert ours.chi2 * theirs.apriori**2 <= theirs.square_sum
+
+
+def test_gama_stopped_short_where_the_coordinates_differ(experiment):
+    name = "2019-prager"
+    ours, theirs = adjust(read(DATA / "gama-3d-networks" / f"{name}.gkf")), experiment.gama_result(name)
+    assert ours.dof == theirs.dof
+    assert ours.sigma0 == pytest.approx(theirs.aposteriori, abs=5e-4)
+    assert 2.5e-5 < np.abs(experiment.difference(ours, name)).max() < 3e-5
+    assert ours.chi2 < theirs.square_sum - 0.05
+    assert experiment.best_turns(ours, name) > ours.chi2 + 10
+    assert np.sum(np.abs(experiment.sigma_ratio(ours, name) - 1) > 0.02) == 1
+    between_marks = adjust(experiment.to_marks(ours), start=ours.state)
+    assert np.abs(experiment.sigma_ratio(between_marks, name) - 1).max() < 0.001
+
+
+def test_esa_adjusts_and_what_does_not_fit_is_found():
+    found = adjust(read(DATA / "cern-lgc-trackers" / "20697_V2_Dirk_ESA_experimental.lgc"), robust=True)
+    assert found.solution.converged
+    assert found.sigma0 == pytest.approx(1.0, abs=0.01)
+    assert not found.outliers()
+    rows = {int(i) + 1 for i in np.flatnonzero(found.rejected.any(axis=1))}
+    assert {42, 199, 361, 362} <= rows
+    assert 41 not in rows
+    assert found.rejected.sum() < 20
+    for row in (199, 362):
+        assert found.residuals[row - 1, 2] * found.recording.readings[row - 1, 0] == pytest.approx(0.07, abs=0.002)
+
+
+def test_the_arc_adjusts_with_all_statistics():
+    recording = read(DATA / "cern-lgc-trackers" / "Arc_2_3.lgc")
+    found = adjust(recording)
+    spread, poses, redundancy = found.target_covariance, found.pose_covariance, found.redundancy
+    assert found.solution.converged
+    assert found.problem.free.shape[1] == 1
+    assert found.sigma0 == pytest.approx(0.637, abs=0.002)
+    assert np.isfinite(spread).all() and np.isfinite(poses).all()
+    assert np.nansum(redundancy) == pytest.approx(found.dof, abs=0.01)
+
+
+def test_two_faces_of_a_total_station_on_marks():
+    found = adjust(read(DATA / "geoeasy-total-station-22st" / "network.GSI"), variance_components="observable")
+    assert found.solution.converged
+    assert found.sigma0 == pytest.approx(1.0, abs=0.005)
+    factors = {c.observable: c.factor for c in found.components}
+    assert factors["distance"] == pytest.approx(0.48, abs=0.03)
+    assert factors["level"] > 5
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_parameters_of_the_simulated_scanner_are_recovered(experiment, known):
+    values, sigma = experiment.fitted(experiment.scanner(known), known)
+    assert np.all(np.abs(values - experiment.TRUTH) < 3.2 * sigma)
+    exact, _ = experiment.fitted(experiment.rounded(None), known)
+    np.testing.assert_allclose(exact, experiment.TRUTH, atol=1.0)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["points known", "points unknown"])
+def test_four_parameters_of_the_scanner_are_better_known_than_sixteen(experiment, known):
+    ratio = {row["parameter"]: float(row["sigma_ratio"]) for row in experiment.choice_of_parameters(known)}
+    assert ratio["vertical-index"] > 10
+    assert ratio["beam-tilt"] > 5
+    assert ratio["range-offset"] > 3
+    assert ratio["transit-tilt"] >= 1.0

@@ -1,0 +1,91 @@
+"""A network adjusted with an effect whose constants are unknown too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import pytest
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.refit import Estimated, refit
+from ltsim.effects.effect import Effect
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.station_settling import StationSettling
+from ltsim.model.construction import misalignment
+from ltsim.solve.gauss_newton import Status
+from tests.networks import with_effect
+
+
+def refitted(
+    effect: Effect, guess: Effect, values: list[float], *, noise: float = 1.0, adjusted: Any = adjust
+) -> tuple[Adjustment, dict[str, Estimated]]:
+    recording = with_effect(effect, values, noise=noise)
+    start = adjust(recording, misalignment()).state
+    found = refit(partial(adjusted, recording, misalignment()), [guess], start=start)
+    return found.adjustment, {one.parameter.name: one for one in found.told[0]}
+
+
+def test_a_refit_gives_back_sizes_and_constants_within_their_sigmas() -> None:
+    true = StationSettling(("S3",), time_constant=480.0)
+    _, told = refitted(true, true.reshaped(time_constant=700.0), [30e-6, -20e-6, 40e-6])
+    expected = {"tilt-x": 30e-6, "tilt-y": -20e-6, "rise": 40e-6, "time_constant": 480.0}
+    assert set(told) == set(expected)
+    for name, value in expected.items():
+        assert told[name].sigma > 0
+        assert abs(told[name].value - value) < 4 * told[name].sigma, name
+
+
+def test_a_refit_without_noise_ends_at_the_truth() -> None:
+    true = RangeCyclic(wavelength=0.75)
+    found, told = refitted(true, true.reshaped(wavelength=0.76), [10e-6, 0.0], noise=0.0)
+    assert found.chi2 < 1.0
+    assert told["wavelength"].value == pytest.approx(0.75, rel=1e-3)
+
+
+def test_the_shortest_waves_are_known_in_frequency_as_well_as_long_ones() -> None:
+    """From an eighth of a period off; the Fisher information of a frequency does not depend on it."""
+    frequency = []
+    for length, off in ((0.02, 5e-4), (0.75, 5e-3)):
+        true = RangeCyclic(wavelength=length)
+        start = adjust(with_effect(true, [10e-6, 0.0], noise=0.0), misalignment())
+        guess = [true.reshaped(wavelength=length * (1 + off))]
+        found = refit(start.with_effects, guess, start=start.state)
+        assert found.adjustment.chi2 < 0.1
+        *_, wavelength = found.told[0]
+        assert wavelength.value == pytest.approx(length, rel=1e-5)
+        frequency.append(wavelength.sigma / length**2)
+    assert frequency[0] == pytest.approx(frequency[1], rel=0.3)
+
+
+def test_constants_that_stay_are_not_told_and_the_noise_found_is_kept() -> None:
+    true = StationSettling(("S3",), time_constant=480.0)
+    recording = with_effect(true, [30e-6, -20e-6, 40e-6], noise=2.0)
+    start = adjust(recording, misalignment(), effects=[true], variance_components="observable")
+    found = refit(start.with_effects, [true], start=start.state, fixed=[{"time_constant"}])
+    assert found.effects == (true,) and found.adjustment.chi2 == pytest.approx(start.chi2)
+    assert [one.parameter for one in found.told[0]] == list(true.parameters)
+    assert [one.value for one in found.told[0]] == pytest.approx(start.state.extra, rel=1e-6)
+    sigma = start.extra_covariance.diagonal() ** 0.5
+    assert [one.sigma for one in found.told[0]] == pytest.approx(sigma, rel=1e-6)
+
+
+def test_constants_at_which_the_network_does_not_settle_are_not_taken() -> None:
+    """A refit ends at the last constants with which the adjustment converged, however low a capped one came."""
+    bad = 0
+
+    def capped(*args: Any, **kwargs: Any) -> Adjustment:
+        nonlocal bad
+        found = adjust(*args, **kwargs)
+        if len(kwargs["effects"]) == 1 and kwargs["effects"][0] != guess:
+            bad += 1
+            return replace(found, solution=replace(found.solution, status=Status.CAPPED))
+        return found
+
+    true = RangeCyclic(wavelength=0.75)
+    guess = true.reshaped(wavelength=0.76)
+    found, told = refitted(true, guess, [10e-6, 0.0], noise=0.0, adjusted=capped)
+    assert bad
+    assert found.solution.converged
+    assert told["wavelength"].value == pytest.approx(0.76)

@@ -1,0 +1,115 @@
+"""Large networks: the same answer by the sparse way, everything known."""
+
+import tracemalloc
+import warnings
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.pairs import Pairs
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Setup
+from ltsim.solve import design
+
+network = pytest.importorskip("benchmarks.adjust_size", reason="the benchmarks are not here").network
+
+
+def test_a_ring_of_210_set_ups_with_all_statistics():
+    recording = network("ring", 210, 370, 3340)
+    assert (len(recording), len(recording.targets)) == (3340, 370)
+    found = adjust(recording)
+    sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
+    poses, redundancy = found.pose_covariance, found.redundancy
+    assert found.solution.converged
+    assert not found.gross.any()
+    assert 0.001 < found.p_value < 0.999
+    assert np.isfinite(sigma).all() and np.isfinite(poses).all()
+    assert np.nansum(redundancy) == pytest.approx(found.dof, abs=1e-3)
+
+
+def test_sparse_and_dense_elimination_give_the_same_adjustment(monkeypatch):
+    recording = network("ring", 60, 106, 960)
+    sparse = adjust(recording)
+    monkeypatch.setattr(design, "DENSE", 10**9)
+    dense = adjust(recording)
+    np.testing.assert_allclose(sparse.state.points, dense.state.points, atol=1e-9)
+    np.testing.assert_allclose(sparse.target_covariance, dense.target_covariance, rtol=1e-5, atol=1e-18)
+    np.testing.assert_allclose(sparse.pose_covariance, dense.pose_covariance, rtol=1e-5, atol=1e-18)
+    np.testing.assert_allclose(sparse.redundancy, dense.redundancy, atol=1e-7)
+    sigma = found_sigma(dense)
+    assert sigma.max() > 5 * sigma.min()  # The far side of the ring is known less well than the first station's.
+
+
+def found_sigma(adjustment):
+    """Largest standard deviation of each target."""
+    return np.sqrt(np.linalg.eigvalsh(adjustment.target_covariance)[:, -1])
+
+
+def tunnel(stations, each=50):
+    """Set-ups in a row, each of which shares half of its targets with the next."""
+    rng, half = stream(4, "tunnel", stations), each // 2
+    count = half * (stations + 1)
+    position = np.stack([6.3 * np.arange(stations), np.zeros(stations), rng.normal(1.6, 0.1, stations)], axis=1)
+    along = 6.3 * (np.arange(count) // half) - 3.15 + rng.uniform(-2, 2, count)
+    side = rng.choice([-2.0, 2.0], count) + rng.normal(0, 0.3, count)
+    points = np.stack([along, side, rng.uniform(0.2, 3.0, count)], axis=1)
+    rotation = np.stack([about_z(float(a)) for a in rng.uniform(-3, 3, stations)])
+    ones = np.ones(stations * each, dtype=np.int64)
+    recording = Recording(
+        setup=Setup(),
+        stations=tuple(f"S{i}" for i in range(stations)),
+        targets=tuple(f"T{i}" for i in range(count)),
+        station=np.repeat(np.arange(stations), each),
+        target=(half * np.arange(stations)[:, None] + np.arange(each)).ravel(),
+        face=ones,
+        repeat=ones,
+        time=np.arange(len(ones), dtype=np.float64),
+        readings=np.zeros((len(ones), 3)),
+    )
+    exact = MeasurementModel(recording, ideal()).predict(State(position, rotation, points, np.zeros((1, 0))))
+    recording = recording.with_readings(exact)
+    return recording.with_readings(exact + recording.sigma() * rng.standard_normal(exact.shape))
+
+
+def test_memory_follows_the_pointings_and_not_the_square_of_the_set_ups():
+    """400 set-ups: one table of all stations and targets would be 240 MB, a few of them a gigabyte."""
+    recording = tunnel(400)
+    tracemalloc.start()
+    found = adjust(recording)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.solution.converged
+    assert not found.gross.any()
+    assert 0.001 < found.p_value < 0.999
+    assert np.isfinite(found.target_covariance).all()
+    assert most < 200e6
+
+
+def test_the_list_of_pairs_is_what_a_table_would_be():
+    recording = tunnel(5, 20)
+    twice = recording.replace(
+        **{n: np.tile(getattr(recording, n), 3) for n in ("station", "target", "face", "repeat", "time")},
+        readings=np.concatenate([recording.readings + s for s in (0.0, 1e-3, 5e-3)]),
+    )
+    pairs = Pairs.of(twice)
+    points = from_polar(twice.readings)
+    for s in range(5):
+        own = pairs.of_station(s)
+        for target, point in zip(pairs.target[own], pairs.points[own], strict=True):
+            rows = (twice.station == s) & (twice.target == target)
+            np.testing.assert_array_equal(point, np.median(points[rows], axis=0))
+    values = pairs.points.copy()
+    values[pairs.of_station(2)] = np.nan
+    table = np.full((5, len(recording.targets), 3), np.nan)
+    table[pairs.station, pairs.target] = values
+    which = np.array([3, 11, 25, 30, 59])
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        expected = np.nanmedian(table[:, which], axis=0)
+    np.testing.assert_array_equal(pairs.medians(values, which), expected)

@@ -1,0 +1,192 @@
+"""Tests of single readings and of the whole, robust adjustment, variance components, precision."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.precision import correlation, ellipsoids
+from ltsim.adjustment.reliability import critical_tau, critical_w
+from ltsim.adjustment.verdict import Case, verdict
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.recording.setup import Instrument, Station
+from tests.networks import drawn, network
+
+TRACKER = misalignment()
+
+
+def noisy(seed: int, scale=(1.0, 1.0, 1.0), **options):
+    """A network whose noise is the stated one times `scale` by observable."""
+    recording, _ = network(values=drawn(TRACKER, seed), **options)
+    noise = stream(seed, "noise").standard_normal(recording.readings.shape)
+    return recording.with_readings(recording.readings + recording.sigma() * noise * np.array(scale))
+
+
+def spoiled(recording, where, sizes):
+    readings = recording.readings.copy()
+    for (i, j), size in zip(where, sizes, strict=True):
+        readings[i, j] += size * recording.sigma()[i, j]
+    return recording.with_readings(readings)
+
+
+# --- tests of single readings -------------------------------------------------------------------------------------
+
+
+def test_tau_limit_is_that_of_pope():
+    # t(9, 2.5 %) = 2.2622: tau = sqrt(10) t / sqrt(9 + t^2).
+    assert critical_tau(1, 10, 0.05) == pytest.approx(1.90391, abs=1e-5)
+    assert critical_tau(1, 100_000, 0.05) == pytest.approx(stats.norm.isf(0.025), abs=1e-3)
+    assert critical_tau(50, 20) < critical_w(50)
+    assert critical_tau(1, 1) == np.inf
+
+
+def test_tau_exceeds_its_limit_as_often_as_its_level_says():
+    over, count = 0, 0
+    for seed in range(40):
+        found = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
+        tau = found.tau[np.nan_to_num(found.redundancy) > 0.2]
+        over += int(np.sum(np.abs(tau) > critical_tau(1, found.dof, 0.05)))
+        count += len(tau)
+    assert over / count == pytest.approx(0.05, abs=0.015)
+
+
+def test_an_error_of_the_detectable_size_is_found_with_its_power():
+    clean = adjust(noisy(3), TRACKER)
+    bias = clean.minimal_detectable_bias / clean.problem.sigma
+    rows = stream(5, "rows").permutation(len(clean.recording))[:120]
+    limit = critical_w(int(clean.problem.use.sum()))
+    found = 0
+    for k, i in enumerate(rows):
+        j = k % 3
+        expected = clean.w[i, j] + bias[i, j] * np.sqrt(clean.redundancy[i, j])
+        if k < 6:
+            again = adjust(spoiled(clean.recording, [(i, j)], [bias[i, j]]), TRACKER, start=clean.state)
+            assert again.w[i, j] == pytest.approx(expected, abs=0.05)
+        found += expected > limit
+    assert found / len(rows) == pytest.approx(0.8, abs=0.13)
+
+
+# --- robust adjustment --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_many_blunders_are_left_out_and_nothing_else(seed):
+    clean = noisy(seed)
+    rng = stream(seed, "blunders")
+    where = [(int(i), int(rng.integers(3))) for i in rng.permutation(len(clean))[:14]]
+    sizes = rng.choice([-1, 1], 14) * 10 ** rng.uniform(1.3, 3.5, 14)
+    found = adjust(spoiled(clean, where, sizes), TRACKER, robust=True)
+    assert found.solution.converged
+    assert {tuple(map(int, at)) for at in np.argwhere(found.rejected)} == set(where)
+    use = np.ones((len(clean), 3), dtype=bool)
+    use[tuple(np.array(where).T)] = False
+    without = adjust(clean, TRACKER, use=use)
+    np.testing.assert_allclose(found.state.points, without.state.points, atol=1e-9)
+
+
+def test_clean_recordings_lose_nothing():
+    lost = [int(adjust(noisy(seed), TRACKER, robust=True).rejected.sum()) for seed in range(30)]
+    assert sum(count > 0 for count in lost) <= 3
+
+
+def test_what_was_screened_out_wrongly_comes_back():
+    """A reading that is gross spoils only itself: the two others of its pointing are used again."""
+    clean = noisy(1)
+    readings = clean.readings.copy()
+    readings[20, 0] += 0.05
+    plain, robust = (adjust(clean.with_readings(readings), TRACKER, robust=r) for r in (False, True))
+    assert np.flatnonzero(plain.gross).tolist() == [20]
+    assert not robust.gross.any()
+    assert np.argwhere(robust.rejected).tolist() == [[20, 0]]
+
+
+def test_a_wrong_level_of_noise_is_not_taken_for_blunders():
+    found = adjust(noisy(2, (6.0, 6.0, 6.0)), TRACKER, robust=True)
+    assert found.rejected.sum() <= 2
+
+
+# --- variance components ------------------------------------------------------------------------------------------
+
+
+def test_noise_of_each_observable_is_found():
+    truth = (2.0, 0.5, 4.0)
+    found = adjust(noisy(4, truth, faces=2), TRACKER, variance_components="observable")
+    assert [c.observable for c in found.components] == ["distance", "azimuth", "elevation"]
+    for component, true in zip(found.components, truth, strict=True):
+        assert component.factor == pytest.approx(true, abs=4 * component.sigma)
+        assert component.sigma < 0.1 * true
+        assert not component.is_stated
+    assert found.sigma0 == pytest.approx(1.0, abs=0.02)
+
+
+def test_noise_of_each_instrument_is_found_with_blunders_about():
+    recording, _ = network(faces=2)
+    stations = {n: Station(instrument="AB"[i % 2]) for i, n in enumerate(recording.stations)}
+    setup = recording.setup.model_copy(
+        update={"stations": stations, "instruments": {"A": Instrument(corrected=True), "B": Instrument(corrected=True)}}
+    )
+    recording = recording.replace(setup=setup)
+    scale = np.where(recording.instrument[:, None] == 1, 3.0, 1.0)
+    noise = stream(6, "noise").standard_normal(recording.readings.shape)
+    recording = recording.with_readings(recording.readings + recording.sigma() * noise * scale)
+    where = [(5, 0), (40, 1), (111, 2)]
+    found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, variance_components="instrument")
+    assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.rejected)}
+    assert found.rejected.sum() < 8
+    for component in found.components:
+        assert component.factor == pytest.approx({"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.sigma)
+
+
+def test_a_group_without_redundancy_keeps_its_noise():
+    recording = noisy(3)
+    readings = recording.readings.copy()
+    readings[1:, 0] = np.where(np.arange(len(readings) - 1) < 2, readings[1:, 0], np.nan)
+    gauge = adjust(recording.with_readings(readings), TRACKER, variance_components="observable")
+    assert gauge.components[0].factor == 1.0
+    assert gauge.components[0].sigma == np.inf
+    assert gauge.components[0].is_stated
+
+
+# --- precision ----------------------------------------------------------------------------------------------------
+
+
+def test_ellipsoids_give_back_the_covariance():
+    covariance = adjust(noisy(1), TRACKER).target_covariance
+    found = ellipsoids(covariance)
+    assert np.all(np.diff(found.axes, axis=1) <= 0)
+    back = np.einsum("ki,kia,kib->kab", found.axes**2, found.directions, found.directions)
+    np.testing.assert_allclose(back, covariance, atol=1e-18)
+    wide = ellipsoids(covariance, 0.95)
+    draws = stream(1, "draws").multivariate_normal(np.zeros(3), covariance[4], 4000)
+    inside = np.sum((draws @ wide.directions[4].T / wide.axes[4]) ** 2, axis=1) < 1
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.015)
+
+
+def test_what_has_no_variance_has_no_correlation():
+    matrix = correlation(np.array([[4.0, 0.0], [0.0, 0.0]]))
+    np.testing.assert_array_equal(matrix, np.eye(2))
+
+
+# --- verdict ------------------------------------------------------------------------------------------------------
+
+
+def test_the_verdict_says_which_test_to_trust():
+    clean = next(a for a in (adjust(noisy(s, faces=2), TRACKER) for s in range(9)) if 0.2 < a.p_value < 0.8)
+    assert verdict(clean).case is Case.CLEAN
+    hidden = adjust(spoiled(clean.recording, [(50, 1)], [9.0]), TRACKER)
+    assert verdict(hidden).case is Case.HIDDEN_ERRORS
+    assert "one reading is out of place although" in verdict(hidden).sentence
+    single = adjust(spoiled(clean.recording, [(50, 1), (90, 0)], [60.0, 40.0]), TRACKER)
+    assert verdict(single).case is Case.SINGLE_ERRORS
+    assert verdict(single).outliers >= 2
+    larger = verdict(adjust(noisy(1, (3.0, 3.0, 3.0)), TRACKER))
+    assert larger.case is Case.LARGER_NOISE
+    assert larger.by_estimate
+    smaller = verdict(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
+    assert smaller.case is Case.SMALLER_NOISE
+    assert smaller.by_estimate
+    for one in (larger, smaller):
+        assert one.sentence.startswith("Trust the")
+        assert one.sentence.endswith(".")
+        assert "\n" not in one.sentence

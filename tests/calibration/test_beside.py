@@ -1,0 +1,183 @@
+"""Effects that a person asks for, estimated beside the calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.calibration.files import read_calibration, write_calibration
+from ltsim.cli.main import run
+from ltsim.effects.effect import Effect
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.station_settling import StationSettling
+from ltsim.errors import ModelError
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.recording import Recording
+from ltsim.units import FACTOR
+from tests.networks import drawn, network, with_effect
+
+RATE = 40e-6 / 3600
+"""[rad/s] of the vertical index while the tracker stands at S3."""
+
+
+@pytest.fixture(scope="module")
+def drifting() -> Recording:
+    recording = network(faces=2, seed=5, values=drawn(misalignment(), 5))[0]
+    readings = recording.readings + recording.sigma() * stream(5, "beside").standard_normal(recording.readings.shape)
+    there = recording.station == 2
+    clock = recording.time - recording.time[there].min()
+    readings[there, 2] -= RATE * clock[there]
+    return recording.with_readings(readings)
+
+
+@pytest.mark.parametrize("wanted", ["index-drift", "index-drift:S3", "index-drift:S3,law=visit"])
+def test_an_effect_is_found_with_its_uncertainty_where_and_how_it_acts(drifting: Recording, wanted: str) -> None:
+    plain, found = lt.calibrate(drifting, advise=False), lt.calibrate(drifting, with_effects=[wanted], advise=False)
+    (effect,) = found.effects
+    assert (effect.effect, effect.where, effect.freedom) == ("index-drift", "S3", 1)
+    rate, law = effect.parameters
+    assert rate.unit == "urad/h" and law.value == "visit"
+    assert isinstance(rate.value, float) and rate.sigma is not None
+    assert abs(rate.value - 1e6 * 3600 * RATE) < 4 * rate.sigma < 0.5 * rate.value
+    assert effect.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
+    assert effect.p_value < 1e-6
+    assert effect.tried == (1 if "law" in wanted else effect.tried)
+    assert "chi-square falls by" in str(found)
+
+
+def test_it_is_kept_in_the_file(drifting: Recording, tmp_path: Path) -> None:
+    found = lt.calibrate(drifting, with_effects=["index-drift:S3", "range-cyclic"], advise=False)
+    write_calibration(found, tmp_path / "cal")
+    assert read_calibration(tmp_path / "cal").effects == found.effects
+    wavelength = found.effects[1].parameters[-1]
+    assert (wavelength.name, wavelength.unit) == ("wavelength", "mm") and wavelength.sigma is not None
+
+
+def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_path: Path) -> None:
+    plain, named = (
+        lt.calibrate(drifting, advise=False),
+        lt.calibrate(drifting, with_effects=["index-drift:S3,law=visit"]),
+    )
+    found = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
+    (law,), (effect,) = found.effects, named.effects
+    assert (law.effect, law.where, law.freedom, law.tried) == ("vertical index ~ station-time", "S3", 1, 1)
+    (swing,), rate = law.parameters, effect.parameters[0]
+    hours = drifting.time[drifting.station == 2].max() / 3600 - drifting.time[drifting.station == 2].min() / 3600
+    assert swing.name == "swing" and swing.unit == "urad" and swing.sigma is not None and rate.sigma is not None
+    assert abs(swing.value) == pytest.approx(abs(rate.value) * hours, rel=1e-3)
+    assert swing.sigma == pytest.approx(rate.sigma * hours, rel=1e-3)
+    assert law.chi2_drop == pytest.approx(plain.fit.chi2 - found.fit.chi2)
+    write_calibration(found, tmp_path / "cal")
+    assert read_calibration(tmp_path / "cal").effects == found.effects
+
+
+def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recording) -> None:
+    words = "vertical index ~ station-time, in its own way at each set-up"
+    (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
+    assert (law.effect, law.where, law.freedom) == (words, "", len(drifting.stations))
+    assert law.sentence.startswith(f"{words}: swing")
+
+
+def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> None:
+    wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "place of targets ~ time:T02"]
+    _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
+    (swing,) = curve.parameters
+    assert swing.sigma is not None and isinstance(swing.value, float)
+    assert swing.value > 4 * swing.sigma and curve.freedom > 3
+    assert [p.name for p in moved.parameters] == ["swing along x", "swing along y", "swing along z"]
+
+
+def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:
+    unaimed = lt.calibrate(drifting, with_effects=["smr-incidence"], advise=False)
+    assert unaimed.effects[0].freedom == 0
+    assert "cannot tell it" in unaimed.effects[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ("beam-tilt", "estimated anyway"),
+        ("noise-level", "scatter"),
+        ("target-swap", "slip"),
+        ("index-drift:S9", "no station"),
+        ("index-drift:law=sometimes", "expected one of"),
+        ("index-drift:pace=3", "no constant"),
+        ("no-such-effect", "no effect"),
+        ("beam ~ time", "carriers are distance, azimuth"),
+        ("beam tilt ~ time:S9", "no station"),
+        ("beam tilt ~ time:pace=3", "no constants but"),
+        ("beam tilt ~ pressure^2", "expected words such as .* station-time"),
+    ],
+)
+def test_what_cannot_be_fitted_is_said_in_a_sentence(drifting: Recording, wanted: str, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        lt.calibrate(drifting, with_effects=[wanted])
+
+
+def test_the_command_line_says_it_and_refuses_it_elsewhere(
+    drifting: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lt.write(drifting, tmp_path / "rec")
+    assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift:S3"]) == 0
+    assert "index-drift at S3" in capsys.readouterr().out
+    assert run(["calibrate", str(tmp_path / "rec"), "--with", "index-drift", "--method", "distance"]) == 2
+    assert "--with go with --method network" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wanted", "true", "values"),
+    [
+        ("station-settling:S3", StationSettling(("S3",), time_constant=480.0), [30e-6, -20e-6, 40e-6]),
+        pytest.param("range-cyclic", RangeCyclic(wavelength=0.75), [10e-6, 0.0], marks=pytest.mark.long),
+    ],
+)
+def test_constants_scatter_as_much_as_is_told(wanted: str, true: Effect, values: list[float]) -> None:
+    truth = getattr(true, true.shape[0].name) / FACTOR[true.shape[0].unit]
+    misses = []
+    for seed in range(40):
+        found = lt.calibrate(with_effect(true, values, seed=seed), with_effects=[wanted], advise=False)
+        constant = found.effects[0].parameters[-1]
+        assert isinstance(constant.value, float) and constant.sigma is not None
+        misses.append((constant.value - truth) / constant.sigma)
+    assert 0.7 < np.sqrt(np.mean(np.square(misses))) < 1.4
+    assert abs(np.mean(misses)) < 0.5
+
+
+def test_what_is_told_of_several_effects_is_that_of_their_common_adjustment(drifting: Recording) -> None:
+    drift = "index-drift:S3,law=visit"
+    found = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10", drift], advise=False)
+    alone = lt.calibrate(drifting, with_effects=["station-settling:S3,time_constant=10"], advise=False)
+    assert sum(e.chi2_drop for e in found.effects) > alone.effects[0].chi2_drop
+    told = [p for e in found.effects for p in e.parameters if p.sigma is not None]
+    assert found.adjustment is not None
+    state, spread = found.adjustment.state.extra, np.sqrt(np.diag(found.adjustment.extra_covariance))
+    unit = [FACTOR[p.unit] for p in told]
+    assert [p.value for p in told] == pytest.approx(state / unit, rel=1e-6)
+    assert [p.sigma for p in told] == pytest.approx(spread / unit, rel=1e-6)
+    stated = found.effects[0].parameters[-1]
+    assert (stated.name, stated.value, stated.sigma) == ("time_constant", 10.0, None)
+
+
+def test_readings_left_out_noise_and_held_parameters_stay_in_what_is_told() -> None:
+    recording = with_effect(RangeCyclic(wavelength=0.75), [10e-6, 0.0], noise=2.0)
+    readings = recording.readings.copy()
+    readings[3, 0] += 1e-3
+    found = lt.calibrate(
+        recording.with_readings(readings),
+        with_effects=["range-cyclic"],
+        robust=True,
+        noise_from_data=True,
+        parameters=["beam-tilt", "vertical-index"],
+        advise=False,
+    )
+    assert any(out.row == 4 and out.left_out for out in found.outliers) and found.held.any()
+    told, adjusted = found.effects[0].parameters, found.adjustment
+    assert adjusted is not None
+    assert [1e-6 * p.value for p in told[:2]] == pytest.approx(adjusted.state.extra, rel=1e-3, abs=1e-9)
+    for one, value, least in zip(told, (10.0, 0.0, 750.0), (0.5, 1.0, 3.0), strict=True):
+        assert abs(one.value - value) < 4 * one.sigma
+        assert least < one.sigma < 10 * least

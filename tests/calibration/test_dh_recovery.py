@@ -1,0 +1,54 @@
+"""Every combination of D-H coefficients that a network determines is found, however far off its prior, and it is said.
+
+Of the 78 coefficients a network with a known length determines 47 combinations (`ltsim.kinematics.dh`). Each is
+injected with 20 standard deviations of its prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.arrays import Floats
+from ltsim.calibration.choice import Choice
+from ltsim.calibration.known import Known
+from ltsim.calibration.network import calibrate_network
+from ltsim.model.construction import dh
+from tests.networks import network
+
+DETERMINED, FAR, WIDER = 47, 20.0, 100.0
+SEEN = 3.0
+"""Prior sigmas: a combination that is known worse cannot be told to be 20 of them off."""
+BUILT = dh()
+SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
+
+
+def wide() -> Choice:
+    """Priors so wide that they say next to nothing."""
+    covariance = np.diag((WIDER * SIGMA) ** 2)[None]
+    return Choice(prior=Known("dh", BUILT.names, ("",), np.zeros((1, BUILT.size)), covariance, np.zeros(BUILT.size)))
+
+
+@pytest.fixture(scope="module")
+def directions() -> Floats:
+    """(78, 47) combinations in prior sigmas, the best determined first."""
+    found = calibrate_network(network(faces=2, seed=0, construction=BUILT)[0], BUILT, advise=False, choice=wide())
+    unit = WIDER * SIGMA
+    left, vectors = np.linalg.eigh(found.covariance / np.outer(unit, unit))
+    assert left[DETERMINED - 1] < 0.9 < left[DETERMINED]
+    return vectors[:, :DETERMINED]
+
+
+@pytest.mark.parametrize("number", range(DETERMINED))
+def test_a_combination_far_off_its_prior_is_recovered_and_its_misfit_is_said(directions: Floats, number: int) -> None:
+    injected = FAR * directions[:, number]
+    recording = network(faces=2, seed=number, values=injected * SIGMA, construction=BUILT)[0]
+    found = calibrate_network(recording, BUILT, advise=False, choice=wide())
+    error = directions.T @ (found.values[0] / SIGMA - injected)
+    spread = directions.T @ (found.covariance / np.outer(SIGMA, SIGMA)) @ directions
+    z = error / np.sqrt(np.diag(spread))
+    assert abs(z[number]) < 3.9
+    assert z @ z < 100.0  # chi-square of 47 combinations, of which one trial in 100,000 would be larger
+    if spread[number, number] < SEEN**2:
+        found = calibrate_network(recording, BUILT, advise=False)
+        assert any("contradict" in note for note in found.notes)

@@ -1,0 +1,99 @@
+"""Eq. 9 solved as printed: its own gradient vanishes at the answer, in both norms, and nothing lies below."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import ltsim as lt
+from ltsim.adjustment.prior import prior_sigmas
+from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances
+from ltsim.calibration.equation_9 import solve_equation_9
+from ltsim.calibration.objective import DistanceProblem
+from ltsim.model.construction import misalignment
+from tests.networks import drawn, network
+
+BUILT = misalignment()
+
+
+def problem_of(seed: int, faces: int = 1) -> DistanceProblem:
+    recording = network(seed=seed, faces=faces, values=drawn(BUILT, seed))[0]
+    return DistanceProblem(recording, BUILT, prior_sigmas(recording, BUILT))
+
+
+def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
+    """Gradient of eq. 9's sum of squares, over its usual size by chance at each unknown."""
+    rows = mean_rows(problem, problem.at(unknowns))
+    gradient = rows.by_unknown.T @ rows.residual
+    return gradient / (np.linalg.norm(rows.by_unknown, axis=0) * np.linalg.norm(rows.residual))
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
+    problem = problem_of(seed)
+    found = solve_equation_9(problem, "squares")
+    assert found.converged
+    assert np.max(np.abs(slope(problem, found.unknowns))) < 1e-7
+    assert found.objective < solve_distances(problem, "squares").objective
+
+
+def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
+    """Largest component of the smallest subgradient of the absolute values: rows that are met pull as they like."""
+    rows = pair_rows(problem, problem.at(unknowns))
+    scaled = rows.by_unknown / np.abs(rows.by_unknown).sum(axis=0)
+    met = np.argsort(np.abs(rows.residual))[: 2 * len(unknowns)]
+    rest = np.setdiff1d(np.arange(len(rows.residual)), met)
+    pull, free = np.sign(rows.residual[rest]) @ scaled[rest], scaled[met].T
+    size = len(unknowns)
+    matrix = np.block([[free, -np.ones((size, 1))], [-free, -np.ones((size, 1))]])
+    cost = np.concatenate([np.zeros(len(met)), [1.0]])
+    bounds = [*[(-1.0, 1.0)] * len(met), (0.0, None)]
+    return float(linprog(cost, A_ub=matrix, b_ub=np.concatenate([-pull, pull]), bounds=bounds).fun)
+
+
+def check_absolute(seed: int) -> None:
+    problem = problem_of(seed)
+    found = solve_equation_9(problem, "absolute")
+    truncated = solve_distances(problem, "absolute")
+    assert found.converged
+    assert least_subgradient(problem, found.unknowns) < 1e-6
+    assert least_subgradient(problem, truncated.unknowns) > 1e-4
+    assert found.objective < truncated.objective
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_zero_is_a_subgradient_of_the_absolute_values(seed: int) -> None:
+    check_absolute(seed)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(10, 100))
+def test_zero_is_a_subgradient_of_the_absolute_values_for_many_seeds(seed: int) -> None:
+    check_absolute(seed)
+
+
+@pytest.mark.parametrize("norm", ["squares", "absolute"])
+def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -> None:
+    problem, box = problem_of(3), 0.8
+    found = solve_equation_9(problem, norm, box=box)
+    assert np.max(np.abs(found.unknowns)) <= box + 1e-9
+    assert np.any(np.abs(found.unknowns) > box - 1e-6)
+    assert found.objective >= solve_equation_9(problem, norm).objective
+    rng = np.random.default_rng(1)
+    rows = mean_rows if norm == "squares" else pair_rows
+    for _ in range(20):
+        near = np.clip(found.unknowns + 1e-3 * rng.standard_normal(16), -box, box)
+        left = rows(problem, problem.at(near)).residual
+        assert (left @ left if norm == "squares" else np.abs(left).sum()) >= found.objective * (1 - 1e-9)
+
+
+def test_both_are_reported() -> None:
+    recording = network(seed=3, values=drawn(BUILT, 3))[0]
+    truncated = lt.calibrate(recording, method="distance")
+    assert any("its own minimum" in note for note in truncated.notes)
+    whole = lt.calibrate(recording, method="equation-9", advise=False)
+    assert whole.method == "equation-9"
+    assert np.all(whole.sigma > 0)
+    boxed = lt.calibrate(recording, method="equation-9", box=1.0, advise=False)
+    assert np.all(np.abs(boxed.values) <= boxed.prior_sigma * (1 + 1e-9))

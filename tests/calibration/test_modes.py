@@ -1,0 +1,57 @@
+"""Two distance meters with zeros of their own in one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.distance import calibrate_distance
+from ltsim.calibration.files import write_calibration
+from ltsim.calibration.network import adjust_network, calibrate_network
+from ltsim.diagnosis import diagnose
+from ltsim.recording.native import read_recording, write_recording
+from ltsim.recording.recording import Recording
+from tests.networks import network
+
+STEP = 30e-6
+
+
+def with_modes(seed: int) -> Recording:
+    """Each target in the mode of its number, the interferometer's ranges too short by 30 um."""
+    recording, _ = network(faces=2, seed=seed)
+    modes = tuple("ifm" if t % 2 else "adm" for t in recording.target)
+    readings = recording.readings.copy()
+    readings[[m == "ifm" for m in modes], 0] -= STEP
+    return recording.with_readings(readings).replace(labels={"distance_mode": modes})
+
+
+def test_a_range_zero_a_mode_is_estimated_and_told(tmp_path: Path) -> None:
+    write_recording(with_modes(8), tmp_path)
+    found = calibrate_network(read_recording(tmp_path))
+    assert found.adjustment is not None
+    sigma = float(np.sqrt(found.adjustment.extra_covariance[0, 0]))
+    assert found.adjustment.state.extra[0] == pytest.approx(STEP, abs=4 * sigma)
+    assert found.fit.p_value is not None and found.fit.p_value > 1e-3
+    assert "range-mode" in found.notes[0]
+    assert write_calibration(found, tmp_path / "out") is not None
+
+
+def test_the_diagnosis_names_the_mode() -> None:
+    first = diagnose(with_modes(8)).findings[0]
+    assert (first.effect, first.where.covariates) == ("range-mode", ("distance_mode",))
+
+
+def test_one_mode_has_one_zero() -> None:
+    recording, _ = network(seed=2)
+    one = recording.replace(labels={"distance_mode": ("ifm",) * len(recording)})
+    assert "distance_mode" not in one.circumstances
+
+
+@pytest.mark.parametrize("calibrate", [adjust_network, partial(calibrate_distance, advise=False)])
+def test_what_assumes_one_zero_for_both_says_so(calibrate: Callable[[Recording], Calibration]) -> None:
+    assert "one range zero was assumed for both" in calibrate(with_modes(8)).notes[0]

@@ -1,0 +1,138 @@
+"""The network calibrator finds what was put in, says how well, and what it cannot know."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.calibration import adjust_network, calibrate_network
+from ltsim.errors import ModelError
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.model.construction import dh, misalignment
+from ltsim.remedies.network import Network
+from ltsim.remedies.undetermined import gains, simple_rotation, undetermined
+
+
+def test_without_noise_only_the_priors_pull(make, drawn) -> None:
+    truth = drawn(misalignment(), 1, 0)
+    found = calibrate_network(make(truth, faces=(1, 2), noise=0.0))
+    assert found.fit.status == "converged"
+    # A linear estimator with priors falls short of the truth by C P x exactly, and by nothing else.
+    pulled = -found.covariance @ (truth / found.prior_sigma[0] ** 2)
+    assert np.allclose((found.values[0] - truth) / found.sigma[0], pulled / found.sigma[0], atol=0.01)
+
+
+def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(make, drawn) -> None:
+    recording = make(drawn(misalignment(), 1, 1, share=2.0))
+    found = calibrate_network(recording)
+    plain = adjust_network(recording)
+    assert found.criteria is not None
+    assert found.criteria.distance.improvement_percent > 40
+    assert plain.names == ()
+    assert plain.fit.chi2 > 2 * found.fit.chi2
+    assert plain.criteria is not None
+    assert plain.criteria.distance.after is None
+    assert 0.8 < found.fit.sigma0 < 1.2
+
+
+def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, drawn) -> None:
+    truth = drawn(misalignment(), 1, 2)
+    one, two = calibrate_network(make(truth)), calibrate_network(make(truth, faces=(1, 2)))
+    worst = one.undetermined[0]
+    assert worst.gain < 0.1
+    assert {"vertical-index", "elevation-eccentricity-cos"} <= set(worst.coefficients)
+    assert "both faces" in worst.cure
+    assert len(two.undetermined) < len(one.undetermined)
+    # The promise holds: along that combination the two-face recording has the gain that the cure named.
+    direction = np.array([worst.coefficients.get(name, 0.0) for name in one.names])
+    direction /= np.linalg.norm(direction)
+    scaled = two.covariance / np.outer(two.prior_sigma, two.prior_sigma)
+    promised = float(worst.cure.rsplit(" to ", 1)[1].rstrip(")"))
+    assert 1 - direction @ scaled @ direction == pytest.approx(promised, abs=0.05)
+
+
+def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> None:
+    construction = misalignment()
+    adjustment = adjust(make(drawn(construction, 1, 3)), construction)
+    covariance, prior = Network.of(adjustment).parameter_covariance()
+    assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
+    assert np.array_equal(prior, adjustment.problem.prior_sigma)
+
+
+def test_null_space_of_the_paper_chain_is_named(make) -> None:
+    found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh())
+    silent = [c for c in found.undetermined if c.gain < 1e-6]
+    alone = {next(iter(c.coefficients)) for c in silent if len(c.coefficients) == 1}
+    without_effect = {f"J2.eZ_{s}" for s in ("c", "sin", "cos", "sin2", "cos2")}
+    without_effect |= {f"T.e{axis}_{k}" for axis in "XYZ" for k in range(3)}
+    assert without_effect <= alone
+    assert {"J1.eY_c", "J1.dY_c"} <= alone  # azimuth index and height: the pose's
+    assert all("only a tighter guarantee" in c.cure for c in silent)
+
+
+def test_both_constructions_agree_on_the_targets_of_two_faces(make, drawn) -> None:
+    recording = make(drawn(misalignment(), 1, 4), faces=(1, 2))
+    first, second = calibrate_network(recording), calibrate_network(recording, dh())
+    sigma = np.sqrt(np.einsum("tii->ti", first.target_covariance))
+    assert np.abs((first.points - second.points) / sigma).max() < 0.2
+
+
+def test_gains_are_shares_of_the_prior_variance() -> None:
+    prior = np.array([2.0, 1.0, 3.0])
+    covariance = np.diag(prior**2 * [1.0, 0.04, 0.6])
+    assert np.allclose(gains(covariance, prior)[0], [0.0, 0.4, 0.96])
+    found = undetermined(covariance, prior)
+    assert [list(d.coefficients(("a", "b", "c"))) for d in found] == [["a"], ["c"]]
+    assert found[1].gain == pytest.approx(0.4)
+
+
+def test_simple_rotation_undoes_a_mixture() -> None:
+    rng = np.random.default_rng(2)
+    mixed = np.eye(9)[:, :4] @ np.linalg.qr(rng.standard_normal((4, 4)))[0]
+    simple = simple_rotation(mixed)
+    assert np.allclose(np.sort(np.abs(simple).max(axis=0)), 1.0, atol=1e-6)
+    assert np.allclose(simple.T @ simple, np.eye(4))
+
+
+def joint_covariance(adjustment, names=None) -> np.ndarray:
+    """(3 T, 3 T) of all targets by inner constraints over some of them."""
+    at = adjustment.problem.unknowns.target.ravel()
+    whole = adjustment.factor.covariance_columns(np.eye(adjustment.problem.unknowns.size))[np.ix_(at, at)]
+    return adjustment.in_inner_datum(names).datum.transformed(whole[None], at[None])[0]
+
+
+def test_inner_constraints_equal_the_pseudo_inverse(make, drawn) -> None:
+    adjustment = adjust(make(drawn(misalignment(), 1, 5)), misalignment())
+    unknowns, system = adjustment.problem.unknowns, adjustment.solution.system
+    rows = system.design[: -adjustment.problem.free.shape[1]]  # without the datum
+    # Dense: targets alone, everything else eliminated; the pseudo-inverse of a normal matrix is the datum of all.
+    at = unknowns.target.ravel()
+    rest = np.setdiff1d(np.arange(unknowns.size), at)
+    scale = np.linalg.norm(rows, axis=0)
+    scaled = rows / scale
+    left, spread, _ = np.linalg.svd(scaled[:, rest], full_matrices=False)
+    basis = left[:, spread > 1e-9 * spread[0]]
+    free = (scaled[:, at] - basis @ (basis.T @ scaled[:, at])) * scale[at]
+    dense = np.linalg.pinv(free.T @ free, rcond=1e-10, hermitian=True)
+    inner = joint_covariance(adjustment)
+    blocks = adjustment.in_inner_datum().target_covariance
+    assert np.allclose(
+        blocks, [inner[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(28)], atol=1e-12 * inner.max()
+    )
+    assert np.allclose(inner, dense, atol=1e-5 * np.abs(dense).max())
+    assert np.trace(inner) < np.trace(adjustment.target_covariance.sum(axis=0))
+    motion = rigid_motion(adjustment.state.points - adjustment.state.points.mean(axis=0))
+    assert np.abs(inner @ motion).max() < 1e-6 * np.abs(inner).max()
+
+
+def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
+    adjustment = adjust(make(drawn(misalignment(), 1, 6)), misalignment())
+    chosen = np.array([0, 7, 13, 20])
+    names = [adjustment.recording.targets[t] for t in chosen]
+    inner, whole = joint_covariance(adjustment, names), joint_covariance(adjustment)
+    at = (3 * chosen[:, None] + np.arange(3)).ravel()
+    assert np.trace(inner[np.ix_(at, at)]) < np.trace(whole[np.ix_(at, at)])
+    assert np.trace(inner) > np.trace(whole)
+    with pytest.raises(ModelError, match="three off one line"):
+        adjustment.in_inner_datum(names[:2])

@@ -1,0 +1,200 @@
+"""Outliers left out, noise from the readings, datum by inner constraints: what the calibration says of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.calibration import adjust_network, calibrate_distance, calibrate_network, correct, write_calibration
+from ltsim.calibration.files import calibration_file
+from ltsim.calibration.result import gross_rows
+from ltsim.errors import ModelError, NetworkError
+from ltsim.recording import Hints, read
+from ltsim.recording.setup import Target
+
+
+@pytest.fixture(scope="module")
+def spoiled(make):
+    """A recording whose ranges are twice as noisy as stated, with three wrong readings."""
+    recording = make(np.zeros(16), faces=(1, 2))
+    extra = np.random.default_rng(8).standard_normal(len(recording))
+    readings = recording.readings.copy()
+    readings[:, 0] += np.sqrt(3.0) * recording.sigma()[:, 0] * extra
+    for row, column, size in ((16, 0, 150e-6), (40, 1, 40e-6), (90, 2, -50e-6)):
+        readings[row, column] += size
+    return recording.with_readings(readings)
+
+
+def test_robust_leaves_out_what_does_not_belong_and_says_so(spoiled, tmp_path: Path) -> None:
+    found = calibrate_network(spoiled, advise=False, robust=True, noise_from_data=True)
+    write_calibration(found, tmp_path)
+    content = json.loads((tmp_path / "calibration.json").read_text())
+    left = [(o["row"], o["observable"]) for o in content["outliers"] if o["left_out"]]
+    assert sorted(left) == [(17, "distance"), (41, "azimuth"), (91, "elevation")]
+    sizes = {o["row"]: o["size"] for o in content["outliers"]}
+    assert sizes[17] == pytest.approx(0.15, abs=0.05)
+    used = (tmp_path / "residuals.csv").read_text()
+    assert "\n17,S1,T17,1,1,azimuth" in used
+    assert "\n17,S1,T17,1,1,distance" not in used
+    assert content["robust"] is True
+
+
+def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
+    found = calibrate_network(spoiled, advise=False, robust=True, noise_from_data=True)
+    rows = {n["observable"]: n for n in calibration_file(found).content()["noise"]}
+    assert list(rows) == ["distance", "azimuth", "elevation"]
+    for name, truth in (("distance", 2.0), ("azimuth", 1.0), ("elevation", 1.0)):
+        assert abs(rows[name]["factor"] - truth) < 3.5 * rows[name]["factor_sigma"]
+    stated = np.median(spoiled.sigma()[:, 0])
+    assert rows["distance"]["typical"] == pytest.approx(rows["distance"]["factor"] * stated * 1e3, rel=0.01)
+    assert rows["distance"]["unit"] == "mm"
+    assert found.fit.sigma0 == pytest.approx(1.0, abs=0.03)
+    plain = calibrate_network(spoiled, advise=False)
+    assert calibration_file(plain).noise == ()
+
+
+def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
+    recording = make(np.zeros(16))
+    recording = recording.select((recording.station < 2) & (recording.target < 4))
+    readings = recording.readings.copy()
+    readings[0, 0] += 1e-4
+    found = adjust_network(recording.with_readings(readings), noise_from_data=True)
+    assert not found.noise_estimated
+    assert any(np.isinf(n.factor_sigma) for n in found.noise)
+    content = calibration_file(found).content()
+    assert content["noise_estimated"] is False
+    assert None in [n["factor_sigma"] for n in content["noise"]]
+    assert content["verdict"]["sentence"]
+
+
+def test_the_verdict_is_written_where_tests_conflict(make) -> None:
+    recording = make(np.zeros(16), faces=(1, 2))
+    clean = calibration_file(calibrate_network(recording, advise=False)).content()["verdict"]
+    assert clean["case"] == "clean"
+    readings = recording.readings.copy()
+    readings[16, 0] += 30e-6
+    one = calibrate_network(recording.with_readings(readings), advise=False)
+    said = calibration_file(one).content()["verdict"]
+    assert said["case"] == "single errors the sum hides"
+    assert said["sentence"].startswith("Trust the test of single readings: one reading is out of place although")
+    assert one.fit.p_value > 0.01
+    quiet = recording.with_readings(recording.readings)
+    noise = recording.setup.instrument.noise
+    wide = noise.model_copy(update={k: 3 * v for k, v in noise.model_dump().items()})
+    instrument = recording.setup.instrument.model_copy(update={"noise": wide})
+    setup = recording.setup.model_copy(update={"instrument": instrument})
+    said = calibration_file(calibrate_network(quiet.replace(setup=setup), advise=False)).content()["verdict"]
+    assert said["case"] == "smaller noise"
+    assert said["scale_by_sigma0"] is True
+
+
+def test_a_target_without_a_place_is_named_and_has_no_coordinates(make, tmp_path: Path) -> None:
+    recording = make(np.zeros(16))
+    keep = (recording.target != 7) | (recording.station < 2)
+    recording = recording.select(keep)
+    rows = np.flatnonzero(recording.target == 7)
+    readings = recording.readings.copy()
+    readings[rows[0], 1] = np.nan
+    readings[rows[1]] = np.nan
+    found = calibrate_network(recording.with_readings(readings), advise=False)
+    assert found.lost_targets == ("T08",)
+    advised = calibrate_network(recording.with_readings(readings))
+    assert np.allclose(advised.values, found.values)
+    assert all(c.cure for c in advised.undetermined)
+    by_distance = calibrate_distance(recording.with_readings(readings))
+    assert by_distance.lost_targets == ("T08",)
+    assert not gross_rows(recording.with_readings(readings)).any()
+    with pytest.raises(NetworkError, match=r"lacks a range or an angle .* nothing ties target T08 to it"):
+        correct(recording.with_readings(readings), found)
+    write_calibration(found, tmp_path)
+    assert json.loads((tmp_path / "calibration.json").read_text())["lost_targets"] == ["T08"]
+    table = (tmp_path / "targets.csv").read_text().splitlines()
+    assert len(table) == len(recording.targets)
+    assert not any(line.startswith("T08") for line in table)
+    assert "nan" not in "".join(table)
+
+
+def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
+    """Baarda's C' = S C S^T with S = I - G (B^T G)^-1 B^T, written out here with whole matrices."""
+    recording = make(np.zeros(16))
+    names = ("T03", "T09", "T14", "T22")
+    plain, found = adjust(recording), adjust_network(recording, datum=names)
+    unknowns, points = plain.problem.unknowns, plain.state.points
+    whole = plain.factor.covariance_columns(np.eye(unknowns.size))
+    chosen = [recording.targets.index(name) for name in names]
+    motion = np.zeros((unknowns.size, 6))
+    motion[unknowns.target.ravel(), :3] = np.tile(np.eye(3), (len(points), 1))
+    for axis in range(3):
+        turn = np.eye(3)[axis]
+        motion[unknowns.target.ravel(), 3 + axis] = np.cross(turn, points).ravel()
+    motion[unknowns.pose[:, :3].ravel(), :3] = np.tile(np.eye(3), (len(plain.state.position), 1))
+    for axis in range(3):
+        motion[unknowns.pose[:, :3].ravel(), 3 + axis] = np.cross(np.eye(3)[axis], plain.state.position).ravel()
+    motion[unknowns.pose[:, 3:].ravel(), 3:] = np.tile(np.eye(3), (len(plain.state.position), 1))
+    held = np.zeros_like(motion)
+    held[unknowns.target[chosen].ravel()] = motion[unknowns.target[chosen].ravel()]
+    s = np.eye(unknowns.size) - motion @ np.linalg.solve(held.T @ motion, held.T)
+    wanted = s @ whole @ s.T
+    blocks = wanted[unknowns.target[:, :, None], unknowns.target[:, None, :]]
+    np.testing.assert_allclose(found.target_covariance, blocks, rtol=1e-4, atol=1e-16)
+    sums = wanted[unknowns.target[chosen].ravel()].reshape(len(chosen), 3, -1).sum(axis=0)
+    assert np.abs(sums).max() < 1e-6 * np.abs(wanted).max()
+    own = np.einsum("tii->t", found.target_covariance)[chosen].sum()
+    assert own < 0.9 * np.einsum("tii->t", plain.target_covariance)[chosen].sum()
+    assert found.frame == "the frame of station S1, standard deviations by inner constraints over T03, T09, T14, T22"
+    np.testing.assert_allclose(found.points, plain.state.points, atol=1e-12)
+
+
+def test_a_datum_that_cannot_be_is_refused(make) -> None:
+    recording = make(np.zeros(16))
+    with pytest.raises(ModelError, match="target of the datum called 'T99'"):
+        adjust_network(recording, datum=("T99", "T01", "T02"))
+    with pytest.raises(ModelError, match="at least three off one line"):
+        adjust_network(recording, datum=("T01", "T02"))
+    places = [(0, (1.0, 0.02, 0.2)), (3, (1.0, 0.02, 1.6)), (23, (0.02, 4.9, 5.6))]
+    known = {f"T{i + 1:02d}": Target(known_mm=tuple(1e3 * v for v in p), known_sigma_mm=0.01) for i, p in places}
+    held = recording.replace(setup=recording.setup.model_copy(update={"targets": known}))
+    with pytest.raises(NetworkError, match="control points define the frame already"):
+        adjust_network(held, datum=("T02", "T05", "T09"))
+
+
+# --- real recordings ----------------------------------------------------------------------------------------------
+
+
+def recorded(shared: Path, place: str, **options):
+    file = shared / "recordings" / place
+    if not file.is_file():
+        pytest.skip(f"../shared/recordings/{place} is not beside this checkout")
+    return read(file, **options)
+
+
+def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
+    recording = recorded(shared, "cern-lgc-trackers/20697_V2_Dirk_ESA_experimental.lgc")
+    plain = adjust_network(recording)
+    assert plain.verdict is not None
+    assert "fails only because 4 readings are out of place" in plain.verdict.sentence
+    found = adjust_network(recording, robust=True, noise_from_data=True)
+    left = {o.row for o in found.outliers if o.left_out}
+    assert {42, 199, 361, 362, 348, 363} <= left
+    assert 41 not in left
+    assert len({n.instrument for n in found.noise if n.observable != "level"}) == 3
+    noise = {(n.instrument, n.observable): n for n in found.noise}
+    level = noise["", "level"]
+    assert (level.factor, level.factor_sigma) == (1.0, np.inf)  # exact levels: nothing to estimate
+    assert found.fit.sigma0 == pytest.approx(1.0, abs=0.01)
+
+
+def test_desy_noise_and_the_nest_that_moved(shared: Path) -> None:
+    place = "desy-girder-at960/Polar_measurements_24Feb22.txt"
+    recording = recorded(shared, place, hints=Hints(azimuth="clockwise"))
+    found = calibrate_network(recording, advise=False, robust=True, noise_from_data=True)
+    noise = {n.observable: n for n in found.noise}
+    assert noise["distance"].factor < 0.6
+    assert noise["azimuth"].typical == pytest.approx(0.41, abs=0.08)
+    assert noise["elevation"].typical == pytest.approx(0.56, abs=0.08)
+    assert "K6" in found.lost_targets  # its two faces differ by 32 um in range, and nothing else measured it
+    assert {(81, "distance"), (82, "distance")} <= {(o.row, o.observable) for o in found.outliers if o.left_out}

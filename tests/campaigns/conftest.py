@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from tests.campaign.small import FILE
+
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.truth import TrueEffect, Truth
+from ltsim.model.construction import Construction, misalignment
+from ltsim.model.measurement import sightings_of
+from ltsim.units import ARCSECOND
+
+
+def _load(name: str) -> ModuleType:
+    path = Path(__file__).with_name(f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+workshop = _load("workshop").workshop
+
+
+def truth_of(
+    construction: Construction | None = None,
+    *,
+    faces: int = 1,
+    effects: tuple[TrueEffect, ...] = (),
+    scale: float = 1.0,
+) -> Truth:
+    """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
+    recording, state = workshop(faces=faces)
+    built = construction or misalignment()
+    sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
+    gauge = recording.setup.gauge
+    lengths = np.array([d.sigma_mm for d in gauge.distance]) * 1e-3 if gauge else np.zeros(0)
+    return Truth(
+        recording,
+        state,
+        sightings_of(recording, state),
+        built,
+        np.zeros_like(sigma),
+        scale * sigma,
+        recording.sigma(),
+        lengths,
+        effects,
+        np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]),
+    )
+
+
+@pytest.fixture(scope="session")
+def make_truth() -> Callable[..., Truth]:
+    return truth_of
+
+
+@pytest.fixture(scope="session")
+def engine() -> Engine:
+    return Engine(truth_of(), misalignment())
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """The file of the small campaign."""
+    path = tmp_path / "noise.toml"
+    path.write_text(FILE)
+    return path

@@ -1,0 +1,381 @@
+"""Campaigns end to end: the same bytes whatever happens, one sentence for whatever goes wrong."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from tests.campaign.small import FILE
+
+from ltsim.campaigns import single, statistics, store
+from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.rows import CHECKED, shard_rows, task_of
+from ltsim.campaigns.spec import load_campaign
+from ltsim.campaigns.statistics import LEVELS, Results
+from ltsim.campaigns.store import Store, table_of
+from ltsim.errors import NetworkError, SetupError
+from ltsim.simulation.scenario import load_scenario, scenario_to_toml
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted((folder / "rows").rglob("*.parquet"))}
+
+
+@pytest.fixture(scope="session")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The shards of an undisturbed run in one process."""
+    folder = tmp_path_factory.mktemp("reference")
+    (folder / "noise.toml").write_text(FILE)
+    outcome = run_campaign(folder / "noise.toml", folder / "out")
+    assert (outcome.shards, outcome.kept) == (6, 0)
+    return contents(folder / "out")
+
+
+def test_rows_hold_what_the_file_asks_for(reference: dict[str, bytes], tmp_path: Path) -> None:
+    assert len(reference) == 6
+    path = tmp_path / "shard.parquet"
+    path.write_bytes(reference["rows/cell-0001/shard-000002.parquet"])
+    table = table_of(path)
+    assert table["trial"].to_pylist() == list(range(512, 600))
+    assert set(table["cell"].to_pylist()) == {1}
+    assert set(table["status"].to_pylist()) == {"converged"}
+    checked = table[CHECKED].drop_null().to_pylist()
+    assert len(checked) == 1 and 0 < checked[0] < 1e-3
+    assert "z:beam-tilt" in table.column_names and "estimate:beam-tilt" not in table.column_names
+
+
+def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, bytes], tmp_path: Path) -> None:
+    path = tmp_path / "shard.parquet"
+    path.write_bytes(reference["rows/cell-0001/shard-000002.parquet"])
+    schema = pq.read_schema(path)
+    assert schema.names[:3] == ["cell", "noise_factor", "method"]
+    assert schema.field("noise_factor").metadata == {b"unit": b"", b"keys": b"instrument.noise_factor"}
+    assert schema.field("target_error_um").metadata == {b"unit": b"um"}
+    assert set(table_of(path)["noise_factor"].to_pylist()) == {2.0}
+
+
+def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> None:
+    text = FILE.replace("trials = 600", 'trials = 2\nstatistics = ["estimates", "truth", "z-scores"]')
+    file.write_text(text + '[settings]\neffects = [{name = "range-cyclic", draw = true}]\n')
+    campaign, scenarios = load_campaign(file)
+    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    units = {field.name: (field.metadata or {})[b"unit"].decode() for field in rows.schema}
+    assert units["estimate:beam-tilt"] == units["sigma:beam-tilt"] == units["true:beam-tilt"] == "urad"
+    assert units["z:beam-tilt"] == units["chi2"] == ""
+    assert {unit for name, unit in units.items() if name.startswith("true:range-cyclic")} == {"um"}
+
+
+def test_folder_of_an_earlier_version_is_read_with_its_settings_and_not_continued(file: Path, tmp_path: Path) -> None:
+    """Its rows hold no settings, its manifest no factors: they come from the cells."""
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    now = Results(out).to_pandas()
+    manifest = json.loads((out / "manifest.json").read_text())
+    del manifest["factors"], manifest["settings"]["link"]
+    for cell in manifest["cells"]:
+        del cell["levels"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    (out / "rows.sha256").unlink()
+    for path in out.glob("rows/*/*.parquet"):
+        rows = pq.read_table(path)
+        pq.write_table(rows.drop_columns(["noise_factor"]), path)
+    results = Results(out)
+    assert [f.name for f in results.factors] == ["noise_factor"]
+    assert results.to_pandas().equals(now)
+    query = "SELECT noise_factor, count(*) FROM rows GROUP BY ALL ORDER BY 1"
+    assert results.query(query) == [(1.0, 600), (2.0, 600)]
+    with pytest.raises(SetupError, match="begun by an earlier version"):
+        run_campaign(file, out, resume=True)
+
+
+def test_two_workers_give_the_same_bytes(file: Path, tmp_path: Path, reference: dict[str, bytes]) -> None:
+    run_campaign(file, tmp_path / "out", workers=Workers(jobs=2))
+    assert contents(tmp_path / "out") == reference
+
+
+def test_interrupted_and_resumed_gives_the_same_bytes(file: Path, tmp_path: Path, reference: dict[str, bytes]) -> None:
+    done: list[int] = []
+
+    def stop(trials: int) -> None:
+        done.append(trials)
+        if len(done) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(file, tmp_path / "out", progress=stop)
+    assert len(contents(tmp_path / "out")) == 2
+    outcome = run_campaign(file, tmp_path / "out", resume=True)
+    assert (outcome.shards, outcome.kept) == (4, 2)
+    assert contents(tmp_path / "out") == reference
+
+
+def test_killed_at_any_moment_loses_nothing_finished(
+    file: Path, tmp_path: Path, reference: dict[str, bytes], root: Path
+) -> None:
+    out = tmp_path / "out"
+    code = (
+        "import sys; from pathlib import Path; from ltsim.campaigns.campaign import run_campaign\n"
+        f"run_campaign(Path({str(file)!r}), Path({str(out)!r}))"
+    )
+    worker = subprocess.Popen([sys.executable, "-c", code], cwd=root)
+    deadline = time.monotonic() + 120
+    while not contents(out) and worker.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.005)
+    worker.send_signal(signal.SIGKILL)
+    worker.wait()
+    finished = contents(out)
+    assert finished
+    assert all(reference[name] == content for name, content in finished.items())
+    run_campaign(file, out, resume=True)
+    assert contents(out) == reference
+    assert not list(out.rglob("*.tmp"))
+
+
+def test_finished_campaign_is_not_begun_again_by_mistake(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    with pytest.raises(SetupError, match=r"holds a campaign.*--resume"):
+        run_campaign(file, tmp_path / "out")
+    assert run_campaign(file, tmp_path / "out", resume=True).shards == 0
+
+
+@pytest.mark.parametrize("how", ["cut", "flipped", "of another campaign"])
+def test_damaged_shard_is_set_aside_and_done_again(
+    how: str, file: Path, tmp_path: Path, reference: dict[str, bytes]
+) -> None:
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    name = "rows/cell-0000/shard-000001.parquet"
+    whole = (out / name).read_bytes()
+    if how == "cut":
+        (out / name).write_bytes(whole[: len(whole) // 2])
+    elif how == "flipped":
+        middle = len(whole) // 2
+        (out / name).write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
+    else:
+        (out / name).write_bytes((out / "rows/cell-0001/shard-000001.parquet").read_bytes())
+    outcome = run_campaign(file, out, resume=True)
+    assert outcome.shards == 1
+    assert len([note for note in outcome.notes if "is damaged" in note]) == 1
+    assert contents(out) == reference
+    assert (out / name).with_suffix(".damaged").exists()
+
+
+def test_changed_file_is_refused_and_rows_stay(file: Path, tmp_path: Path, reference: dict[str, bytes]) -> None:
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    file.write_text(FILE.replace("seed = 5", "seed = 6"))
+    with pytest.raises(SetupError, match=r"changed since this campaign began \(seed\)"):
+        run_campaign(file, out, resume=True)
+    assert contents(out) == reference
+    assert run_campaign(out / "campaign.toml", out, resume=True).kept == 6
+
+
+def test_a_campaign_of_an_own_scenario_goes_on_from_its_copy(file: Path, tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    text = scenario_to_toml(load_scenario("paper-laboratory"))
+    (tmp_path / "sub" / "mine.toml").write_text(text)
+    file.write_text(FILE.replace("paper-workshop", "sub/mine.toml").replace("trials = 600", "trials = 300"))
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    shard = Store(out).shard_path(0, 1)
+    before = shard.read_bytes()
+    shard.unlink()
+    file.unlink()
+    assert run_campaign(out / "campaign.toml", out, resume=True).shards == 1
+    assert shard.read_bytes() == before
+
+
+def test_other_versions_are_refused(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["versions"]["numpy"] = "1.0"
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(SetupError, match=r"begun with numpy 1\.0"):
+        run_campaign(file, out, resume=True)
+
+
+def test_another_type_of_processor_is_remarked_on(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    manifest["processor"], here = "z80", manifest["processor"]
+    path.write_text(json.dumps(manifest))
+    notes = run_campaign(file, tmp_path / "out", resume=True).notes
+    assert len(notes) == 1 and f"begun on a processor of type z80, continued on {here}" in notes[0]
+
+
+def test_full_disk_is_a_sentence_and_finished_shards_stay(
+    file: Path, tmp_path: Path, reference: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, synced, real = tmp_path / "out", [0], os.fsync
+
+    def full(handle: int) -> None:
+        synced[0] += 1
+        if synced[0] > 8:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    monkeypatch.setattr(store.os, "fsync", full)
+    with pytest.raises(SetupError, match="the disk is full; finished shards are kept"):
+        run_campaign(file, out)
+    kept = contents(out)
+    assert 0 < len(kept) < 6
+    assert not list(out.rglob("*.tmp"))
+    monkeypatch.undo()
+    run_campaign(file, out, resume=True)
+    assert contents(out) == reference
+
+
+def test_folder_that_cannot_be_written_is_a_sentence(file: Path, tmp_path: Path) -> None:
+    (tmp_path / "blocked").write_text("a file, not a folder")
+    with pytest.raises(SetupError, match="cannot be written"):
+        run_campaign(file, tmp_path / "blocked" / "out")
+
+
+def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) -> None:
+    with Store(tmp_path / "out").lock(), pytest.raises(SetupError, match="at work in this folder"):
+        run_campaign(file, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (('trials = 600', 'trails = 600'), "did you mean trials"),
+        (('"instrument.noise_factor" = [1.0, 2.0]', '"instrument.nois_factor" = [1.0]'), "noise_factor"),
+        (('"instrument.noise_factor" = [1.0, 2.0]', '"instrument.noise_factor" = [-1.0]'), "noise_factor"),
+        (('"instrument.noise_factor" = [1.0, 2.0]', '"title.more" = [1]'), "which is no table"),
+        (('scenario = "paper-workshop"', 'scenario = "paper-workshp"'), "paper-workshop"),
+        (('[grid]', '[[methods]]\nmethod = "distance"\neffects = [{name = "head-sag"}]\n[grid]'), "no effects"),
+        (('[grid]', '[[methods]]\neffects = [{name = "head-sagg"}]\n[grid]'), "head-sag"),
+        (('[grid]', '[[methods]]\n[[methods]]\n[grid]'), "different names"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_one_sentence(change: tuple[str, str], says: str, file: Path, tmp_path: Path) -> None:
+    file.write_text(FILE.replace(*change))
+    with pytest.raises(SetupError) as raised:
+        run_campaign(file, tmp_path / "out")
+    assert says in str(raised.value) and "\n" not in str(raised.value)
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_a_trial_depends_on_its_number_alone(file: Path) -> None:
+    """Other shards, more trials, another method beside: the same rows."""
+    campaign, scenarios = load_campaign(file)
+    long = campaign.model_copy(update={"trials": 900, "shard": 700})
+    table = shard_rows(task_of(campaign, scenarios[0], "", 0, 1))
+    other = shard_rows(task_of(long, scenarios[0], "", 0, 0))
+    same = other.slice(256, 256)
+    for name in ("trial", "chi2", "z:range-scale", "distance_after_mean_um", "share_removed"):
+        assert table[name].to_pylist() == same[name].to_pylist()
+
+
+def test_methods_see_the_same_draws(file: Path) -> None:
+    file.write_text(
+        FILE.replace("trials = 600", "trials = 12").replace(
+            "[grid]", '[[methods]]\n[[methods]]\nname = "one by one"\nsolver = "single"\n[grid]'
+        )
+    )
+    campaign, scenarios = load_campaign(file)
+    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    batch, alone = rows.slice(0, 12), rows.slice(12, 12)
+    assert set(alone["method"].to_pylist()) == {"one by one"}
+    assert batch["error_raw_um"].to_pylist() == alone["error_raw_um"].to_pylist()
+    gap = np.array(batch["z:beam-tilt"].to_pylist()) - np.array(alone["z:beam-tilt"].to_pylist())
+    assert 0 < np.abs(gap).max() < 1e-3
+    assert alone[CHECKED].null_count == 12
+
+
+def test_geometry_may_vary_per_trial(file: Path) -> None:
+    file.write_text(
+        FILE.replace("trials = 600", 'trials = 6\ngeometry = "per-trial"\nstatistics = ["errors", "truth"]')
+    )
+    campaign, scenarios = load_campaign(file)
+    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    assert rows["trial"].to_pylist() == list(range(6))
+    assert set(rows["status"].to_pylist()) == {"converged"}
+    assert max(rows[CHECKED].drop_null().to_pylist()) < 1e-3
+    assert len(set(rows["true:beam-tilt"].to_pylist())) == 6
+
+
+def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text(
+        FILE.replace("trials = 600", "trials = 4").replace("[grid]", '[[methods]]\nsolver = "single"\n[grid]')
+    )
+    campaign, scenarios = load_campaign(file)
+    real: Callable[..., object] = single.adjust
+    calls = [0]
+
+    def sometimes(*args: object, **settings: object) -> object:
+        calls[0] += 1
+        if calls[0] == 2:
+            raise NetworkError("lost")
+        return real(*args, **settings)
+
+    monkeypatch.setattr(single, "adjust", sometimes)
+    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
+    for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "share_removed", "target_error_um"):
+        assert rows[name].null_count == 1 and rows[name][1].as_py() is None
+    assert rows["distance_before_mean_um"].null_count == 0
+
+
+def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    results = Results(tmp_path / "out")
+    whole = pq.read_table(tmp_path / "out" / "rows" / "cell-0001").to_pydict()
+    before, after = (np.array(whole[f"distance_{when}_mean_um"]) for when in ("before", "after"))
+    improvement = 100 * (1 - after / before)
+    spread = results.spread("distance_improvement_percent")[1]
+    assert (spread.cell, spread.method, spread.trials) == (1, "network", 600)
+    assert spread.mean == pytest.approx(improvement.mean(), rel=1e-5)
+    assert spread.deviation == pytest.approx(improvement.std(ddof=1), rel=1e-5)
+    assert spread.quantiles == pytest.approx(np.quantile(improvement, LEVELS), rel=1e-4)
+    assert spread.low < spread.mean < spread.high
+    z = np.array(whole["z:transit-tilt"])
+    score = next(s for s in results.z_scores() if s.cell == 1 and s.parameter == "transit-tilt")
+    assert (score.mean, score.deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
+    assert [c.checked for c in results.checked()] == [3, 3]
+    assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.checked())
+    assert json.dumps(results.summary(), allow_nan=False)
+
+
+def test_quantiles_of_very_many_rows_come_from_a_digest(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_campaign(file, tmp_path / "out")
+    results = Results(tmp_path / "out")
+    exact = results.spread("target_error_um")[0]
+    monkeypatch.setattr(statistics, "MOST_EXACT", 1000)
+    rough = results.spread("target_error_um")[0]
+    assert rough.mean == exact.mean and rough.quantiles != exact.quantiles
+    assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.deviation
+
+
+def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
+    file.write_text(FILE.replace("[grid]", '[[methods]]\n[[methods]]\nname = "none"\nconstruction = "ideal"\n[grid]'))
+    run_campaign(file, tmp_path / "out")
+    results = Results(tmp_path / "out")
+    gap = results.paired("target_error_um", "none", "network")
+    assert [g.trials for g in gap] == [600, 600]
+    means = {(s.cell, s.method): s.mean for s in results.spread("target_error_um")}
+    assert gap[0].mean == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
+    assert gap[0].low > 0  # an uncalibrated network errs more
+
+
+def test_damaged_shard_under_a_query_is_a_sentence(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    shard = Store(tmp_path / "out").shard_path(0, 0)
+    shard.write_bytes(shard.read_bytes()[:1000])
+    with pytest.raises(SetupError, match=r"a shard cannot be read.*--resume"):
+        Results(tmp_path / "out").summary()

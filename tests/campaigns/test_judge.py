@@ -1,0 +1,81 @@
+"""What is judged where a station sees almost nothing, and where a target is not determined."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Bench
+from ltsim.campaigns.judge import MICRO
+from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.spec import Campaign
+from ltsim.evaluation.clouds import on_points
+from ltsim.geometry.polar import from_polar
+from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
+
+SEEN_BY_LAST = (3, 3, 2, 3, 2, 3, 3, 2)
+"""Targets that S6 reaches in the geometries of trials 0 to 7."""
+
+
+def with_far_station(*, levelled: bool) -> Scenario:
+    table = load_scenario("paper-workshop-re-aimed").model_dump(mode="json", by_alias=True, exclude_none=True)
+    table["instrument"]["limits"]["range_max_mm"] = 5300.0
+    table["stations"]["S6"] = {"position_mm": [6000.0, 5000.0, 1900.0], "yaw_deg": 225.0}
+    for station in table["stations"].values():
+        station["levelled"] = levelled
+    return scenario_from(table, Path("far.toml"))
+
+
+def rows(scenario: Scenario) -> dict[str, list[object]]:
+    campaign = Campaign(format="ltsim-campaign/1", trials=len(SEEN_BY_LAST), geometry="per-trial", verify=0)
+    return dict(shard_rows(task_of(campaign, scenario, "", 0, 0)).to_pydict())
+
+
+def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
+    truth = truth_of(with_far_station(levelled=True), 0, "campaign", 2)
+    bench, block = Bench(truth), truth.draw(0, 2, 1)
+    judge = bench.judge
+    assert judge.seen.sum(axis=1)[-1] == 2 and judge.fitted.tolist() == [True] * 5 + [False]
+    assert not judge.comparable
+    recording, total = truth.recording, []
+    for station in range(5):
+        mine = recording.station == station
+        cloud = from_polar(truth.readings(block, 0)[mine])
+        goal = truth.state.points[recording.target[mine]]
+        total.append(np.sum((on_points(cloud, goal) - goal) ** 2, axis=1))
+    expected = MICRO * np.sqrt(np.concatenate(total).mean())
+    assert bench.before(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_rows_of_geometries_that_see_different_things() -> None:
+    found = rows(with_far_station(levelled=True))
+    assert found["status"] == ["converged"] * len(SEEN_BY_LAST)
+    for name in ("error_raw_um", "error_calibrated_um", "target_error_um"):
+        assert all(isinstance(value, float) and 0 < value < 200 for value in found[name]), name
+    assert [value is not None for value in found["distance_after_mean_um"]] == [n == 3 for n in SEEN_BY_LAST]
+
+
+def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
+    found = rows(with_far_station(levelled=False))
+    assert found["status"] == ["converged" if n == 3 else "failed" for n in SEEN_BY_LAST]
+    assert [value is not None for value in found["target_error_um"]] == [n == 3 for n in SEEN_BY_LAST]
+
+
+def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
+    truth = truth_of(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
+    judge, draw = Bench(truth).judge, np.random.default_rng(5)
+    points = 1e-5 * draw.standard_normal((*truth.state.points.shape, 4))
+    whole = judge.target_error(points)
+    lost = points.copy()
+    lost[7, :, 2] = np.nan
+    found = judge.target_error(lost)
+    assert np.array_equal(found[[0, 1, 3]], whole[[0, 1, 3]])
+    kept = np.arange(len(points)) != 7
+    true = truth.state.points[kept]
+    gap = on_points(true + points[kept][:, :, 2], true) - true
+    assert found[2] == pytest.approx(MICRO * np.sqrt(np.mean(np.sum(gap**2, axis=1))), rel=1e-6)
+    lost[:, :, 1] = np.nan
+    assert np.isnan(judge.target_error(lost)[1])

@@ -1,0 +1,101 @@
+"""The compiled chain against the one of the model room, and its gradient against differences of its cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from ltsim.campaigns.compiled import compiled
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.kernels import points_of
+from ltsim.campaigns.network import BatchNetwork
+from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.truth import BLOCK, Truth
+from ltsim.geometry.polar import wrap
+from ltsim.model.construction import dh, misalignment
+
+CONSTRUCTIONS = {"misalignment": misalignment, "dh": dh, "dh-4": lambda: dh(4)}
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+@pytest.mark.parametrize("name", CONSTRUCTIONS)
+def test_points_and_readings_are_those_of_the_construction(
+    name: str, faces: int, make_truth: Callable[..., Truth]
+) -> None:
+    built = CONSTRUCTIONS[name]()
+    truth = make_truth(built, faces=faces)
+    rng = np.random.default_rng(4)
+    values = truth.sigma[:, :, None] * rng.standard_normal((*truth.sigma.shape, BLOCK))
+    deviation = truth._exact(values)
+    points = np.empty_like(deviation)
+    points_of(truth.program.arrays, truth.recording.instrument, deviation, values, points)
+    for k in range(0, BLOCK, 50):
+        raw = truth.recording.readings + deviation[:, :, k]
+        exact = built.readings(truth.sightings.local, truth.recording.face, values[0, :, k])
+        gap = raw - exact
+        gap[:, 1:] = wrap(gap[:, 1:])
+        assert np.abs(deviation[:, :, k]).max() > 1e-5
+        assert np.abs(gap).max() < 5e-12  # 1e-6 sigma: second derivatives of the bases
+        assert np.abs(points[:, :, k] - built.point(raw, values[0, :, k])).max() < 2e-11
+
+
+def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., Truth]) -> None:
+    """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
+    truth = make_truth()
+    values = np.zeros((1, 16, BLOCK))
+    values[:, :7] = truth.sigma[:, :7, None] * np.random.default_rng(5).standard_normal((1, 7, BLOCK))
+    deviation = truth._exact(values)
+    for k in range(0, BLOCK, 50):
+        exact = truth.construction.readings(truth.sightings.local, truth.recording.face, values[0, :, k])
+        gap = truth.recording.readings + deviation[:, :, k] - exact
+        gap[:, 1:] = wrap(gap[:, 1:])
+        assert np.abs(gap).max() < 1e-13
+
+
+def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., Truth]) -> None:
+    truth = make_truth()
+    program = ChainProgram.of(misalignment(), truth.recording.readings)
+    assert len(program.turns) == 8
+    assert sorted(program.fed) == list(range(16))
+
+
+def test_gradient_is_that_of_the_cost(engine: Engine) -> None:
+    """Along random directions, by differences of the cost, at a state three sigma away in every unknown."""
+    network: BatchNetwork = engine.network
+    block = engine.truth.draw(3, 0)
+    size = network.sizes[-1]
+    rng = np.random.default_rng(6)
+    spread = np.sqrt(np.diag(network.covariance))[:, None]
+    x = 3 * spread * rng.standard_normal((size, BLOCK))
+    direction = spread * rng.standard_normal((size, 1))
+
+    def cost_and_gradient(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        gradient, cost, predicted = np.empty_like(at), np.empty(BLOCK), np.zeros_like(block.deviation)
+        for _ in range(3):  # the predicted readings settle
+            network._gradient(at, block.deviation, block.gauge_error, predicted, gradient, cost)
+        return cost, gradient
+
+    step = 1e-2
+    ahead, behind = (cost_and_gradient(x + s * direction)[0] for s in (step, -step))
+    slope = -0.5 * (ahead - behind) / (2 * step)
+    found = np.sum(cost_and_gradient(x)[1] * direction, axis=0)
+    scale = np.abs(slope).mean()
+    assert scale > 100
+    assert np.abs(found - slope).max() < 3e-4 * scale  # the ideal derivative carries residuals to the target
+
+
+def test_without_a_place_to_keep_machine_code_it_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read-only installation and no home."""
+
+    def nowhere(*, cache: bool, **options: Any) -> Any:
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return numba.njit(cache=cache, **options)
+
+    monkeypatch.setattr("ltsim.campaigns.compiled.numba", SimpleNamespace(njit=nowhere))
+    assert compiled(lambda x: x * x)(3.0) == 9.0

@@ -1,0 +1,41 @@
+"""Trials with scale bars that share the error of their material."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import ltsim as lt
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.distance import BatchDistance
+from ltsim.campaigns.engine import Engine
+
+BARS = lt.scenario(
+    "paper-workshop",
+    {
+        "gauge": "none",
+        "instrument.errors": {"draw": True},
+        "materials": {"steel": {"expansion_per_k": 11.5e-6, "sigma_expansion_per_k": 0.05e-6}},
+        "lengths": [
+            {"from": "T01", "to": "T24", "sigma_um": 1.0, "material": "steel", "sigma_temperature_k": 0.1},
+            {"from": "T03", "to": "T20", "sigma_um": 1.0, "material": "steel", "measured_at_c": "air_temperature_c"},
+            {"from": "T02", "to": "T10", "sigma_um": 40.0, "measured_in_place": True},
+        ],
+    },
+)
+
+
+def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
+    truth = truth_of(BARS, 4, "campaign")
+    block = truth.draw(4, 0)
+    engine = Engine(truth, truth.construction)
+    found = engine.calibrate(block)
+    assert max(engine.difference(block, k, found) for k in (0, 100)) < 2e-4
+    z = ((found.values - block.values) / found.sigma[:, :, None])[0]
+    np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
+    scale = truth.construction.index("range-scale")
+    assert found.sigma[0, scale] < 0.8 * truth.sigma[0, scale]  # the bars tell something
+    dof = engine.network.problem.dof
+    assert abs(found.chi2.mean() - dof) < 5 * np.sqrt(2 * dof / len(found.chi2))
+    distance = BatchDistance(truth, truth.construction)
+    compared = distance.calibrate(block, np.arange(len(found.chi2)))
+    assert max(distance.difference(block, k, compared) for k in (0, 3)) < 1e-3

@@ -1,0 +1,125 @@
+"""What a campaign's folder is safe from: flipped bits, other folders, changed inputs, sizes nobody could keep."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.campaign.small import FILE
+
+from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.statistics import Results, summary_csv
+from ltsim.campaigns.store import Store
+from ltsim.errors import SetupError
+from ltsim.randomness import stream
+from ltsim.simulation.scenario import load_scenario, scenario_to_toml
+from ltsim.simulation.sections import Obstacle
+
+
+def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    shard = Store(tmp_path / "out").shard_path(0, 1)
+    whole = shard.read_bytes()
+    before = Results(tmp_path / "out").summary()
+    for place in stream(3, "flips").integers(0, 8 * len(whole), 25):
+        flipped = bytearray(whole)
+        flipped[place // 8] ^= 1 << (place % 8)
+        shard.write_bytes(flipped)
+        with pytest.raises(SetupError, match=r"a shard cannot be read.*--resume"):
+            Results(tmp_path / "out")
+    shard.write_bytes(whole)
+    (tmp_path / "out" / "rows.sha256").unlink()
+    assert Results(tmp_path / "out").summary() == before
+
+
+def test_a_shard_of_another_campaign_is_refused_without_digests(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    file.write_text(FILE.replace("seed = 5", "seed = 6"))
+    run_campaign(file, tmp_path / "other")
+    foreign = Store(tmp_path / "other").shard_path(0, 0).read_bytes()
+    Store(tmp_path / "out").shard_path(0, 0).write_bytes(foreign)
+    (tmp_path / "out" / "rows.sha256").unlink()
+    with pytest.raises(SetupError, match="is of another campaign"):
+        Results(tmp_path / "out")
+
+
+def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
+    few = FILE.replace("trials = 600", "trials = 8")
+    file.write_text(few)
+    run_campaign(file, tmp_path / "run1")
+    file.write_text(few.replace("seed = 5", "seed = 6"))
+    for name in ("run[1]", "run*", "it's"):
+        run_campaign(file, tmp_path / name)
+    means = {
+        name: Results(tmp_path / name).spread("target_error_um")[0].mean for name in ("run1", "run[1]", "run*", "it's")
+    }
+    assert means["run[1]"] == means["run*"] == means["it's"] != means["run1"]
+    assert run_campaign(file, tmp_path / "run[1]", resume=True).kept == 2
+
+
+def test_tables_are_the_same_bytes_from_run_to_run(file: Path, tmp_path: Path) -> None:
+    run_campaign(file, tmp_path / "out")
+    texts = {summary_csv(Results(tmp_path / "out").summary()) for _ in range(3)}
+    assert len(texts) == 1
+
+
+def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    cad = tmp_path / "parts" / "box.stl"
+    trimesh.creation.box([0.1, 0.1, 0.1]).export(cad)
+    base = load_scenario("paper-workshop")
+    stands = Obstacle(file="parts/box.stl", unit="m", position_mm=(1000.0, 3000.0, 100.0))
+    room = base.workshop.model_copy(update={"obstacles": (stands,)})
+    (tmp_path / "mine.toml").write_text(scenario_to_toml(base.model_copy(update={"workshop": room})))
+    file.write_text(FILE.replace("paper-workshop", "mine.toml").replace("trials = 600", "trials = 4"))
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    assert (out / "parts" / "box.stl").read_bytes() == cad.read_bytes()
+    trimesh.creation.box([0.2, 0.1, 0.1]).export(cad)
+    with pytest.raises(SetupError, match="changed since this campaign began"):
+        run_campaign(file, out, resume=True)
+    cad.unlink()
+    assert run_campaign(out / "campaign.toml", out, resume=True).kept == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("[1.0, 2.0]", str([1.0] * 5000)), "at most 4096 cells, the grid makes 5000"),
+        (("trials = 600\nshard = 256", "trials = 1000000000\nshard = 1"), "give a larger shard"),
+    ],
+)
+def test_a_campaign_that_nobody_could_keep_is_a_sentence(
+    change: tuple[str, str], says: str, file: Path, tmp_path: Path
+) -> None:
+    file.write_text(FILE.replace(*change))
+    with pytest.raises(SetupError, match=says):
+        run_campaign(file, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_beginning_anew_takes_a_word(file: Path, tmp_path: Path) -> None:
+    file.write_text(FILE.replace("trials = 600", "trials = 8"))
+    out = tmp_path / "out"
+    run_campaign(file, out)
+    file.write_text(FILE.replace("trials = 600", "trials = 8").replace("seed = 5", "seed = 6"))
+    assert run_campaign(file, out, force=True).shards == 2
+    assert Results(out).manifest.seed == 6
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "campaign.toml").write_text("mine")
+    with pytest.raises(SetupError, match=r"holds campaign\.toml but no campaign.*--force"):
+        run_campaign(file, tmp_path / "mine")
+    assert [p.name for p in (tmp_path / "mine").iterdir()] == ["campaign.toml"]
+
+
+def test_a_manifest_without_cells_is_a_sentence(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    file.write_text(FILE.replace("trials = 600", "trials = 8"))
+    run_campaign(file, out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    del manifest["cells"]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(SetupError, match="cells: Field required"):
+        Results(out)

@@ -1,0 +1,54 @@
+"""Trials of several trackers on one network: drawn by name, calibrated in batch, recovered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Engine, parameter_columns
+from ltsim.campaigns.recovery import from_prior
+from ltsim.randomness import stream
+from ltsim.simulation.scenario import changed, load_scenario
+
+TWO = load_scenario("two-trackers")
+
+
+def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -> None:
+    truth = truth_of(TWO, 4, "campaign")
+    block = truth.draw(4, 0, 64)
+    assert block.values.shape == (2, 16, 64)
+    for i, name in enumerate(truth.recording.instruments):
+        drawn = stream(4, "campaign", f"instrument {name}", 0).standard_normal((16, 64))
+        np.testing.assert_array_equal(block.values[i], truth.sigma[i][:, None] * drawn)
+    engine = Engine(truth, truth.construction)
+    found = engine.calibrate(block)
+    z = (found.values - block.values) / found.sigma[:, :, None]
+    assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
+    assert engine.difference(block, int(np.argmin(found.status)), found) < 1e-3
+    columns = parameter_columns(truth.construction, truth.recording.instruments, found.values, "estimate")
+    tilt = truth.construction.index("beam-tilt")
+    np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.values[1, tilt] * 1e6)
+
+
+def test_recovery_checks_every_trackers_parameters() -> None:
+    drawn = from_prior(load_scenario("two-trackers"))
+    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers.values())
+    found = lt.recover("two-trackers", trials=12, seed=1)
+    assert found.failures() == [] and found.z.shape == (12, 32)
+    assert found.names[0] == "range-offset@A" and found.names[31] == "elevation-second-order-sin@B"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("construction", ["misalignment", "steering-mirror", "dh"])
+@pytest.mark.parametrize("trackers", ["ABAB", "ABCA"])
+def test_intervals_hold_for_every_construction_and_number_of_trackers(construction: str, trackers: str) -> None:
+    changes: dict[str, Any] = {f"stations.S{i}.instrument": name for i, name in enumerate(trackers, start=1)}
+    changes |= {f"instruments.{name}.construction": construction for name in set(trackers)}
+    found = lt.recover(changed(TWO, changes, Path("hall.toml")), trials=60, seed=8)
+    assert len(found.converged) == 60
+    assert 0.93 < np.mean(np.abs(found.z) < 1.96) < 0.97

@@ -1,0 +1,60 @@
+"""Trials with geometries of their own side by side are the same as each of them alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.engine import Bench, Calibrated, Engine
+from ltsim.campaigns.spec import Method
+from ltsim.campaigns.stack import StackCalibrator, stacks
+from ltsim.campaigns.truth import Truth
+from ltsim.model.construction import misalignment
+from ltsim.simulation.scenario import changed, load_scenario
+
+TRIALS = 5
+
+
+def drawn(name: str) -> dict[int, Truth]:
+    """Truths whose pointings come in different orders."""
+    scenario = changed(load_scenario(name), {"work.order": "by-station-random"}, Path(name))
+    common = truth_of(scenario, 8, "campaign")
+    return {k: truth_of(scenario, 8, "campaign", k, like=common) for k in range(TRIALS)}
+
+
+@pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-two-face"])
+def test_side_by_side_is_as_alone(name: str) -> None:
+    truths = drawn(name)
+    ((stack, numbers),) = stacks(truths)
+    block, alone = stack.draw_trials(8, numbers)
+    calibrator = StackCalibrator(stack, alone, Method())
+    found, bench = calibrator.calibrate(block, np.arange(TRIALS)), Bench(stack)
+    columns = bench.after(block, found, misalignment(), bench.before(block))
+    assert np.all(found.status == 0)
+    assert len(np.unique(stack.rows, axis=1).T) == TRIALS
+    for k, truth in truths.items():
+        own, engine, judge = truth.draw(8, k, 1), Engine(truth, misalignment()), Bench(truth)
+        assert np.abs(own.deviation - alone[k].deviation).max() < 1e-12
+        theirs = engine.calibrate(own)
+        assert found.sigma[:, :, k] == pytest.approx(theirs.sigma, rel=1e-9)
+        assert np.abs(found.values[:, :, k] - theirs.values[:, :, 0]).max() < 1e-4 * theirs.sigma.min()
+        expected = judge.after(own, theirs, misalignment(), judge.before(own))
+        for column, value in expected.items():
+            assert columns[column][k] == pytest.approx(value[0], rel=1e-5), column
+    assert calibrator.difference(block, 2, found) < 1e-3
+
+
+def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
+    """A pointing that is centimetres off is the full solver's business: it leaves it out."""
+    truths = drawn("paper-workshop")
+    ((stack, numbers),) = stacks(truths)
+    block, alone = stack.draw_trials(8, numbers)
+    alone[3].deviation[11, 0] += 0.02
+    block.deviation[stack.rows[:, 3] == 11, 0, 3] += 0.02
+    calibrator = StackCalibrator(stack, alone, Method())
+    found: Calibrated = calibrator.calibrate(block, np.arange(TRIALS))
+    assert found.status.tolist() == [0, 0, 0, 1, 0]
+    assert np.abs(found.values[:, :, 3] / found.sigma[:, :, 3]).max() < 1e3

@@ -1,0 +1,148 @@
+"""Cells that stop: the first rows of the full run, the same answer within its interval, whatever interrupts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy import stats
+
+from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.spec import Campaign, Stop
+from ltsim.campaigns.statistics import Results
+from ltsim.campaigns.stopping import Mean, looks, neighbours, rounds
+from ltsim.errors import ModelError
+from ltsim.randomness import stream
+
+FILE = """
+format = "ltsim-campaign/1"
+seed = 5
+trials = 2048
+shard = 256
+verify = 0
+statistics = ["errors"]
+
+[grid]
+"instrument.noise_factor" = [0.5, 2.0]
+"work.faces" = [1, 2]
+"""
+STOP = "\n[stop]\nwithin = 0.25\n"
+SHARD, METHOD = 100, "network"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted((folder / "rows").rglob("*.parquet"))}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """The file with a stop, and the folders of that run and of the full one."""
+    folder = tmp_path_factory.mktemp("stop")
+    (folder / "full.toml").write_text(FILE)
+    (folder / "stop.toml").write_text(FILE.replace("\n[grid]", STOP + "\n[grid]"))
+    run_campaign(folder / "full.toml", folder / "full")
+    run_campaign(folder / "stop.toml", folder / "stopped")
+    return folder / "stop.toml", folder / "stopped", folder / "full"
+
+
+def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, Path]) -> None:
+    _, stopped, full = folders
+    found, whole = (Results(folder).spread("target_error_um") for folder in (stopped, full))
+    assert [s.trials for s in whole] == [2048] * 4
+    trials = [s.trials for s in found]
+    assert trials[0] < trials[3] < trials[2] < 2048  # much noise in one face needs most
+    for few, all_ in zip(found, whole, strict=True):
+        assert 0.5 * (few.high - few.low) <= 0.25
+        assert few.low <= all_.mean <= few.high
+    rows = [
+        Results(folder).query("SELECT cell, trial, target_error_um FROM rows ORDER BY 1, 2")
+        for folder in (stopped, full)
+    ]
+    assert set(rows[0]) < set(rows[1])
+
+
+def test_stopping_is_the_same_with_two_workers_and_after_any_interruption(
+    folders: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    file, stopped, _ = folders
+    done: list[int] = []
+
+    def stop(trials: int) -> None:
+        done.append(trials)
+        if len(done) in (3, 6):
+            raise KeyboardInterrupt
+
+    for resume in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            run_campaign(file, tmp_path / "out", resume=resume, progress=stop)
+    outcome = run_campaign(file, tmp_path / "out", workers=Workers(jobs=2), resume=True)
+    assert contents(tmp_path / "out") == contents(stopped)
+    assert outcome.kept >= 2 and "were not needed" in outcome.notes[-1]
+
+
+def sampled(means: list[float], seed: int, shards: int) -> dict[tuple[int, int], pa.Table]:
+    """Rows of cells with the same draws, as cells of a campaign have them, and some of their own."""
+    made = {}
+    for shard in range(shards):
+        common = stream(seed, "common", shard).standard_normal(SHARD)
+        for cell, mean in enumerate(means):
+            own = stream(seed, "own", cell, shard).standard_normal(SHARD)
+            values = (mean + common + 0.1 * own).astype(np.float32)
+            made[cell, shard] = pa.table({"method": [METHOD] * SHARD, "x": pa.array(values, pa.float32())})
+    return made
+
+
+def spent(means: list[float], *, within: float, apart: float | None = None, seed: int = 1) -> list[int]:
+    """Shards that each cell in a row of neighbours gets."""
+    stop = Stop(statistic="x", within=within, apart=apart)
+    campaign = Campaign(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
+    rows, pairs = sampled(means, seed, 40), neighbours([{"a": k} for k in range(len(means))])
+    done = [shard for now in rounds(campaign, len(means), pairs, lambda *which: rows[which]) for shard in now]
+    assert len(done) == len(set(done))
+    return [sum(cell == k for cell, _ in done) for k in range(len(means))]
+
+
+def test_trials_are_spent_where_it_is_open_whether_cells_differ() -> None:
+    assert spent([0.0, 1.0, 1.005, 2.0], within=0.3) == [1, 1, 1, 1]
+    few = spent([0.0, 1.0, 1.005, 2.0], within=0.3, apart=0.005)
+    assert few[0] == few[3] == 1 and few[1] == few[2] > 20
+
+
+def test_an_interval_of_fixed_width_keeps_its_coverage() -> None:
+    """Stopping does not choose lucky samples: over 150 runs the interval holds the mean as often as it says."""
+    hits = 0
+    for seed in range(150):
+        count = spent([0.0], within=0.1, seed=seed)[0]
+        mean = Mean()
+        for shard in range(count):
+            mean.add(np.asarray(sampled([0.0], seed, shard + 1)[0, shard]["x"].to_numpy(), dtype=np.float64))
+        hits += abs(mean.mean) <= mean.half(0.05)
+    assert stats.binomtest(hits, 150, 0.95).pvalue > 0.01
+
+
+def test_running_mean_is_the_mean() -> None:
+    values = 1e4 + stream(1, "mean").standard_normal(1000)
+    mean = Mean()
+    for part in np.split(np.r_[values, np.nan, np.nan], 6):
+        mean.add(part)
+    assert (mean.count, mean.mean) == (1000, pytest.approx(values.mean(), rel=1e-12))
+    half = stats.t.isf(0.025, 999) * values.std(ddof=1) / np.sqrt(1000)
+    assert mean.half(0.05) == pytest.approx(half, rel=1e-9)
+    assert Mean().half(0.05) == np.inf
+
+
+def test_neighbours_are_one_step_apart() -> None:
+    levels = [{"a": a, "b": b} for a in (1, 2, 3) for b in ("x", "y")]
+    assert sorted(map(sorted, neighbours(levels))) == [[0, 1], [0, 2], [1, 3], [2, 3], [2, 4], [3, 5], [4, 5]]
+    assert neighbours([{}]) == []
+    assert [looks(n) for n in (1, 2, 3, 16)] == [1, 2, 3, 7]
+
+
+def test_a_statistic_that_rows_do_not_hold_is_named() -> None:
+    stop = Stop(statistic="y", within=1.0)
+    campaign = Campaign(format="ltsim-campaign/1", trials=SHARD, shard=SHARD, stop=stop)
+    rows = sampled([0.0], 1, 1)
+    with pytest.raises(ModelError, match="x"):
+        list(rounds(campaign, 1, [], lambda *which: rows[which]))

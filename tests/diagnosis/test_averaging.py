@@ -1,0 +1,59 @@
+"""Targets after a diagnosis: what an unknown law does to them is taken off as far as it is safe."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, safe_share, together
+from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
+from ltsim.geometry.rigid import less_rigid
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.drivers import smooth
+from ltsim.laws.law import Law
+from ltsim.randomness import stream
+from tests.networks import network
+
+
+@pytest.mark.parametrize("size", [0.01, 0.1, 1.0, 10.0])
+@pytest.mark.parametrize("along", [0.02, 0.3])
+def test_coordinates_become_much_worse_as_rarely_as_is_said(size, along):
+    """The error is drawn of which nothing is known but its covariance; a share of it lies along the change."""
+    count, spread = 60, size * along
+    share = safe_share(size, spread, 1.0)
+    rng = stream(8, "safe")
+    error = rng.standard_normal((20_000, count)) * np.sqrt([along, *np.full(count - 1, (1.0 - along) / (count - 1))])
+    shift = np.zeros(count)
+    shift[0] = np.sqrt(size)
+    before, after = (np.sum((error + part * shift) ** 2, axis=1) for part in (1.0, 1.0 - share))
+    harmed = float(np.mean(after > (1.0 + WORSE) ** 2 * before))
+    assert harmed < 2.5 * HARM  # e'e is taken to be its expectation
+    if 0.05 < share < 1.0 and along < 0.1:
+        assert harmed > 0.5 * HARM
+
+
+def test_a_law_that_does_much_is_taken_off_whole():
+    assert safe_share(100.0, 1.0, 1.0) == 1.0
+    assert safe_share(0.0, 0.0, 1.0) == 1.0
+    assert safe_share(1.0, 1.0, 1.0) < 0.5
+
+
+def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
+    baseline = adjust(network(faces=1, seed=3)[0])
+    case = Case(baseline, baseline.problem.use, 0)
+    elevation = CARRIERS["elevation"][0]
+    laws = [Law((), (), elevation, smooth(name)) for name in ("time", "station-time")]
+    fitted = case.refit(laws, case.sigma)
+    found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
+    points = baseline.state.points
+    basis = points - points.mean(axis=0)
+    expected, shift = (
+        less_rigid(change.reshape(-1, 1), basis, baseline.problem.free)
+        for change in (fitted.adjustment.state.points - points, together(case.searcher, found))
+    )
+    assert np.linalg.norm(expected) > 1e-5
+    np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
+    targets = averaged_targets(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    assert np.linalg.norm(targets.points - points) < np.linalg.norm(expected)

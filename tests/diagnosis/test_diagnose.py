@@ -1,0 +1,383 @@
+"""Diagnosis end to end: the concealed effect is found, placed, named, sized; clean recordings stay clean."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.files import write_diagnosis
+from ltsim.effects import find_effect
+from ltsim.effects.effect import by_displacement, on_readings
+from ltsim.geometry.alignment import align
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, sightings_of
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from tests.networks import drawn, network
+
+NONCENTRALITY = 250.0
+
+
+def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording, object]:
+    """A noisy recording of an imperfect tracker, and its true state."""
+    recording, truth = network(faces=faces, repeats=repeats, values=drawn(misalignment(), seed), seed=seed)
+    return recording, truth.state
+
+
+def strengthened(recording, state, change):
+    """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=state))
+    left = space.project(space.whiten(change[:, :, None]))[:, 0]
+    factor = np.sqrt(NONCENTRALITY / float(left @ left))
+    return recording.with_readings(recording.readings + factor * change), factor
+
+
+def concealing(name: str, seed: int, values: list[float], faces: int = 1, **fields):
+    """A recording that conceals an effect of the catalogue, and the values it was given [SI]."""
+    recording, state = workshop(seed, faces=faces)
+    effect = find_effect(name)(**fields)
+    change = effect.shift(sightings_of(recording, state), np.array(values))
+    hidden, factor = strengthened(recording, state, change)
+    return hidden, factor * np.array(values)
+
+
+CASES = [
+    ("station-settling", {"stations": ("S3",), "time_constant": 420.0}, [1e-6, -1e-6, 1e-6]),
+    ("station-weather", {"stations": ("S2",)}, [1e-6]),
+    ("range-cyclic", {"wavelength": 0.31}, [1e-6, 1e-6]),
+    ("backlash", {}, [1e-6, 1e-6]),
+    ("azimuth-harmonic", {"order": 3}, [1e-6, 1e-6]),
+    ("target-moved", {"targets": ("T07",), "time": 2500.0}, [1e-5, 1e-5, -1e-5]),
+]
+
+
+@pytest.mark.parametrize(("name", "fields", "values"), CASES, ids=[c[0] for c in CASES])
+def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
+    recording, truth = concealing(name, 11, values, **fields)
+    found = diagnose(recording, seed=1)
+    assert found.verdict == "mismatch"
+    first = found.findings[0]
+    assert first.effect == name
+    assert first.where.stations == fields.get("stations", ())
+    assert first.where.targets == fields.get("targets", ())
+    assert first.evidence.p_value < 1e-6
+    assert found.after.held_out_rms < found.before.held_out_rms
+    factors = [p.factor for p in find_effect(name)(**fields).parameters]
+    for estimate, value, factor in zip(first.parameters, truth, factors, strict=False):
+        assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate
+
+
+def test_two_effects_are_both_found():
+    recording, state = workshop(5)
+    sightings = sightings_of(recording, state)
+    for name, fields, values in (CASES[1], CASES[2]):
+        change = find_effect(name)(**fields).shift(sightings, np.array(values))
+        recording, _ = strengthened(recording, state, change)
+    found = diagnose(recording)
+    assert {f.effect for f in found.findings} == {"station-weather", "range-cyclic"}
+
+
+def test_physics_outside_the_catalogue_is_called_unknown():
+    recording, state = workshop(3)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=np.sin(2 * sightings.azimuth) * np.sin(2 * sightings.elevation))
+    recording, _ = strengthened(recording, state, change)
+    found = diagnose(recording)
+    first = found.findings[0]
+    assert (first.effect, first.known) == ("unknown", False)
+    assert first.where.observables == ("distance",)
+    assert set(first.where.covariates) == {"azimuth", "elevation"}
+    assert "azimuth" in first.formula
+    assert found.after.held_out_rms < found.before.held_out_rms
+
+
+def test_what_the_last_move_left_behind_is_no_noise():
+    """Scatter to the eye: only the order of the work tells that it is none."""
+    recording, state = workshop(9)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, elevation=np.abs(sightings.move[:, 1]) * sightings.range_)
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["unknown"]
+    first = found.findings[0]
+    assert first.where.observables == ("elevation",)
+    assert "approach" in first.where.covariates
+    assert "|move-azimuth|" in first.formula
+
+
+def test_neighbours_that_move_together_are_found_together():
+    recording, state = workshop(13)
+    sightings = sightings_of(recording, state)
+    corner = np.argsort(np.linalg.norm(sightings.points - sightings.points[4], axis=1))[:7]
+    sinks = np.isin(sightings.target, corner) * sightings.time / 3600.0
+    change = by_displacement(sightings, sinks[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None])[:, :, 0]
+    found = diagnose(strengthened(recording, state, change)[0])
+    first = found.findings[0]
+    assert first.effect == "unknown"
+    assert set(first.where.targets) == {recording.targets[t] for t in corner}
+    assert first.where.covariates == ("time",)
+    assert first.carrier == "place of targets"
+    assert max(first.parameters, key=lambda p: abs(p.value)).name == "swing along z"
+
+
+def test_a_wall_that_leans_is_one_motion_and_its_targets_are_where_they_were_at_first():
+    recording, state = workshop(14)
+    sightings = sightings_of(recording, state)
+    wall = sightings.points[:, 1] > np.median(sightings.points[:, 1])
+    leans = wall[sightings.target] * sightings.points[sightings.target, 2] * sightings.time
+    change = by_displacement(sightings, leans[:, None, None] * np.array([0.0, 1.0, 0.0])[:, None])[:, :, 0]
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert len(found.findings) == 1
+    first = found.findings[0]
+    assert "target" in first.carrier and first.driver.startswith("time")
+    assert set(first.where.targets) <= {recording.targets[t] for t in np.flatnonzero(wall)}
+    errors = [rigid_gap(points, state.points) for points in (found.baseline.state.points, found.targets.points)]
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_two_balls_in_turn_are_told_by_the_height_of_the_targets():
+    """Every other target is measured with a larger ball, in two faces: no parity of the pointings tells that."""
+    recording, state = workshop(16, faces=2)
+    sightings = sightings_of(recording, state)
+    out = (sightings.seating % 2)[:, None] * np.nan_to_num(sightings.nest_normal[sightings.target])
+    found = diagnose(strengthened(recording, state, by_displacement(sightings, out[:, :, None])[:, :, 0])[0])
+    assert [f.carrier for f in found.findings] == ["height of targets in their nests"]
+    assert found.findings[0].driver == "the parity of the seatings (every other target)"
+
+
+def test_a_stand_that_is_pumped_up_again_and_again_swings():
+    recording, state = workshop(17)
+    sightings = sightings_of(recording, state)
+    visit = float(np.ptp(sightings.time[sightings.station == 1]))
+    sinks = (sightings.station == 1) * np.mod(sightings.station_time / (visit / 4), 1.0)
+    change = by_displacement(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
+    found = diagnose(strengthened(recording, state, change)[0])
+    first = found.findings[0]
+    assert first.effect == "unknown"
+    assert first.where.stations == (recording.stations[1],)
+    assert "stand" in first.carrier and ("cycle" in first.driver or "wave" in first.driver)
+
+
+def rigid_gap(points: np.ndarray, truth: np.ndarray) -> float:
+    """Root mean square difference of coordinates after the best rigid fit [m]."""
+    rotation, translation = align(points, truth)
+    return float(np.sqrt(np.mean((points @ rotation.T + translation - truth) ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("amount", "told"),
+    [
+        (lambda time: np.mod(time, 2000.0) < 700.0, "cycle in time"),
+        (lambda time: (time > np.quantile(time, 0.3)) & (time < np.quantile(time, 0.6)), "step(time"),
+    ],
+)
+def test_a_range_that_is_off_for_a_while_is_one_finding_with_sharp_edges(amount, told):
+    recording, state = workshop(15)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=amount(sightings.time).astype(np.float64))
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["unknown"]
+    assert told in found.findings[0].formula
+    assert found.findings[0].carrier == "distance"
+
+
+def lamp(s):
+    """Sights near that to one target are led upwards."""
+    way = s.points[7] - s.position[s.station]
+    cosine = np.sum(way * s.arm, axis=1) / np.linalg.norm(way, axis=1) / s.range_
+    return on_readings(s, elevation=np.exp(-0.5 * (np.arccos(np.clip(cosine, -1.0, 1.0)) / 0.2) ** 2))
+
+
+def curtain(s):
+    """Warm air in a plane across the room."""
+    here, there = s.position[s.station, 0] - 2.6, s.points[s.target, 0] - 2.6
+    return on_readings(s, distance=np.where(here * there < 0.0, s.range_ / np.maximum(np.abs(there - here), 0.5), 0.0))
+
+
+def one_row_late(s):
+    """Each range is corrected by the constant of the target before."""
+    order = np.argsort(s.time, kind="stable")
+    constant = stream(18, "constants").standard_normal(len(s.target_names))[s.target[order]]
+    late = np.zeros(len(s))
+    late[order[1:]] = -np.diff(constant)
+    return on_readings(s, distance=late)
+
+
+def slow_wall(s):
+    """The hall warms in a step, a constant of the tracker comes after."""
+    since = np.maximum(s.time - np.quantile(s.time, 0.4), 0.0)
+    return on_readings(s, elevation=1.0 - np.exp(-since / 1500.0))
+
+
+@pytest.mark.parametrize(
+    ("law", "carrier", "told"),
+    [
+        (lamp, "elevation", "nearness to"),
+        (curtain, "distance", "in a curtain at x"),
+        (one_row_late, "distance", "one row late"),
+        (slow_wall, "vertical index", "hall with a lag of 2"),
+    ],
+)
+def test_what_errs_on_the_way_lags_or_is_late_is_told_in_such_words(law, carrier, told):
+    recording, state = workshop(18)
+    warm = (recording.time > np.quantile(recording.time, 0.4)).astype(np.float64)
+    recording = recording.replace(covariates={"hall": 20.0 + warm})
+    found = diagnose(strengthened(recording, state, law(sightings_of(recording, state)))[0])
+    assert [f.carrier for f in found.findings] == [carrier]
+    assert told in found.findings[0].driver
+
+
+def test_a_noisy_station_is_noise_and_not_a_shift():
+    recording, _ = workshop(7)
+    extra = stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()
+    extra[recording.station != 1] = 0.0
+    found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
+    assert [f.effect for f in found.findings] == ["station-noise"]
+    assert found.findings[0].where.stations == ("S2",)
+    assert found.after.held_out_rms == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_of_the_azimuth_is_told_in_the_azimuth():
+    recording, _ = workshop(19, faces=2)
+    readings = recording.readings.copy()
+    readings[:, 1] += 2.0 * stream(19, "more").standard_normal(len(readings)) * recording.sigma()[:, 1]
+    found = diagnose(recording.with_readings(readings))
+    assert [f.where.observables for f in found.findings] == [("azimuth",)]
+
+
+def test_one_bad_reading_is_an_outlier():
+    recording, _ = workshop(8)
+    readings = recording.readings.copy()
+    readings[41, 0] += 8e-5
+    found = diagnose(recording.with_readings(readings))
+    first = found.findings[0]
+    assert first.effect == "outlier"
+    assert first.where.stations == (recording.stations[recording.station[41]],)
+    assert first.where.targets == (recording.targets[recording.target[41]],)
+    assert first.where.observables == ("distance",)
+
+
+def test_exchanged_reflectors_are_named_and_mended():
+    recording, _ = workshop(9)
+    target = recording.target.copy()
+    rows = {t: np.flatnonzero((recording.station == 3) & (recording.target == t)) for t in (4, 13)}
+    target[rows[4]], target[rows[13]] = 13, 4
+    found = diagnose(recording.replace(target=target))
+    first = found.findings[0]
+    assert first.effect == "target-swap"
+    assert first.where.stations == ("S4",)
+    assert set(first.where.targets) == {"T05", "T14"}
+    assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize("faces", [1, 2])
+def test_a_clean_recording_is_consistent(faces):
+    recording, _ = workshop(21, faces=faces)
+    found = diagnose(recording)
+    assert found.verdict == "consistent"
+    assert found.findings == ()
+    assert "station-levelling" in {u.effect for u in found.undetectable}
+    assert "station-bump" in {d.effect for d in found.detectable}
+    assert all(u.hides_um >= 0 and u.cure for u in found.undetectable)
+
+
+def test_p_values_of_clean_recordings_are_uniform():
+    """The false-alarm rate is what it says: six recordings, p-values spread over the unit interval."""
+    values = [diagnose(workshop(100 + s, repeats=1)[0], seed=s).search_p_value for s in range(6)]
+    assert min(values) > 0.001
+    assert 0.2 < np.mean(values) < 0.8
+
+
+def test_the_files_say_what_the_diagnosis_says(tmp_path):
+    recording, _ = concealing("station-weather", 4, [1e-6], stations=("S2",))
+    found = diagnose(recording)
+    write_diagnosis(found, tmp_path)
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert content["format"] == "ltsim-diagnosis/1"
+    assert content["findings"][0]["where"]["stations"] == ["S2"]
+    assert content["summary"].startswith("Wrong weather at one station (station S2")
+    lines = (tmp_path / "targets.csv").read_text().splitlines()
+    assert len(lines) == 1 + len(recording.targets)
+    assert lines[0].startswith("target,x_mm,y_mm,z_mm,sigma_x_mm")
+
+
+def test_the_same_seed_gives_the_same_diagnosis():
+    recording, _ = workshop(2)
+    one, two = diagnose(recording, seed=3), diagnose(recording, seed=3)
+    assert one.to_json() == two.to_json()
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "cause"), [(0, 1e-3, "metres"), (1, 10 / 9, "gon"), (0, 1 / 25.4, "inches")]
+)
+def test_a_station_in_another_unit_is_named_and_mended(column, factor, cause):
+    recording, _ = workshop(13, repeats=1)
+    readings = recording.readings.copy()
+    columns = [0] if column == 0 else [1, 2]
+    for k in columns:
+        readings[recording.station == 2, k] *= factor
+    found = diagnose(recording.with_readings(readings))
+    first = found.findings[0]
+    assert (first.effect, first.where.stations) == ("wrong-unit", ("S3",))
+    assert cause in first.sentence
+    assert found.after.chi2 / found.after.dof == pytest.approx(1.0, abs=0.2)
+
+
+def test_noise_quieter_than_stated_does_not_raise_the_held_out_error():
+    """Errors are told in the stated noise: less of it is found, and nothing is predicted worse."""
+    recording, state = workshop(19)
+    exact = MeasurementModel(recording, misalignment()).predict(state)
+    readings = exact + 0.6 * (recording.readings - exact)
+    found = diagnose(recording.with_readings(readings))
+    assert [f.effect for f in found.findings] == ["noise-level"]
+    assert found.findings[0].equivalents == ()
+    assert found.after.held_out_rms == pytest.approx(found.before.held_out_rms)
+    assert "stays at 0.6" in found.summary
+
+
+def test_turbulence_is_told_from_a_higher_noise_level():
+    recording, state = workshop(17)
+    sightings = sightings_of(recording, state)
+    effect = find_effect("turbulence")()
+    grown = np.sqrt(
+        effect.variance(sightings, recording.sigma(), np.array([1.2e-12, 0.6e-12])) - recording.sigma() ** 2
+    )
+    extra = grown * stream(17, "air").standard_normal(grown.shape)
+    found = diagnose(recording.with_readings(recording.readings + extra))
+    assert found.findings[0].effect == "turbulence"
+
+
+def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
+    recording, state = workshop(3)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=np.sin(83.7 * sightings.elevation + 1.0))
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["unknown"]
+    first = found.findings[0]
+    assert first.where.covariates == ("elevation",)
+    assert first.carrier == "distance"
+    assert "a wave in elevation, 83." in first.driver
+
+
+def test_an_encoder_of_any_number_of_lines_is_named():
+    recording, state = workshop(3)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, elevation=np.sin(83.7 * sightings.elevation + 1.0))
+    found = diagnose(strengthened(recording, state, change)[0])
+    assert [f.effect for f in found.findings] == ["encoder-interpolation"]
+    assert found.findings[0].where.observables == ("elevation",)
+
+
+def test_targets_are_no_worse_than_those_of_the_right_explanation():
+    """An imitated law, unknown to the catalogue: targets after the diagnosis, and with the law itself."""
+    recording, state = workshop(4)
+    sightings = sightings_of(recording, state)
+    change = on_readings(sightings, distance=np.sin(3 * sightings.azimuth))
+    hidden, _ = strengthened(recording, state, change)
+    found = diagnose(hidden)
+    assert rigid_gap(found.targets.points, state.points) < 1.05 * rigid_gap(found.baseline.state.points, state.points)
+    assert np.all(np.linalg.eigvalsh(found.targets.covariance[:-4]) > 0.0)

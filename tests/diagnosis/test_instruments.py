@@ -1,0 +1,83 @@
+"""Instruments as places: constants that contradict each other or a correction, and combinations that are determined."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.instruments import contradictions, instrument_entries
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Instrument, Station
+from tests.networks import drawn, network
+
+
+def trackers(off: float, *, corrected: bool = False) -> Recording:
+    """A workshop measured by two trackers in turn; the lateral beam offset of the second is `off` [m]."""
+    recording, truth = network(faces=2, repeats=2)
+    names = ("A", "B")
+    stations = {s: Station(instrument=names[i % 2]) for i, s in enumerate(recording.stations)}
+    instruments = {name: Instrument(corrected=corrected) for name in names}
+    setup = recording.setup.model_copy(update={"stations": stations, "instruments": instruments})
+    recording = recording.replace(setup=setup)
+    built = misalignment()
+    common = np.zeros(built.size) if corrected else drawn(built, 3)
+    values = np.stack([common, common])
+    values[1, built.names.index("beam-offset-lateral")] += off
+    state = State(truth.state.position, truth.state.rotation, truth.state.points, values)
+    exact = MeasurementModel(recording, built).predict(state)
+    return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
+
+
+def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
+    found = diagnose(trackers(60e-6))
+    first = found.findings[0]
+    assert found.verdict == "mismatch"
+    assert (first.effect, first.where.instruments) == ("beam-offset", ("B",))
+    (offset,) = first.parameters
+    assert offset.name == "beam-offset-lateral"
+    assert abs(offset.value - 60.0) < 3 * offset.sigma
+    assert "of B differs by" in first.sentence
+
+
+def test_trackers_alike_contradict_nothing():
+    assert contradictions(adjust(trackers(0.0), misalignment()), 2.0) == []
+
+
+def test_a_corrected_tracker_is_held_to_its_word():
+    found = contradictions(adjust(trackers(60e-6, corrected=True), misalignment()), 2.0)
+    assert [(c.instrument, c.parameter.name) for c in found] == [("B", "beam-offset-lateral")]
+    assert "correction" in found[0].against
+
+
+def test_combinations_are_known_where_single_constants_are_not():
+    """In one face the vertical index and cosines of the elevation are one: their sum is determined."""
+    recording, _ = network(values=drawn(misalignment(), 2), seed=3)
+    adjustment = adjust(recording, misalignment())
+    (entry,) = instrument_entries(adjustment)
+    sigma = {p.name: p.sigma for p in entry.parameters}
+    known = [c for c in entry.determined if {"vertical-index"} <= set(c.combination)]
+    assert known
+    assert known[0].sigma < 0.3 * sigma["vertical-index"]
+    weights = np.zeros(len(adjustment.construction.names))
+    for name, weight in known[0].combination.items():
+        weights[adjustment.construction.names.index(name)] = weight
+    direct = float(np.sqrt(weights @ adjustment.instrument_covariance @ weights)) / 1e-6
+    assert direct == pytest.approx(known[0].sigma, rel=0.5)
+
+
+def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
+    recording = trackers(0.0)
+    far = recording.readings[:, 0] / recording.readings[:, 0].max()
+    scatter = 3.0 * (recording.instrument == 1) * far**2 * recording.sigma()[:, 0]
+    readings = recording.readings.copy()
+    readings[:, 0] += scatter * stream(9, "scatter").standard_normal(len(recording))
+    found = diagnose(recording.with_readings(readings))
+    (first,) = found.findings
+    assert (first.carrier, first.where.observables) == ("noise", ("distance",))
+    assert first.where.instruments == ("B",)
+    assert "of instrument B" in first.sentence

@@ -1,0 +1,51 @@
+"""Many pointings of one station: the memory of a diagnosis follows them and not their square."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+from ltsim.diagnosis import diagnose
+from ltsim.geometry.polar import to_face
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Setup
+
+TARGETS = 10
+
+
+def one_station(repeats: int) -> Recording:
+    """Targets all around, each in both faces again and again."""
+    rng = stream(3, "one station", repeats)
+    ranges = [rng.uniform(*limits, TARGETS) for limits in ((2.0, 8.0), (-3.0, 3.0), (-0.6, 0.6))]
+    count = 2 * TARGETS * repeats
+    target, face, repeat = (np.ravel(v) for v in np.mgrid[:TARGETS, 1:3, 1 : repeats + 1])
+    recording = Recording(
+        stations=("S1",),
+        targets=tuple(f"T{i}" for i in range(TARGETS)),
+        station=np.zeros(count, dtype=np.int64),
+        target=target,
+        face=face,
+        repeat=repeat,
+        time=np.arange(float(count)),
+        readings=to_face(np.stack(ranges, axis=1)[target], face),
+        setup=Setup(),
+    )
+    return recording.with_readings(recording.readings + recording.sigma() * rng.standard_normal((count, 3)))
+
+
+def peak(repeats: int) -> int:
+    """Most memory [bytes] at a time."""
+    recording = one_station(repeats)
+    tracemalloc.start()
+    found = diagnose(recording)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.verdict == "consistent"
+    return most
+
+
+def test_memory_grows_with_the_pointings_of_a_station_and_not_with_their_square() -> None:
+    few, many = peak(12), peak(60)
+    assert many < 6 * few  # 5 times the pointings; their square is 25 times as much

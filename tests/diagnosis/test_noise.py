@@ -1,0 +1,112 @@
+"""Changes of the noise: told from each other and from scatter that repeats, in the same currency as laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.diagnosis.evidence import PRIOR
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.laws.scatter import BOTH_FACES, NoisePattern
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from tests.networks import network
+
+
+@pytest.fixture(scope="module")
+def repeated():
+    """The residual space of a recording with three repeats, which pointings are of one pair, and its noise bank."""
+    recording, truth = network(repeats=3, seed=6)
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    return space, recording.station * len(recording.targets) + recording.target, bank
+
+
+def scattered(space, pair, *, shared):
+    """Residuals with scatter of 1.5 sigma, new at each pointing or `shared` by the repeats of a pair."""
+    rng = stream(1, "scatter")
+    count = int(space.use.sum())
+    own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
+    more = np.zeros((space.size, 1))
+    more[:count, 0] = 1.5 * (common if shared else own)[space.use]
+    return space.residual + space.project(more)[:, 0]
+
+
+def evidence_of(bank, residual, redundancy):
+    """Log evidence of each family."""
+    return dict(zip(bank.families, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
+    space, pair, bank = repeated
+    evidence = evidence_of(bank, scattered(space, pair, shared=shared), space.redundancy)
+    more = evidence["unknown:noise:repeating"] - evidence["noise-level"]
+    assert more > 20.0 if shared else more < -20.0
+
+
+def test_what_looks_like_noise_may_still_be_a_law(repeated):
+    """Scatter alone is as good an explanation as a noise level; only the prior odds tell them apart."""
+    space, pair, bank = repeated
+    evidence = evidence_of(bank, scattered(space, pair, shared=False), space.redundancy)
+    assert -6.0 < evidence["unknown:noise:scatter"] - evidence["noise-level"] < 0.0
+
+
+def test_quiet_residuals_are_no_law(repeated):
+    space, _, bank = repeated
+    evidence = evidence_of(bank, 0.6 * space.residual, space.redundancy)
+    assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
+
+
+def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
+    """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
+    space, _, bank = repeated
+    beside = space.extended(stream(3, "columns").standard_normal((space.size, space.size // 4)))
+    assert evidence_of(bank, beside.residual, space.redundancy)["noise-level"] > 5.0
+    assert evidence_of(bank, beside.residual, beside.redundancy)["noise-level"] < 0.0
+
+
+def test_nothing_is_found_where_there_is_nothing(repeated):
+    """Each family's evidence is at most its prior, on average over recordings without any change."""
+    space, _, bank = repeated
+    white = space.project(stream(2, "white").standard_normal((space.size, 200)))
+    mean = np.log(np.exp(bank.family_evidence(white, space.redundancy)).mean(axis=1).sum())
+    assert mean < np.log(PRIOR["noise"] + PRIOR["scatter"]) + 1.0
+
+
+def test_means_of_repeats_are_of_unit_variance(repeated):
+    space, _, _ = repeated
+    means = repeat_means(space)
+    assert means.shape[0] == int(space.use.sum()) // 3
+    np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
+
+
+def test_without_repeats_nothing_is_said():
+    recording, truth = network(repeats=1, seed=6)
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    assert repeat_means(space).shape[0] == 0
+
+
+def test_ranges_that_err_alike_in_both_faces_are_no_noise():
+    recording, truth = network(faces=2, repeats=1, seed=6)
+    space = ResidualSpace.of(adjust(recording, misalignment(), start=truth.state))
+    bank = NoiseBank.of(space, noise_hypotheses(space.sightings))
+    s = space.sightings
+    pair = s.station * len(s.target_names) + s.target
+    more = {}
+    for name, amounts in (("alike", pair), ("each", np.arange(len(pair)))):
+        drawn = stream(4, name).standard_normal(amounts.max() + 1)[amounts]
+        change = np.zeros((len(pair), 3))
+        change[:, 0] = 2.0 * drawn
+        left = (
+            space.residual
+            + space.project(np.append(change[space.use], np.zeros(space.size - space.use.sum()))[:, None])[:, 0]
+        )
+        evidence = evidence_of(bank, left, space.redundancy)
+        more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
+    assert more["alike"] > 10.0 > -10.0 > more["each"]
+    found = NoisePattern(("distance",), repeating=BOTH_FACES)
+    assert (found.carrier, found.driver) == ("distance", "station and target")
+    assert "in both faces" in found.law

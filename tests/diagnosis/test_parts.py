@@ -1,0 +1,64 @@
+"""Parts of the diagnosis by themselves, each on a network whose answer is known."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.diagnosis.detect import Detection
+from ltsim.diagnosis.schema import Where
+from ltsim.diagnosis.separate import separating_measurement
+from ltsim.diagnosis.words import law_sentence
+from ltsim.effects.station_settling import StationSettling
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from ltsim.remedies.deciding import DECISIVE
+from tests.networks import network, with_effect
+
+# --- separate ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_no_question_gets_no_measurement() -> None:
+    found = adjust(network(faces=2, seed=6)[0], misalignment())
+    assert separating_measurement(found, "range-step", [], ()) == ""
+    assert separating_measurement(found, "range-step", ["unknown"], ()) == ""
+    assert separating_measurement(found, "range-step", ["station-noise"], ()) == ""
+    assert separating_measurement(found, "station-noise", ["range-step"], ()) == ""
+
+
+def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> None:
+    settled = StationSettling(("S3",), time_constant=480.0)
+    found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment())
+    advice = separating_measurement(found, "station-settling", ["station-bump"], ())
+    assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
+    before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
+    assert before < DECISIVE < after
+
+
+# --- detect -----------------------------------------------------------------------------------------------------------
+
+
+def test_chances_are_those_of_the_simulated_recordings_and_fall_exponentially_beyond_them() -> None:
+    null = stream(3, "null").permutation(np.arange(1000.0))
+    found = Detection(0.0, 1.0, null)
+    assert found.threshold(0.05) == pytest.approx(949.05)
+    assert found.chance(-1.0) == 1.0
+    assert found.chance(500.0) == pytest.approx(501 / 1001)
+    last = found.chance(np.sort(null)[-15])
+    assert last == pytest.approx(16 / 1001)
+    assert found.chance(np.sort(null)[-15] + np.log(10.0)) == pytest.approx(last / 10)
+    assert found.chance(1e4) < 1e-300
+
+
+@pytest.mark.parametrize(
+    ("law", "where", "told"),
+    [
+        ("vertical index follows hall_c", Where(instruments=("B",), covariates=("hall_c",)), "of instrument B follows"),
+        ("vertical index differs", Where(stations=("S4",)), "vertical index at station S4 differs"),
+    ],
+)
+def test_the_place_of_a_law_stands_beside_what_varies(law, where, told):
+    assert told in law_sentence(where, [], 0.9, law)

@@ -1,0 +1,90 @@
+"""Diagnosis of recordings of other sizes than a workshop's: one station for hours, a ring of levelled set-ups."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.adjust_size import network as ring_of
+from ltsim.adjustment import adjust
+from ltsim.diagnosis import diagnose
+from ltsim.effects import find_effect
+from ltsim.geometry.rotations import about_z
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Instrument, Setup, Station
+from ltsim.solve.projection import FactorProjection
+from tests.networks import drawn
+
+REFLECTORS = np.array([[8.0, 1.0, 0.5], [2.0, 9.0, 1.0], [-7.0, 3.0, 2.5], [-4.0, -8.0, 0.2], [6.0, -5.0, 3.0]])
+
+
+def monitoring(epochs: int, rate: float) -> Recording:
+    """One station that reads five reflectors again and again, a minute an epoch, while its index drifts [rad/s]."""
+    count = len(REFLECTORS)
+    rows = epochs * count
+    recording = Recording(
+        setup=Setup(),
+        stations=("S1",),
+        targets=tuple(f"T{i + 1}" for i in range(count)),
+        station=np.zeros(rows, dtype=np.int64),
+        target=np.tile(np.arange(count), epochs),
+        face=np.ones(rows, dtype=np.int64),
+        repeat=np.repeat(np.arange(1, epochs + 1), count),
+        time=60.0 / count * np.arange(rows),
+        readings=np.zeros((rows, 3)),
+    )
+    values = drawn(misalignment(), 2)[None]
+    state = State(np.array([[0.0, 0.0, 1.6]]), about_z(0.3)[None], REFLECTORS, values)
+    exact = MeasurementModel(recording, misalignment()).predict(state)
+    recording = recording.with_readings(exact)
+    exact = exact + find_effect("index-drift")(law="linear").shift(sightings_of(recording, state), np.array([rate]))
+    noise = stream(6, "monitoring").standard_normal(exact.shape)
+    return recording.with_readings(exact + recording.sigma() * noise)
+
+
+def ring(stations: int, instruments: int = 4) -> Recording:
+    """Levelled set-ups of several instruments round a ring, each of which sees the targets nearest to it."""
+    bare = ring_of("ring", stations, stations * 370 // 210, 16 * stations)
+    names = [f"I{k + 1}" for k in range(instruments)]
+    setup = Setup(
+        instruments={name: Instrument() for name in names},
+        stations={s: Station(levelled=True, instrument=names[i % instruments]) for i, s in enumerate(bare.stations)},
+    )
+    return bare.replace(setup=setup, time=20.0 * np.arange(len(bare)) + 600.0 * bare.station)
+
+
+def knocked(stations: int) -> tuple[Recording, str]:
+    """A ring with a target that is knocked half-way through its visits, and its name."""
+    recording = ring(stations)
+    state = adjust(recording).state
+    target = len(recording.targets) // 3
+    times = np.sort(recording.time[recording.target == target])
+    moved = find_effect("target-moved")((), (recording.targets[target],), time=float(np.mean(times[3:5])))
+    change = moved.shift(sightings_of(recording, state), np.array([150e-6, -120e-6, 90e-6]))
+    return recording.with_readings(recording.readings + change), recording.targets[target]
+
+
+def test_a_drift_of_the_index_is_named_among_hundreds_of_epochs() -> None:
+    rate = 8e-6 / 3600.0
+    found = diagnose(monitoring(100, rate), seed=1)
+    first = found.findings[0]
+    assert first.effect == "index-drift"
+    assert len(found.findings) == 1
+    (size,) = (e for e in first.parameters if e.unit == "urad/h")
+    assert abs(size.value - 8.0) < 4 * size.sigma
+    assert found.after.held_out_rms == pytest.approx(1.0, abs=0.05)
+    assert found.before.held_out_rms > 1.1
+
+
+def test_a_knocked_target_is_found_in_a_levelled_ring_the_sparse_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltsim.solve.projection.DENSE", 0)
+    monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", 0)
+    recording, target = knocked(26)
+    found = diagnose(recording, seed=1)
+    assert isinstance(found.baseline.projection, FactorProjection)
+    assert [(f.effect, f.where.targets) for f in found.findings] == [("target-moved", (target,))]
+    assert found.search_p_value < 1e-6
+    assert found.after.held_out_rms < found.before.held_out_rms

@@ -1,0 +1,174 @@
+"""Panels of laws and cards: what is scored at once is what each law is worth alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.diagnosis.cards import Cards
+from ltsim.diagnosis.evidence import LOG_WEIGHTS, PRIOR, SIZES, log_average, log_evidence, posterior, sign_weight
+from ltsim.diagnosis.exact import Exact
+from ltsim.diagnosis.hypotheses import MISFIT, Found, Hypothesis, Ranking
+from ltsim.diagnosis.laws_tried import panels
+from ltsim.diagnosis.probe import Probe
+from ltsim.effects import find_effect
+from ltsim.effects.signature import Tunable
+from ltsim.laws.carriers import CARRIERS
+from ltsim.laws.drivers import CONSTANT, simple
+from ltsim.laws.law import Law
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def space() -> ResidualSpace:
+    recording, _ = network(faces=2, values=drawn(misalignment(), 1), seed=1)
+    return ResidualSpace.of(adjust(recording, misalignment()))
+
+
+@pytest.fixture(scope="module")
+def made(space):
+    """All panels, scored once."""
+    probe = Probe.of(space, 0, judged=True)
+    found = panels(space, PRIOR["law"])
+    return probe, found, [panel.score(probe) for panel in found]
+
+
+def alone(space: ResidualSpace, law: Tunable, residual: np.ndarray, extension: np.ndarray) -> float:
+    """Log evidence of a law by its own signature."""
+    left = space.project(space.signature(law))
+    left -= extension @ (extension.T @ left)
+    sizes = np.array([p.prior_sigma for p in law.parameters])
+    return posterior(left.T @ left, left.T @ residual, sizes)[2]
+
+
+def test_priors_sum_to_one(made):
+    assert sum(PRIOR.values()) == pytest.approx(1.0)
+    _, found, _ = made
+    hypotheses = (np.exp(p.log_prior).sum() * len(p.carriers) * sum(len(d.spreads) for d in p.drivers) for p in found)
+    assert sum(hypotheses) == pytest.approx(PRIOR["law"])
+
+
+def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
+    _, found, scored = made
+    nothing = np.zeros((space.size, 0))
+    for (hits, _, _), panel in zip(scored, found, strict=True):
+        for hit in (hits[0], hits[-1]):
+            scales = range(len(hit.driver.spreads))
+            laws = [Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale=k) for k in scales]
+            logs = np.array([alone(space, law, space.residual, nothing) for law in laws])
+            exact = log_average(logs) + hit.log_prior
+            assert hit.value == pytest.approx(float(exact), abs=0.02), (panel.carriers[0], hit)
+
+
+def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
+    probe, found, _ = made
+    law = Law((), (), CARRIERS["elevation"][0], simple("move-elevation", "abs"))
+    left = space.project(space.signature(law))
+    left /= np.linalg.norm(left)
+    residual = space.residual + 20.0 * left[:, 0]
+    gains = []
+    for extension in (np.zeros((space.size, 0)), left):
+        beside = probe.beside(residual - extension @ (extension.T @ residual), extension)
+        hits = [h for panel in found for h in panel.score(beside)[0] if not (h.place.stations or h.place.targets)]
+        same = (h for h in hits if (h.carrier.name, h.driver) == (law.carrier.name, law.driver))
+        gains.append(max((h.value - h.log_prior for h in same), default=-np.inf))
+    assert gains[0] > 100.0
+    assert gains[1] < 0.1
+
+
+def test_many_effects_at_once_are_each_what_it_is_alone(space):
+    law = Law((), (), CARRIERS["elevation"][0], simple("time", "power"))
+    local = [Law(("S2",), (), CARRIERS["distance"][0], CONSTANT), Law(("S2",), (), law.carrier, law.driver)]
+    effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
+    found = find_effect("range-drift")()
+    signature = space.signature(found)
+    left = space.project(signature)
+    member = Hypothesis(found, 0.0, 0.0, found.name)
+    base = Found((member,), (left,), (np.linalg.norm(signature, axis=0),), space.residual)
+    exact = Exact(space)
+    for _ in range(2):
+        values = [alone(space, effect, base.residual, base.extension) for effect in effects]
+        np.testing.assert_allclose(exact.evidence(effects, base), values, rtol=1e-8)
+    np.testing.assert_allclose(exact.signature(local[0]), space.signature(local[0]))
+
+
+def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
+    """Marginal likelihood ratios average to one where there is nothing."""
+    for _, _, null in made[2]:
+        assert log_average(null) - np.log(len(null)) < np.log(PRIOR["law"]) + 1.5
+
+
+def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
+    monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", 0)
+    probe = Probe.of(space, 0, judged=False)
+    assert probe.basis is None
+    effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
+    sampled = Cards.of(space, effects)
+    sampled.score(probe)
+    monkeypatch.undo()
+    exact = Cards.of(space, effects)
+    exact.score(Probe.of(space, 0, judged=False))
+    for one, other in zip(sampled.groups, exact.groups, strict=True):
+        np.testing.assert_allclose(one.gram, other.gram, rtol=0.35)
+
+
+def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monkeypatch):
+    """What is left of it beside the finding is a small difference of large numbers, one of them sampled."""
+    steps = [step for step in find_effect("range-step").candidates(space.sightings) if step.stations == ("S2",)]
+    member = Hypothesis(steps[len(steps) // 2], 0.0, 0.0, "range-step")
+    signature = space.signature(member.effect)
+    left = space.project(signature)
+    base = Found((member,), (left,), (np.linalg.norm(signature, axis=0),), 3.0 * space.residual)
+    values = []
+    for most in (0, 500):
+        monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", most)
+        probe, cards = Probe.of(space, 0, judged=False), Cards.of(space, steps)
+        cards.score(probe)
+        values.append(cards.score(probe.beside(base.residual, base.extension))[0])
+    sampled, exact = values
+    assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
+
+
+def test_evidence_is_that_of_the_dense_covariance():
+    """log N(r; 0, 1 + t^2 G G') - log N(r; 0, 1), averaged over sizes, by determinants."""
+    rng = stream(4, "dense")
+    signature, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
+    logs = []
+    for t in SIZES:
+        covariance = np.eye(12) + t**2 * signature @ signature.T
+        quadratic = residual @ (residual - np.linalg.solve(covariance, residual))
+        logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
+    gram = signature.T @ signature
+    found = posterior(gram, signature.T @ residual, np.ones(2))
+    assert found[2] == pytest.approx(float(log_average(np.array(logs) + LOG_WEIGHTS)))
+    strength, turn = np.linalg.eigh(gram)
+    assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
+
+
+def test_a_negative_thickness_is_no_explanation():
+    assert sign_weight(3.0, 1.0) == pytest.approx(np.log(2.0), abs=0.01)
+    assert sign_weight(-5.0, 1.0) < -10.0
+
+
+def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
+    def ranking(**values: float) -> Ranking:
+        law = Law((), (), CARRIERS["distance"][0], CONSTANT)
+        return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
+
+    assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
+    assert ranking(unknown=10.0, window=9.0, backlash=8.0).name() == "unknown"
+
+
+def test_what_an_unknown_law_leaves_is_no_further_cause(space):
+    law = Law((), (), CARRIERS["distance"][0], simple("time", "power"))
+    left = space.project(space.signature(law))
+    unknown = Hypothesis(law, 0.0, 0.0, "unknown")
+    known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")
+    whole = 1e7 * left[:, 0]
+    found = [Found((h,), (left,), np.linalg.norm(left, axis=0)[None], whole) for h in (unknown, known)]
+    assert found[0].misfit == pytest.approx(0.5 * MISFIT * whole @ whole)
+    assert found[1].misfit == 0.0

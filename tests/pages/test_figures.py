@@ -1,0 +1,401 @@
+"""Every figure shows its data, reads in print and gives the same bytes twice."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import pkgutil
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib import image
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from tests.report import samples
+
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry
+from ltsim.fieldcheck.check import check as check_of
+from ltsim.pages import figures, style
+from ltsim.pages.figures.acceptance import shares_of_limits
+from ltsim.pages.figures.history import history_figure, told_apart
+from ltsim.pages.planned import from_scenario
+from ltsim.pages.residuals import Residuals
+from ltsim.pages.sections.campaign import coverage_words
+from ltsim.pages.workshop import from_adjustment
+from ltsim.planning.schema import ChangeEntry
+from ltsim.randomness import stream
+from ltsim.recording.specification import sheet
+from ltsim.simulation.scenario import load_scenario
+
+DEFAULT = {colour.lower() for colour in mpl.colors.TABLEAU_COLORS.values()}
+"""What matplotlib takes by itself: a red and a green among them that one man in twelve cannot tell apart."""
+MARKUP = "<b>$x_1$&</b>"
+
+
+def residuals() -> tuple[Residuals, Residuals]:
+    return Residuals.from_adjustment(samples.before()), Residuals.from_adjustment(samples.after())
+
+
+def correlation() -> Figure:
+    covariance = samples.after().instrument_covariance
+    sigma = np.sqrt(np.diag(covariance))
+    return figures.correlation(samples.after().construction.names, covariance / np.outer(sigma, sigma))
+
+
+def by_setting() -> Figure:
+    rows = [
+        figures.Mean(f"noise {s} {MARKUP}", method, 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
+        for s in range(3)
+        for method in ("network", "distance")
+    ]
+    return figures.by_setting(rows, label="improvement [%]", published=40.1)
+
+
+def by_factor() -> Figure:
+    rows = [
+        figures.Swept(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
+        for x in (1.0, 2.0, 4.0, 10.0)
+        for m, method in enumerate(("network", "distance"))
+        for panel in (1, 2)
+    ]
+    return figures.by_factor(rows, label="error [µm]", axis="noise factor", published=3.0)
+
+
+def sigmas() -> Figure:
+    rows = [figures.SigmaRow(f"parameter-{i}", "urad", 1.0 + i, 15.0, 2.0 + i) for i in range(6)]
+    return figures.sigmas([*rows, figures.SigmaRow("alone", "um", 3.0, 20.0)])
+
+
+def history() -> Figure:
+    labels = ("2021-09", "2021-10", MARKUP)
+    values = np.array([1.0, 2.0, 1.5])
+    test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
+    told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
+    courses = [CourseEntry(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    return history_figure(labels, courses)
+
+
+def acceptance() -> Figure:
+    groups = ("bar", MARKUP)
+    tests = [
+        {
+            "name": f"{g} {i}",
+            "group": g,
+            "limit_um": 40.0,
+            "error_um": 15.0 * i,
+            "expanded_um": 8.0,
+            "passes": float(i < 3),
+        }
+        for g in groups
+        for i in range(4)
+    ]
+    content = AcceptanceFile.model_validate(
+        {
+            "kind": "measured",
+            "plan": "mine",
+            "specification": sheet("leica-at500"),
+            "passes": 0,
+            "sentence": "",
+            "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],
+            "tests": tests,
+        }
+    )
+    return shares_of_limits(content)
+
+
+def criteria() -> Figure:
+    rows = [figures.Criterion("distance", 29, 17, 60, 39, 40.1), figures.Criterion("worse", 3.26, 29, 39, 60, -70.6)]
+    return figures.criteria(rows)
+
+
+def distributions() -> Figure:
+    draws = stream(1, "figure").normal(29, 4, (4, 500))
+    names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
+    rows = [figures.Distribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
+    return figures.distributions(rows)
+
+
+def evidence() -> Figure:
+    rows = [
+        figures.Candidate("station-settling", 0.97, 251.0, 3, "finding"),
+        figures.Candidate("index-drift", 0.02),
+        figures.Candidate(MARKUP, 0.01),
+    ]
+    return figures.evidence(rows)
+
+
+def floor_plan() -> Figure:
+    return figures.floor_plan(from_adjustment(samples.after()))
+
+
+def parameters() -> Figure:
+    adjusted = samples.after()
+    sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
+    rows = [
+        figures.ParameterRow(p.name, v / p.factor, s / p.factor, p.unit, p.prior_sigma / p.factor, truth=0.0)
+        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
+    ]
+    return figures.parameters(rows)
+
+
+def reflector_changes() -> Figure:
+    changes = [ChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
+    return figures.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
+
+
+def residuals_by_covariate() -> Figure:
+    first, second = residuals()
+    return figures.residuals_by_covariate(second, first)
+
+
+def residuals_by_station() -> Figure:
+    first, second = residuals()
+    return figures.residuals_by_station(second, first)
+
+
+def signature() -> Figure:
+    first, second = residuals()
+    return figures.signature(first, second, covariate="elevation", observables=["elevation"], stations=["S2"])
+
+
+def sky() -> Figure:
+    made, adjusted = samples.recording(), samples.after().sightings
+    return figures.sky(
+        made.stations, made.station, adjusted.azimuth, adjusted.elevation, made.face, limits=(-0.96, 1.34)
+    )
+
+
+def trade_off() -> Figure:
+    layouts = [figures.Layout(str(i), 20.0 + i, 9.0 - 0.2 * i) for i in range(12)]
+    layouts += [figures.Layout("5 stations", 40.0, 3.0, "chosen"), figures.Layout(MARKUP, 25.0, 5.0, "best")]
+    return figures.trade_off(layouts)
+
+
+def visibility() -> Figure:
+    return figures.visibility(["S1", MARKUP], ["T1", "T2", "T3"], [["", "shadow cone", ""], ["incidence", "", ""]])
+
+
+def z_scores() -> Figure:
+    draws = stream(2, "figure").standard_normal((5, 400))
+    return figures.z_scores([figures.ZScores(f"azimuth-eccentricity-{i}", v) for i, v in enumerate(draws)])
+
+
+def budget() -> Figure:
+    return figures.budget(["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]})
+
+
+def check() -> Figure:
+    return figures.check_figure(check_of(samples.recording()))
+
+
+def displacements() -> Figure:
+    draws = stream(3, "figure").standard_normal((2, 6, 3))
+    moved = np.array([True, False, False, False, False, True])
+    return figures.displacements(1e3 * draws[0], 20 * draws[1], np.full((6, 3), 15.0), moved, ["T1"] * 5 + [MARKUP])
+
+
+def driver_curve() -> Figure:
+    at = np.linspace(-0.6, 0.9, 40)
+    return figures.driver_curve(
+        at, 3.0 * np.sin(3 * at), np.full(40, 0.4), covariate="elevation", carrier="distance", unit="um",
+        residuals=residuals()[0],
+    )  # fmt: skip
+
+
+def coverage() -> Figure:
+    draws = stream(2, "figure").standard_normal((5, 400))
+    return figures.coverage([figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(draws)])
+
+
+DRAWINGS = {
+    f.__name__: f
+    for f in (
+        acceptance, budget, by_factor, by_setting, check, correlation, coverage, criteria, displacements, distributions,
+        driver_curve, evidence,
+        floor_plan, history, parameters, reflector_changes,
+        residuals_by_covariate, residuals_by_station, sigmas, signature, sky, trade_off, visibility, z_scores,
+    )
+}  # fmt: skip
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    stream_ = io.BytesIO()
+    figure.savefig(stream_, format="png", dpi=80)
+    stream_.seek(0)
+    return np.asarray(image.imread(stream_, format="png"))[:, :, :3]
+
+
+def test_every_figure_file_is_drawn_here() -> None:
+    files = {module.name for module in pkgutil.iter_modules(figures.__path__)}
+    assert files <= set(DRAWINGS)
+
+
+@pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+def test_figure_shows_something_in_every_panel(draw: Callable[[], Figure]) -> None:
+    figure = draw()
+    picture = pixels(figure)
+    inked = (picture < 0.97).any(axis=2)
+    height, width = inked.shape
+    assert inked.mean() > 0.01
+    for ax in (a for a in figure.axes if a.axison):
+        box = ax.get_window_extent()
+        scale = 80 / figure.dpi
+        x0, x1 = int(box.x0 * scale), int(box.x1 * scale)
+        y0, y1 = int(height - box.y1 * scale), int(height - box.y0 * scale)
+        inside = inked[y0 + 3 : y1 - 3, x0 + 3 : x1 - 3]
+        assert inside.size > 100, f"{ax.get_title()} has no room"
+        assert inside.mean() > 0.002, f"{ax.get_title()} is empty"
+    border = np.concatenate([inked[0], inked[-1], inked[:, 0], inked[:, width - 1]])
+    assert not border.any(), "something is cut off at the edge"
+
+
+@pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]) -> None:
+    first, second = style.svg(draw()), style.svg(draw())
+    assert first == second
+    assert "<b>" not in first
+    assert "<script" not in first
+    assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", first))
+
+
+def many_correlations() -> Figure:
+    """Of a chain with more parameters than a picture has room for names."""
+    matrix = np.corrcoef(stream(4, "figure").standard_normal((70, 90)))
+    return figures.correlation([f"J{i % 3}.eX_cos{i}" for i in range(70)], matrix)
+
+
+@pytest.mark.parametrize("draw", [*DRAWINGS.values(), many_correlations], ids=[*DRAWINGS, "many"])
+@pytest.mark.parametrize("width", ["page", "phone"])
+def test_words_stand_apart_and_inside(width: str, draw: Callable[[], Figure]) -> None:
+    """Titles, names of axes and of ticks neither run over each other nor over the edge of the picture."""
+    figure = draw()
+    if width == "phone":
+        small = style.narrow(figure)
+        assert small is not None
+        figure = small
+    figure.draw_without_rendering()
+    edge = figure.bbox.padded(1.0)
+    titles, ticks = [], []
+    for ax in (a for a in figure.axes if a.axison):
+        beside = [t.label1 for t in ax.yaxis.get_major_ticks() if t.label1.get_text()]
+        written = [t for t in ax.texts if t.get_text() and t.get_visible()]
+        over = [t.get_text() for t in written for b in beside if t.get_window_extent().overlaps(b.get_window_extent())]
+        assert not over, f"{over} in the names of the axis"
+        headings = [t for t in ax.get_children() if isinstance(t, Text) and t not in ax.texts]
+        titles += [t for t in (*headings, ax.xaxis.label, ax.yaxis.label) if t.get_text() and t.get_visible()]
+        for axis in (ax.xaxis, ax.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            labels = [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high and t.label1.get_visible()]
+            ticks.append([label for label in labels if label.get_text()])
+    for group in (titles, *ticks):
+        boxes = [(t.get_text(), t.get_window_extent()) for t in group if t.get_rotation() % 90 == 0]
+        for i, (text, box) in enumerate(boxes):
+            assert edge.x0 <= box.x0 and box.x1 <= edge.x1 and edge.y0 <= box.y0 and box.y1 <= edge.y1, text
+            over = [other for other, its in boxes[i + 1 :] if box.overlaps(its)]
+            assert not over, f"{text} runs over {over}"
+
+
+def test_axes_carry_units() -> None:
+    grid = residuals_by_covariate().axes
+    assert any("[µm]" in ax.get_ylabel() for ax in grid)
+    assert any("[°]" in ax.get_xlabel() for ax in grid)
+    assert all("[m]" in text for text in (floor_plan().axes[0].get_xlabel(), floor_plan().axes[0].get_ylabel()))
+
+
+def test_a_plan_lists_where_each_tripod_goes() -> None:
+    workshop = from_adjustment(samples.after())
+    words = [text.get_text() for text in figures.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
+    x, y, z = workshop.position[1]
+    assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.yaw[1]) % 360:.0f}°" in words
+    assert len(words) == len(floor_plan().legends[0].get_texts()) + 2 + len(workshop.stations)
+
+
+def test_labels_lose_what_they_share() -> None:
+    assert told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert told_apart(["one", "two"]) == ("one", "two")
+    assert told_apart(["same", "same"]) == ("same", "same")
+    assert told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+
+
+def test_drawing_changes_no_global_setting() -> None:
+    kept = dict(mpl.rcParams)
+    criteria()
+    assert dict(mpl.rcParams) == kept
+
+
+def test_numbers_read_like_numbers() -> None:
+    assert style.with_sigma(-13.66, 3.7) == "−13.7 ± 3.7"
+    assert style.with_sigma(0.0004, 0.0) == "0.000400"
+    assert style.with_sigma(-0.001, 0.9) == "0.00 ± 0.90"
+    assert [style.number(v) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
+
+
+def test_coverage_interval_is_wilsons() -> None:
+    share, low, high = figures.ZScores("a", np.r_[np.zeros(95), np.full(5, 9.0)]).covered()
+    assert share == pytest.approx(0.95)
+    assert (low, high) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
+
+
+def test_coverage_is_red_exactly_where_its_caption_says() -> None:
+    z = stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
+    rows = [figures.ZScores(f"parameter-{i}", v) for i, v in enumerate(z)]
+    colours = figures.coverage(rows).axes[0].collections[-1].get_facecolor()
+    red = [mpl.colors.to_hex(c).upper() == style.RED for c in colours]
+    assert red == figures.uncovered(rows) == [False, True, False, True, False, False]
+    words = coverage_words(rows)
+    assert words.endswith("Red, since that lies outside the allowed band of 93.5 to 96.5 %: parameter-1, parameter-3.")
+    assert "None is red" in coverage_words(rows[:1])
+
+
+def test_factors_with_words_and_designs_have_axes_that_read() -> None:
+    rows = [figures.Swept(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
+    ax = figures.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
+    spread = [figures.Swept(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
+    ax = figures.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
+    assert ax.get_xlabel() == "noise"
+
+
+def lightness_and_hue(colour: str, sight: np.ndarray) -> np.ndarray:
+    """CIE Lab of a colour as an eye with a deficiency sees it."""
+    rgb = np.array(mpl.colors.to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = np.array([[0.4125, 0.3576, 0.1805], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
+    white = np.array([0.95047, 1.0, 1.08883])
+    f = np.cbrt(np.maximum(xyz @ np.clip(sight @ linear, 0, 1) / white, 0.008856))
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+SIGHTS = {
+    "full": np.eye(3),
+    "no red cones": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no green cones": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "no blue cones": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+"""Machado, Oliveira and Fernandes 2009, whole deficiency."""
+
+
+@pytest.mark.parametrize("sight", SIGHTS)
+def test_every_pair_of_colours_is_told_apart_by_every_eye(sight: str) -> None:
+    seen = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.CYCLE}
+    for one, other in itertools.combinations(style.CYCLE, 2):
+        assert np.linalg.norm(seen[one] - seen[other]) > 14, f"{one} and {other}"
+
+
+def test_no_figure_of_the_results_has_other_line_colours_than_the_common_ones(root: Path) -> None:
+    for file in [*root.glob("results/**/*.svg"), *root.glob("docs/**/*.svg")]:
+        assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", file.read_text())), file

@@ -1,0 +1,125 @@
+"""Which reflector to move, add or leave out: what is promised is what the changed layout has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.plan.test_hall import HALL, points_csv
+from tests.plan.test_search import site
+
+from ltsim.arrays import Floats
+from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.planning.changes import Change, reflector_changes
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
+from ltsim.planning.planner import measure
+from ltsim.planning.reflectors import choose_reflectors
+from ltsim.planning.spec import load_plan
+from ltsim.planning.survey import Survey
+from ltsim.planning.workshop import fixed_of, site_of, staying
+
+STAYS = np.arange(28) >= 24
+
+
+def wall_places() -> tuple[Floats, tuple[str, ...]]:
+    along, height = np.meshgrid(np.linspace(0.3, 5.7, 6), [0.15, 2.0, 4.0, 5.9])
+    wall = np.stack([np.zeros(24), along.ravel(), height.ravel()], axis=1)
+    places = np.concatenate([wall, wall[:, [1, 0, 2]]])
+    return places, tuple(f"P{i}" for i in range(len(places)))
+
+
+def changed(survey: Survey, change: Change) -> Survey:
+    """The survey with a change made by hand."""
+    keep = [i for i, name in enumerate(survey.target_names) if name != change.reflector]
+    points = survey.points[keep]
+    names = tuple(survey.target_names[i] for i in keep)
+    if change.position is not None:
+        points, names = np.vstack([points, change.position]), (*names, change.place)
+    return survey.replace(target_names=names, points=points, seen=np.ones((len(survey.position), len(names)), bool))
+
+
+def point_error(survey: Survey, names: list[str]) -> float:
+    """Point error [m] of some targets, root mean square, inner constraints over them."""
+    found = LayoutInformation.of(survey).adjustment.in_inner_datum(names)
+    trace = np.einsum("tii->t", found.target_covariance)
+    return float(np.sqrt(np.mean([trace[survey.target_names.index(name)] for name in names])))
+
+
+@pytest.mark.parametrize("weights", [{INSTRUMENT: 1.0}, {TARGETS: 1.0}])
+def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
+    places, names = wall_places()
+    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    objective = Objective(weights)
+    found = reflector_changes(where, where.survey, STAYS, objective, misalignment())
+    assert {change.what for change in found.told} == {"move", "add", "remove"}
+    before = measure(where.survey, objective, misalignment())[0]
+    for change in found.told[::3]:
+        made = changed(where.survey, change)
+        common = [name for name in where.survey.target_names if name in made.target_names]
+        gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
+        assert change.gain_um == pytest.approx(gain, abs=1e-3)
+        if INSTRUMENT in weights:
+            assert change.quality == pytest.approx(measure(made, objective, misalignment())[0] / before, rel=1e-6)
+        else:
+            assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
+    moves = [change.quality for change in found.told if change.what == "move"]
+    assert moves == sorted(moves)
+    assert moves[-1] < 1.0
+
+
+def test_what_was_tried_and_did_not_help_is_said() -> None:
+    places, names = wall_places()
+    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    made = choose_reflectors(where, where.survey, STAYS, Objective(), misalignment())
+    found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment())
+    assert found.helped["move"] == 0, "the exchange has made every move that helps"
+    assert found.tried["move"] > 300
+    assert f"{found.tried['move']} moves of a reflector (0 help)" in found.summary
+    alone = reflector_changes(site(), site().survey, STAYS, Objective(), misalignment())
+    assert alone.tried == {"move": 0, "add": 0, "remove": 24}
+    assert "give candidates" in alone.summary
+
+
+def test_reflectors_are_chosen_for_the_targets_alone() -> None:
+    places, names = wall_places()
+    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    made = choose_reflectors(where, where.survey, STAYS, Objective({TARGETS: 1.0}), misalignment())
+    assert LayoutInformation.of(made).target_rms < 0.9 * LayoutInformation.of(where.survey).target_rms
+
+
+def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    ways = {"none": "", "walls": 'on = ["walls", "machine"]', "both": 'on = ["machine"]\nmovable = ["wall"]'}
+    for name, given in ways.items():
+        text = HALL.replace("box_mm", 'name = "machine"\nbox_mm').replace(
+            "[search]", f"[reflectors]\n{given}\n[search]"
+        )
+        (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
+        file, scenario = load_plan(tmp_path / "hall.toml")
+        where = site_of(file, scenario, stations=4, faces=1).replace(least=1)
+        survey = where.survey.replace(seen=where.seen(where.survey.position))
+        stays = fixed_of(file, scenario, survey)
+        found = reflector_changes(where, survey, stays, Objective({TARGETS: 1.0}), misalignment())
+        assert staying(file, scenario).all(), "the search leaves the points of a list where they are"
+        assert {what for what, count in found.tried.items() if count} == {
+            "none": set(), "walls": {"add"}, "both": {"move", "add", "remove"},
+        }[name]  # fmt: skip
+        for change in found.told:
+            assert change.reflector == "" or change.reflector.startswith("W")
+            assert change.serves in survey.target_names
+            if change.position is not None:
+                assert np.linalg.norm(survey.points - change.position, axis=1).min() >= where.reflector_spacing
+    places = [change.place for change in found.told if change.what == "move"]
+    assert len(places) == len(set(places)), "each place is told once"
+
+
+def test_bodies_and_groups_that_are_not_there_are_told(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    for given, sentence in (('on = ["wals"]', "did you mean walls"), ('movable = ["wal"]', "did you mean wall")):
+        text = HALL.replace("[search]", f"[reflectors]\n{given}\n[search]")
+        (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
+        with pytest.raises(SetupError, match=sentence):
+            load_plan(tmp_path / "hall.toml")

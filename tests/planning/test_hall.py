@@ -1,0 +1,231 @@
+"""Somebody else's hall in one plan file: areas, keep-outs, points, tolerances, the page for the shop floor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.errors import SetupError
+from ltsim.planning.files import plan_file
+from ltsim.planning.floor import Floor, ground_of
+from ltsim.planning.outlines import fault, inside
+from ltsim.planning.points import read_points
+from ltsim.planning.site import may_stand
+from ltsim.planning.spec import load_plan
+from ltsim.planning.tolerances import radius
+from ltsim.planning.work_order import settings_of
+from ltsim.scene.meshes import cylinder, together
+from ltsim.scene.visibility import visibility
+from ltsim.simulation.workshop import planned, sight_limits
+
+HALL = """format = "ltsim-plan/1"
+title = "Hall 3"
+points = "points.csv"
+[workshop]
+size_mm = [12000, 8000, 5000]
+[[workshop.obstacles]]
+box_mm = [2500, 1500, 2200]
+position_mm = [6000, 4000, 0]
+[instrument]
+preset = "modern"
+[[floor.areas]]
+name = "aisle"
+corners_mm = [[600, 600], [11400, 600], [11400, 2800], [600, 2800]]
+[[floor.areas]]
+corners_mm = [[600, 5200], [11400, 5200], [11400, 7400], [600, 7400]]
+height_mm = [1400, 2200]
+ceiling_mm = 2300
+[[floor.keep_outs]]
+corners_mm = [[4000, 600], [5500, 600], [5500, 2800], [4000, 2800]]
+[[floor.doors]]
+from_mm = [12000, 5500]
+to_mm = [12000, 7000]
+[search]
+starts = 1
+grid_mm = 1500
+yaws = 3
+heights = 1
+"""
+
+
+def points_csv() -> str:
+    rows = ["name,x_mm,y_mm,z_mm,group,tolerance_mm"]
+    for i, (x, y) in enumerate([(4710, 3210), (7290, 3210), (7290, 4790), (4710, 4790)]):
+        rows += [f"M{i}{k},{x},{y},{z},machine," for k, z in enumerate((500, 2200))]
+    for i in range(22):
+        t, z = (i // 4 + 0.5) / 6, (400, 1500, 2600, 3700, 4600)[(i // 4 + i % 4) % 5]
+        x, y = ((12000 * t, 60), (11940, 8000 * t), (12000 * (1 - t), 7940), (60, 8000 * (1 - t)))[i % 4]
+        rows.append(f"W{i:02d},{x:.0f},{y:.0f},{z},wall,")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.fixture
+def hall(tmp_path: Path) -> Path:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    (tmp_path / "hall.toml").write_text(HALL, encoding="utf-8")
+    return tmp_path / "hall.toml"
+
+
+def test_stations_begin_where_the_hall_allows_and_see_every_point(hall: Path) -> None:
+    _, scenario = load_plan(hall)
+    layout = planned(scenario)
+    assert len(layout.targets) == 30
+    x, y, z = layout.position.T
+    north = y > 5.19
+    assert np.all(north | ((y > 0.59) & (y < 2.81)))
+    assert np.all(z[north] <= 2.0)  # a head needs 0.3 m under the ceiling
+    assert not np.any((x > 4.0) & (x < 5.5) & (y < 2.8))
+    assert np.all(np.hypot(np.maximum(12.0 - x, 0), np.maximum(np.maximum(5.5 - y, y - 7.0), 0)) > 1.5)
+    seen = visibility(
+        layout.position, layout.points, sight_limits(scenario, scenario.instrument), obstacles=None
+    ).visible
+    assert seen.any(axis=0).all()
+
+
+def test_holes_ceilings_and_clearance_take_floor_away() -> None:
+    text = {
+        "areas": [{"corners_mm": [[0, 0], [4000, 0], [4000, 4000], [0, 4000]],
+                   "holes_mm": [[[1000, 1000], [2000, 1000], [2000, 2000], [1000, 2000]]]}],
+        "keep_outs": [{"corners_mm": [[3000, 3000], [3500, 3000], [3500, 3500]], "clear_mm": 400}],
+    }  # fmt: skip
+    areas, free = ground_of(Floor.model_validate(text), (4000, 4000, 3000), (1.4, 1.8))
+    at = np.array([[0.5, 0.5, 1.5], [1.5, 1.5, 1.5], [0.5, 0.5, 1.9], [2.7, 3.0, 1.5], [2.5, 3.0, 1.5]])
+    assert may_stand(areas, free, None, at).tolist() == [True, False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("[11400, 2800], [600, 2800]]", "[600, 2800], [11400, 2800]]", "floor.areas.1.corners_mm is no outline:"),
+        ("[11400, 600], [11400, 2800]", "[12400, 600], [11400, 2800]", "has the corner (12400, 600), outside the room"),
+        ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but heads stand at 1400"),
+        ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
+        ("12000, 8000, 5000", "12000, 2000, 5000", "outside the workshop"),
+        ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
+        ('points = "points.csv"', "", "holds 0 reflectors"),
+        ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: str, sentence: str) -> None:
+    assert old in HALL
+    hall.write_text(HALL.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(SetupError) as caught:
+        load_plan(hall)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
+    assert not fault(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
+    assert "crosses" in fault(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
+    assert "crosses" in fault(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
+    assert "line" in fault(np.array([[0.0, 0], [1, 1], [2, 2]]))
+    assert "corner 2 stands" in fault(np.array([[0.0, 0], [0, 0], [2, 2]]))
+    assert inside(np.array([[0.0, 0], [1, 0], [0, 1]]), np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])).tolist() == [
+        True, True, False,
+    ]  # fmt: skip
+
+
+def test_a_list_with_semicolons_and_decimal_commas_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "p.csv"
+    file.write_text("# CAD\nname;x_mm;y_mm;z_mm;weight;tolerance_mm\nA;1,5;2;3;;0,05\n\nB;1;2;3;4;\n", encoding="utf-8")
+    first, second = read_points(file)
+    assert (first.x_mm, first.weight, first.tolerance_mm) == (1.5, 1.0, 0.05)
+    assert (second.weight, second.tolerance_mm) == (4.0, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("name,x_mm,y_mm\nA,1,2\n", "has no column z_mm; expected name, x_mm"),
+        ("name,x_mm,y_mm,z_mm,colour\nA,1,2,3,red\n", "has the column 'colour' too many"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2\n", "has another number of cells"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2,x\n", "z_mm"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,3\n", "'A' stands twice"),
+        ("name,x_mm,y_mm,z_mm,tolerance_mm\nA,1,2,3,0\n", "found 0, expected a positive number"),
+        ("name,x_mm,y_mm,z_mm\n", "holds no points"),
+    ],
+)
+def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    file = tmp_path / "p.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(SetupError) as caught:
+        read_points(file)
+    assert str(caught.value).startswith(str(file))
+    assert sentence in str(caught.value)
+
+
+def test_a_cylinder_hides_what_its_diameter_covers() -> None:
+    there = together([cylinder(1.0, 2.0)])
+    origins, y = np.full((4, 3), [-3.0, 0.0, 1.0]), np.array([0.0, 0.49, 0.52, 0.0])
+    origins[:, 1] = y
+    ends = origins + [6.0, 0.0, 0.0]
+    origins[3, 2] = ends[3, 2] = 2.1
+    assert there.blocked(origins, ends).tolist() == [True, True, False, False]
+    assert there.encloses(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
+
+
+def test_a_radius_holds_the_stated_share_of_errors() -> None:
+    rng = np.random.default_rng(4)
+    shapes = [np.diag([1.0, 0, 0]), np.eye(3), np.diag([4.0, 1.0, 0.25]), [[2.0, 0.9, 0], [0.9, 1, 0], [0, 0, 0.1]]]
+    covariance = np.array(shapes)
+    limit = radius(covariance, 0.95)
+    assert limit[:2] == pytest.approx([1.95996, 2.79548], rel=1e-5)
+    for one, most in zip(covariance, limit, strict=True):
+        errors = rng.multivariate_normal(np.zeros(3), one, 200_000, method="eigh")
+        assert np.mean(np.linalg.norm(errors, axis=1) < most) == pytest.approx(0.95, abs=0.003)
+
+
+def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) -> None:
+    goal = '[goal]\nrobust = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.03\n[search]'
+    counts = {}
+    for robust in ("no", "station"):
+        hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
+        made = lt.plan(hall)
+        assert made.kept is not None
+        assert made.kept.good
+        counts[robust] = len(made.chosen.survey.position)
+        content = plan_file(made)
+        assert content.tolerances_kept
+        assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
+        stations = [loss for loss in content.losses if loss.lost in made.chosen.survey.station_names]
+        assert len(stations) == counts[robust]
+        assert all(loss.kept for loss in stations) == (robust == "station")
+        assert any(f"{counts[robust]} stations are the fewest found" in sentence for sentence in content.reasons)
+    assert counts["no"] < counts["station"]
+
+
+def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: Path) -> None:
+    goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmost = 2\n[budget]\nrepeats = [1]\n[search]"
+    hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
+    made = lt.plan(hall)
+    assert made.kept is not None
+    assert not made.kept.good
+    assert "Not all tolerances can be kept at 95 %" in plan_file(made).reasons[0]
+
+
+def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[budget]\nfaces = [1]\nrepeats = [1]\n[search]"))
+    made = lt.plan(hall)
+    points = dict(zip(made.chosen.survey.target_names, made.chosen.survey.points, strict=True))
+    for setting, place in zip(settings_of(made), made.chosen.survey.position, strict=True):
+        assert len(setting.tapes) == 3
+        for tape in setting.tapes:
+            if tape.to in points:
+                assert tape.metres == pytest.approx(np.hypot(*(points[tape.to] - place)[:2]))
+        assert list(setting.order) == [n for n in points if n in setting.order]
+    assert run(["plan", "hall.toml", "--out", "out", "--jobs", "1"]) == 0
+    rows = (tmp_path / "out" / "work-order.csv").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 1 + made.chosen.survey.pointings
+    nominals = (tmp_path / "out" / "nominals.csv").read_text(encoding="utf-8").splitlines()
+    assert nominals[:2] == ["name,x_mm,y_mm,z_mm", "M00,4710,3210,500"]
+    page = (tmp_path / "out" / "work-order.html").read_text(encoding="utf-8")
+    assert "Where the tripods go" in page
+    assert "What to check, and when" in page
+    again, _ = lt.simulate(tmp_path / "out" / "scenario.toml", seed=1)
+    assert len(again) == made.chosen.survey.pointings

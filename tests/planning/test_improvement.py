@@ -1,0 +1,75 @@
+"""Expected criteria against repeated simulated calibrations, and against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.plan.fixtures import survey
+
+from ltsim.adjustment import adjust
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.errors import ModelError
+from ltsim.evaluation.criteria import evaluate
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.planning.improvement import Predictor, expected_length
+from ltsim.planning.information import LayoutInformation
+from ltsim.randomness import stream
+
+TRIALS = 60
+
+
+def test_expected_length_of_a_normal_vector() -> None:
+    """Half-normal on a line, Rayleigh in a plane, Maxwell in space."""
+    variances = np.array([[4.0, 0, 0], [4.0, 4.0, 0], [4.0, 4.0, 4.0]])
+    exact = 2.0 * np.sqrt([2 / np.pi, np.pi / 2, 8 / np.pi])
+    assert expected_length(variances) == pytest.approx(exact, rel=1e-6)
+
+
+def test_expected_criteria_agree_with_simulated_calibrations() -> None:
+    """Noise, known lengths, instrument and an effect that the calibration does not know are drawn anew each time."""
+    made, construction = survey((1,)), misalignment()
+    effect = RangeCyclic(wavelength=0.9)
+    information = LayoutInformation.of(made)
+    expected = Predictor.of(information, [effect]).expected({"angle errors": 0.5, "range-cyclic": 0.5})
+    scale = np.array([0.5 if p.prior_kind == "angle" else 1.0 for p in construction.parameters])
+    clean = made.recording(construction)
+    size = 0.5 * np.array([p.prior_sigma for p in effect.parameters])
+    found = []
+    for trial in range(TRIALS):
+        rng = stream(11, "trial", trial)
+        values = rng.normal(size=16) * information.prior_sigma * scale
+        state = State(made.position, made.rotation, made.points, values[None])
+        readings = MeasurementModel(clean, construction).predict(state)
+        readings = readings + effect.shift(information.adjustment.sightings, rng.normal(size=len(size)) * size)
+        readings = readings + rng.normal(size=readings.shape) * clean.sigma()
+        gauge = clean.gauge
+        lengths = tuple(
+            d.model_copy(update={"length_mm": d.length_mm + rng.normal() * d.sigma_mm}) for d in gauge.distance
+        )
+        setup = clean.setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": lengths})})
+        recording = clean.with_readings(readings).replace(setup=setup)
+        criteria = evaluate(recording, construction, adjust(recording, construction).state.instrument[0])
+        after = criteria.distance.after, criteria.coordinate.after
+        assert after[0] is not None
+        assert after[1] is not None
+        found.append([criteria.distance.before.mean, after[0].mean, criteria.coordinate.before.mean, after[1].mean])
+    mean, error = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(TRIALS)
+    predicted = [
+        expected.distance_before[0],
+        expected.distance_after[0],
+        expected.coordinate_before[0],
+        expected.coordinate_after[0],
+    ]
+    assert np.all(np.abs(mean - predicted) < 3.5 * error + 0.005 * mean)
+    assert error[1] < 0.03 * mean[1], "the comparison would not notice a wrong prediction"
+
+
+def test_requests_are_answered_one_by_one_and_groups_are_named() -> None:
+    predictor = Predictor.of(LayoutInformation.of(survey((1,), 2)))
+    many = predictor.expected({"range noise": np.array([0.0, 1.0, 2.0])})
+    assert np.all(np.diff(many.distance_after) > 0)
+    one = predictor.expected({"range noise": 2.0})
+    assert many.coordinate_after[2] == pytest.approx(one.coordinate_after[0], rel=1e-12)
+    with pytest.raises(ModelError, match="range noise"):
+        predictor.expected({"range nose": 1.0})

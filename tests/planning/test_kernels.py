@@ -1,0 +1,50 @@
+"""The same layouts are lost whatever linear algebra the processor gets: OpenBLAS has kernels for each type of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+KERNELS = ("Haswell", "SkylakeX", "Zen", "Nehalem")
+ROOT = Path(__file__).resolve().parents[2]
+DECISIONS = """
+import json
+import numpy as np
+from ltsim.errors import NetworkError
+from ltsim.planning.fast import Reducer
+from ltsim.planning.information import LayoutInformation
+from tests.plan.fixtures import survey
+from tests.plan.test_information import masks
+
+made, found = survey(), {}
+reducer = Reducer(made)
+for name, seen in {"whole": np.ones((5, 28), dtype=bool), **masks()}.items():
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw, seen=seen), np.arange(5)[None], targets=True)
+    try:
+        LayoutInformation.of(made.replace(seen=seen))
+        slow = "determined"
+    except NetworkError:
+        slow = "lost"
+    fast = np.isfinite(out.information).all() and np.isfinite(out.target_rms).all()
+    found[name] = [slow, "determined" if fast else "lost"]
+print(json.dumps(found))
+"""
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_rank_is_the_same_under_every_kernel(kernel: str) -> None:
+    environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-W", "error", "-c", DECISIONS]
+    ended = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    if ended.returncode < 0:
+        pytest.skip(f"this processor does not run the instructions of {kernel}")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    assert found.pop("whole") == ["determined", "determined"]
+    assert found
+    assert all(decisions == ["lost", "lost"] for decisions in found.values()), found

@@ -1,0 +1,220 @@
+"""From a plan file to files that a person and the simulator can use; what is wrong with a file, in one sentence."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.cli.main import run
+from ltsim.errors import SetupError
+from ltsim.planning.files import plan_file, planned_scenario, write_plan
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.reasons import fewest
+from ltsim.planning.spec import PlanFile, Search, load_plan, plan_names, plan_text
+from ltsim.planning.workshop import survey_of
+from ltsim.simulation.scenario import changed, load_scenario, scenario_to_toml
+from ltsim.simulation.workshop import visibility_of
+
+HEAD = 'format = "ltsim-plan/1"\n'
+
+
+def small(text: str, tmp_path: Path, starts: int = 1) -> Path:
+    path = tmp_path / "plan.toml"
+    search = f"[search]\nstarts = {starts}\ngrid_mm = 1200\nyaws = 3\nheights = 1\n"
+    path.write_text(HEAD + text + search, encoding="utf-8")
+    return path
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    text = "[stations]\ncount = 4\ntries = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\n"
+    return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"), 2)))
+
+
+def test_a_scenario_as_a_survey_is_its_recording() -> None:
+    """Same pointings, same clock, as the simulator makes them."""
+    from ltsim.simulation.simulator import simulate
+
+    scenario = load_scenario("paper-workshop")
+    made = survey_of(scenario)
+    recording, _ = simulate(scenario, 0)
+    ours = made.recording(LayoutInformation.of(made).construction)
+    assert np.array_equal(ours.station, recording.station)
+    assert np.array_equal(ours.target, recording.target)
+    assert ours.time == pytest.approx(recording.time)
+    assert np.abs(ours.readings[:, 0] - recording.readings[:, 0]).max() < 0.1
+
+
+def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: Plan) -> None:
+    assert plan.reference is not None
+    content = plan_file(plan)
+    factor = plan.reference.qualities["instrument"] / plan.chosen.qualities["instrument"]
+    assert factor > 1.05
+    assert any(f"{factor:.2f} times better for instrument" in sentence for sentence in content.reasons)
+    assert len(content.stations) == 4
+    assert content.quality["instrument"] == pytest.approx(plan.chosen.value)
+
+
+def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
+    """Stations are searched for the points that ranges place; no angle is asked for, compared or advised."""
+    (tmp_path / "ranges.toml").write_text(scenario_to_toml(load_scenario("paper-workshop-re-aimed")), encoding="utf-8")
+    scenario = 'scenario = "ranges.toml"\n'
+    goal = (
+        "[goal]\ninstrument = 0\ntargets = 1\n[budget]\nfaces = [1]\nrepeats = [1]\n[stations]\ncount = 4\ntries = []\n"
+    )
+    file, whole = load_plan(small(scenario + goal, tmp_path))
+    ranges = changed(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
+    made = make_plan(file, ranges)
+    assert made.reference is not None
+    assert made.chosen.qualities["targets"] < 0.7 * made.reference.qualities["targets"]
+    assert made.chosen.expected is None
+    content = plan_file(made)
+    assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
+    with pytest.raises(SetupError, match="from 3 stations, not from 2"):
+        make_plan(file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": 2})}), ranges)
+
+
+def test_the_curve_knows_cost_and_quality(plan: Plan) -> None:
+    hours = [option.hours for option in plan.options]
+    assert hours == sorted(hours)
+    efficient = [option.value for option in plan.options if option.efficient]
+    assert efficient == sorted(efficient, reverse=True)
+    ways = {(len(o.survey.position), o.survey.repeats) for o in plan.options}
+    assert ways == {(n, r) for n in (3, 4) for r in (1, 2)}
+    one = next(o for o in plan.options if len(o.survey.position) == 3 and o.survey.repeats == 1)
+    assert one.survey.seconds == 3 * (20 * 60 + 28 * 15)
+    few = fewest(plan)
+    assert few is not None
+    assert len(few.survey.position) <= 4
+
+
+def test_files_hold_what_a_tripod_needs(plan: Plan, tmp_path: Path) -> None:
+    content = write_plan(plan, tmp_path / "out")
+    saved = json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))
+    assert {**saved, "files": {}} == json.loads(json.dumps(content.content())) | {"files": {}}
+    rows = table(tmp_path / "out" / "stations.csv")
+    places = np.array([[float(row[k]) for k in ("x_mm", "y_mm", "z_mm")] for row in rows])
+    assert places == pytest.approx(plan.chosen.survey.position * 1e3, abs=0.06)
+    assert all(row["sees"] == "yes" for row in table(tmp_path / "out" / "visibility.csv"))
+    scenario = load_scenario(tmp_path / "out" / "scenario.toml")
+    assert visibility_of(scenario).visible.all()
+    again = LayoutInformation.of(survey_of(scenario))
+    assert again.instrument_sigma == pytest.approx(plan.chosen.information.instrument_sigma, rel=2e-3)
+
+
+def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: Plan) -> None:
+    made = planned_scenario(plan)
+    assert made.gauge == plan.scenario.gauge
+    assert made.instrument == plan.scenario.instrument
+    assert made.target_names == plan.scenario.target_names
+
+
+def test_the_number_of_jobs_changes_nothing(tmp_path: Path) -> None:
+    file, scenario = load_plan(small("[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n", tmp_path))
+    assert plan_file(make_plan(file, scenario, jobs=2)) == plan_file(make_plan(file, scenario))
+
+
+def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> None:
+    """A cabinet before a wall: the scenario's own layout loses sights, the plan does not."""
+    base = load_scenario("paper-workshop-re-aimed")
+    (tmp_path / "with.toml").write_text(_with_cabinet(base), encoding="utf-8")
+    text = 'scenario = "with.toml"\n[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n'
+    made = make_plan(*load_plan(small(text, tmp_path)))
+    assert made.reference is not None
+    assert not made.reference.survey.seen.all()
+    assert any("does not keep the plan's rules (S" in sentence for sentence in plan_file(made).reasons)
+    assert made.chosen.survey.seen.all()
+    x, y, _ = made.chosen.survey.position.T
+    assert not ((np.abs(x - 3.6) < 0.3) & (np.abs(y - 2.6) < 0.3)).any()
+
+
+def _with_cabinet(scenario) -> str:  # type: ignore[no-untyped-def]
+    from ltsim.simulation.scenario import scenario_to_toml
+    from ltsim.simulation.sections import Obstacle
+
+    cabinet = Obstacle(name="cabinet", box_mm=(600, 600, 1700), position_mm=(3600, 2600, 0))
+    workshop = scenario.workshop.model_copy(update={"obstacles": (cabinet,)})
+    return scenario_to_toml(scenario.model_copy(update={"workshop": workshop}))
+
+
+def test_a_budget_in_hours_buys_the_best_that_it_pays_for(tmp_path: Path) -> None:
+    text = "[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 1.8\n"
+    made = make_plan(*load_plan(small(text, tmp_path)))
+    assert made.chosen.survey.repeats == 2
+    poor = text.replace("1.8", "0.5")
+    with pytest.raises(SetupError, match=r"the cheapest way of working takes 1\.4 hours"):
+        make_plan(*load_plan(small(poor, tmp_path)))
+
+
+def test_built_in_plans_load_and_print() -> None:
+    assert plan_names()[0] == "paper-workshop"
+    made, scenario = load_plan("paper-workshop")
+    assert made.stations.count == 5
+    assert len(scenario.targets) == 24
+    assert "height_mm" in plan_text("paper-workshop")
+    assert load_plan("paper-laboratory")[0] == PlanFile(scenario="paper-laboratory")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[stations]\ncont = 5\n", "unknown key stations.cont; did you mean count"),
+        ("[stations]\ncount = 1\n", "stations.count is 1"),
+        ('[stations]\nfixed = ["S9"]\n', "stations.fixed names 'S9', which does not exist; did you mean S"),
+        ("[stations]\nseen_from = 7\n", "seen_from is 7, but there are 5 stations"),
+        ('[goal]\ncriterion = "T"\n', "goal.criterion"),
+        ("[goal]\ninstrument = 0\n", "at least one of instrument, targets and diagnosis"),
+        ('[goal]\ndiagnosis = 1\neffects = ["stationweather"]\n', "did you mean station-weather"),
+        ("[floor]\nheight_mm = [2000, 1500]\n", "the lower height_mm first"),
+        ("[floor]\ncorners_mm = [[0, 0], [1, 1]]\n", "corners_mm"),
+        (
+            "[floor]\ncorners_mm = [[0, 0, 1, 2], [1, 1], [2, 3]]\n",
+            "floor.corners_mm.1 is [0, 0, 1, 2], but it should hold at most 2",
+        ),
+        ("[[points]]\nposition_mm = [1, 2, 3, 4]\n", "unknown key points.1.position_mm"),
+        ('scenario = "paper-workshp"\n', "did you mean paper-workshop"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_in_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(HEAD + text, encoding="utf-8")
+    with pytest.raises(SetupError) as caught:
+        load_plan(path)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_file_and_no_floor(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match="no such file, and no built-in plan"):
+        load_plan(tmp_path / "nowhere.toml")
+    file = PlanFile.model_validate({"floor": {"margin_mm": 3000}})
+    with pytest.raises(SetupError, match="leaves no floor"):
+        make_plan(file.model_copy(update={"search": Search(starts=1)}), load_scenario("paper-workshop"))
+
+
+def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = small("[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n", tmp_path)
+    assert run(["plan", str(path), "--out", str(tmp_path / "out"), "--jobs", "1", "--seed", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "Where the tripod goes" in said
+    written = {file.name for file in (tmp_path / "out").iterdir()}
+    assert {"floor.png", "tradeoff.png", "stations.csv", "plan.json", "scenario.toml"} <= written
+    assert (tmp_path / "out" / "floor.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))["seed"] == 3
+    assert run(["plan", "paper-workshop", "--show"]) == 0
+    assert capsys.readouterr().out == plan_text("paper-workshop")
+
+
+@pytest.mark.parametrize("arguments", [["plan"], ["plan", "nothing"], ["plan", "paper-workshop", "--between", "a,b"]])
+def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -1,0 +1,152 @@
+"""Search: what it returns is what it says, keeps the rules, and is the same every time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.plan.fixtures import survey
+
+from ltsim.arrays import Floats
+from ltsim.effects.station_weather import StationWeather
+from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.planning.criteria import a_criterion, d_criterion
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.outlines import Area, inside
+from ltsim.planning.reflectors import choose_reflectors
+from ltsim.planning.search import Searcher
+from ltsim.planning.site import Site
+from ltsim.scene.meshes import box, placed, together
+from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
+
+FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
+
+
+def site(stations: int = 3, **changes: object) -> Site:
+    made = survey((1,), stations)
+    whole = Site(made, (Area(FLOOR, (1.5, 2.1)),), SightLimits(), aimed=np.zeros(28, dtype=bool), least=stations)
+    return whole.replace(**changes)
+
+
+def searcher(where: Site, objective: Objective | None = None) -> Searcher:
+    return Searcher(where, objective or Objective(), step=1.25, yaws=4, heights=1)
+
+
+def information(where: Site, position: Floats, yaw: Floats) -> LayoutInformation:
+    seen = where.seen(position)
+    return LayoutInformation.of(where.survey.replace(position=position, yaw=yaw, seen=seen))
+
+
+@pytest.fixture(scope="module")
+def found():  # type: ignore[no-untyped-def]
+    return searcher(site()).from_start(4, 1)
+
+
+def test_the_value_is_that_of_the_layout_it_returns(found) -> None:  # type: ignore[no-untyped-def]
+    covariance = information(site(), found.position, found.yaw).scaled_covariance
+    assert found.value == pytest.approx(float(d_criterion(covariance)), rel=1e-8)
+
+
+def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(found) -> None:  # type: ignore[no-untyped-def]
+    where = site()
+    own = searcher(where).evaluate(where.survey.position, where.survey.yaw)
+    assert found.value < 0.8 * own.value
+    assert where.allowed(found.position).all()
+    assert where.seen(found.position).all()
+    gap = np.linalg.norm(found.position[:, None, :2] - found.position[None, :, :2], axis=2)[np.triu_indices(3, 1)]
+    assert gap.min() >= where.spacing - 1e-9
+
+
+def test_no_single_station_of_the_grid_improves_it(found) -> None:  # type: ignore[no-untyped-def]
+    work = searcher(site())
+    here = work._joined([work.pool(found.position[s : s + 1], found.yaw[s : s + 1], s) for s in range(3)])
+    for slot in range(3):
+        assert work.best_replacement(here, slot, work.table(slot))[1] > found.value * (1 - 1e-3)
+
+
+def test_a_search_is_reproducible_from_its_seed(found) -> None:  # type: ignore[no-untyped-def]
+    again = searcher(site()).from_start(4, 1)
+    assert np.array_equal(again.position, found.position)
+    assert np.array_equal(again.yaw, found.yaw)
+    other = searcher(site()).from_start(5, 1)
+    assert not np.array_equal(other.position, found.position)
+
+
+def test_a_fixed_station_stays() -> None:
+    where = site(fixed=(0,))
+    made = searcher(where).from_start(1, 2)
+    assert np.array_equal(made.position[0], where.survey.position[0])
+    assert made.yaw[0] == pytest.approx(where.survey.yaw[0])
+
+
+def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: ignore[no-untyped-def]
+    """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
+    pillar = placed(box(np.array([0.5, 0.5, 1.2])), np.array([*found.position[0, :2], 0.0]), 0.0)
+    where = site(obstacles=together([pillar]))
+    work = Searcher(where, step=0.8, yaws=4, heights=1)
+    assert work.evaluate(found.position, found.yaw).value == np.inf
+    made = work.from_start(4, 1)
+    assert not together([pillar]).encloses(made.position).any()
+    assert visibility(made.position, where.survey.points, where.limits, obstacles=together([pillar])).visible.all()
+    assert made.value > 0.999 * found.value
+
+
+def test_least_stations_a_target_lets_single_sights_go() -> None:
+    where = site(4, least=2, limits=SightLimits(range_max=5.5))
+    made = searcher(where).from_start(0, 1)
+    seen = where.seen(made.position)
+    assert not seen.all()
+    assert (seen.sum(axis=0) >= 2).all()
+    with pytest.raises(SetupError, match="no place on the floor sees every reflector"):
+        searcher(site(limits=SightLimits(range_max=5.5))).from_start(0, 1)
+
+
+def test_fixed_nests_are_served_by_all_stations() -> None:
+    aimed = np.ones(28, dtype=bool)
+    where = site(aimed=aimed)
+    made = searcher(where).from_start(0, 1)
+    half = aimed_normals(made.position, where.survey.points)[1]
+    assert half.max() <= where.limits.acceptance
+    free = searcher(site()).from_start(0, 1)
+    assert aimed_normals(free.position, where.survey.points)[1].max() > where.limits.acceptance
+
+
+def test_targets_and_diagnosis_are_goals_of_their_own() -> None:
+    where = site()
+    effects = tuple(StationWeather(stations=(name,)) for name in where.survey.station_names)
+    goals = {TARGETS: Objective({TARGETS: 1.0}), DIAGNOSIS: Objective({DIAGNOSIS: 1.0}, effects=effects)}
+    best = {name: searcher(where, goal).from_start(2, 1) for name, goal in goals.items()}
+    rms = {name: information(where, made.position, made.yaw).target_rms for name, made in best.items()}
+    assert best[TARGETS].value == pytest.approx(rms[TARGETS], rel=1e-8)
+    assert rms[TARGETS] < rms[DIAGNOSIS]
+    judge = searcher(where, goals[DIAGNOSIS])
+    assert best[DIAGNOSIS].value < judge.evaluate(best[TARGETS].position, best[TARGETS].yaw).value
+    mixed = searcher(where, Objective({INSTRUMENT: 1.0, TARGETS: 1.0}, "A")).from_start(2, 1)
+    slow = information(where, mixed.position, mixed.yaw)
+    mean = np.sqrt(float(a_criterion(slow.scaled_covariance)) * slow.target_rms)
+    assert mixed.value == pytest.approx(mean, rel=1e-8)
+
+
+def test_reflectors_move_to_better_places_and_the_gauge_stays() -> None:
+    along, height = np.meshgrid(np.linspace(0.3, 5.7, 6), [0.15, 2.0, 4.0, 5.9])
+    wall = np.stack([np.zeros(24), along.ravel(), height.ravel()], axis=1)
+    places = np.concatenate([wall, wall[:, [1, 0, 2]]])
+    names = tuple(f"P{i}" for i in range(len(places)))
+    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    stays = np.arange(28) >= 24
+    made = choose_reflectors(where, where.survey, stays, Objective(), misalignment())
+    before = d_criterion(LayoutInformation.of(where.survey).scaled_covariance)
+    after = d_criterion(LayoutInformation.of(made).scaled_covariance)
+    assert after < 0.97 * before
+    assert len(made.target_names) == len(set(made.target_names)) == 28
+    assert made.points[:4] == pytest.approx(where.survey.points[24:])
+    moved = made.points[4:]
+    gap = np.linalg.norm(moved[:, None] - moved[None], axis=2)[np.triu_indices(24, 1)]
+    assert gap.min() > 0.4
+
+
+def test_points_inside_a_floor_that_is_not_convex() -> None:
+    room = np.array([[0.0, 0], [4, 0], [4, 4], [2, 4], [2, 2], [0, 2]])
+    points = np.array([[1.0, 1], [1, 3], [3, 3], [2, 3], [4, 4], [5, 1]])
+    assert inside(room, points).tolist() == [True, False, True, True, True, False]

@@ -1,0 +1,57 @@
+"""Asking for more sights than there are is answered before the search, with what can be had."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.plan.test_hall import HALL, points_csv
+from tests.plan.test_search import site
+
+from ltsim.errors import SetupError
+from ltsim.planning.sights import most_sights, with_reachable_sights
+from ltsim.planning.site import Site
+from ltsim.planning.spec import PlanFile, Stations, load_plan
+from ltsim.planning.workshop import site_of
+from ltsim.scene.visibility import SightLimits
+
+
+def short_sighted(least: int) -> Site:
+    """Three stations whose instrument reaches 5 m: no place sees the whole mesh."""
+    return site(limits=SightLimits(range_max=5.0), least=least)
+
+
+def test_what_can_be_had_is_had() -> None:
+    """The number is reached by the layout it stands for, and all are seen from everywhere where that is possible."""
+    assert most_sights(site(), 0.5, 2)[0] == 3
+    found, limiting = most_sights(short_sighted(3), 0.5, 2)
+    assert 1 <= found < 3
+    position, _ = short_sighted(3).grid(0.5, 1, 2)
+    share = short_sighted(3).seen(position).mean(axis=0)
+    assert limiting == short_sighted(3).survey.target_names[int(np.argmin(share))]
+
+
+def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
+    found, limiting = most_sights(short_sighted(3), 0.5, 2)
+    asked = PlanFile(stations=Stations(seen_from="all"))
+    with pytest.raises(SetupError, match=rf"set stations\.seen_from = {found}, move {limiting}, or widen the floor"):
+        with_reachable_sights(asked, short_sighted(3))
+    assert with_reachable_sights(asked, site()) is asked
+
+
+def test_the_default_is_found() -> None:
+    found, _ = most_sights(short_sighted(3), 0.5, 2)
+    settled = with_reachable_sights(PlanFile(), short_sighted(3))
+    assert settled.stations.seen_from == found
+    assert with_reachable_sights(PlanFile(), site()).stations.seen_from == "all"
+
+
+def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> None:
+    """A machine in the middle: three stations see every point twice, but not when the first takes the best place."""
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    (tmp_path / "hall.toml").write_text(HALL.replace("grid_mm = 1500", "grid_mm = 1000"), encoding="utf-8")
+    file, scenario = load_plan(tmp_path / "hall.toml")
+    where = site_of(file, scenario, stations=3, faces=1)
+    assert most_sights(where, 1.0, 1)[0] == 2
+    assert with_reachable_sights(file, where).stations.seen_from == 2

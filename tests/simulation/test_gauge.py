@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from ltsim.errors import SetupError
+from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.gauge import (
+    TABLE_2,
+    embedded,
+    expansion,
+    frame_of,
+    in_workshop,
+    length_sigma,
+    nominal_points,
+    orientation,
+)
+from ltsim.simulation.lengths import with_lengths
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.sections import Cmm, Gauge
+from ltsim.simulation.simulator import simulate
+
+PLACE = (750.0, 750.0, 260.0)
+
+
+@pytest.mark.parametrize("reading", ["columns", "rows"])
+def test_both_readings_of_table_2_are_realised(reading: str) -> None:
+    frame = frame_of(Gauge.model_validate({"position_mm": PLACE, "reading": reading}))
+    np.testing.assert_allclose(frame.length * 1e3, TABLE_2[reading], atol=1e-7)
+
+
+def test_by_columns_the_gauge_is_a_flat_near_parallelogram_by_rows_it_is_not() -> None:
+    flat = frame_of(Gauge(position_mm=PLACE))
+    assert np.sqrt(np.mean(flat.points[:, 2] ** 2)) == pytest.approx(0.55e-3, abs=0.1e-3)
+    middles = 0.5 * (flat.points[1] + flat.points[2]), 0.5 * (flat.points[0] + flat.points[3])
+    assert np.linalg.norm(middles[0] - middles[1]) == pytest.approx(1.6e-3, abs=0.3e-3)
+    solid = frame_of(Gauge(position_mm=PLACE, reading="rows"))
+    assert np.sqrt(np.mean(solid.points[:, 2] ** 2)) > 0.02
+
+
+@given(st.integers(3, 7), st.integers(0, 10_000))
+def test_points_are_recovered_from_their_distances(count: int, seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    first, second = np.array(list(combinations(range(count), 2))).T
+    lengths = np.linalg.norm(points[first] - points[second], axis=1)
+    found = embedded(count, first, second, lengths)
+    np.testing.assert_allclose(np.linalg.norm(found[first] - found[second], axis=1), lengths, atol=1e-9)
+
+
+def square(diagonal_mm: float) -> list[dict[str, object]]:
+    pairs = [("A", "B", 300.0), ("B", "C", 300.0), ("C", "D", 300.0), ("D", "A", 300.0)]
+    pairs += [("A", "C", 300 * 2**0.5), ("B", "D", diagonal_mm)]
+    return [{"from": a, "to": b, "length_mm": length} for a, b, length in pairs]
+
+
+def test_own_gauges_need_all_their_lengths_and_must_fit_in_space() -> None:
+    table = {"targets": ("A", "B", "C", "D"), "position_mm": PLACE}
+    assert len(frame_of(Gauge.model_validate({**table, "distance": square(300 * 2**0.5)})).length) == 6
+    with pytest.raises(SetupError, match="no frame in space has these lengths"):
+        frame_of(Gauge.model_validate({**table, "distance": square(500.0)}))
+    with pytest.raises(SetupError, match="the length B-D is missing"):
+        frame_of(Gauge.model_validate({**table, "distance": square(400.0)[:-1]}))
+    with pytest.raises(SetupError, match="is no pair of two"):
+        frame_of(Gauge.model_validate({**table, "distance": [{"from": "A", "to": "X", "length_mm": 1}]}))
+    with pytest.raises(SetupError, match="holds 3 reflectors"):
+        frame_of(Gauge(position_mm=PLACE, targets=("A", "B", "C")))
+
+
+def test_aluminium_grows_by_58_um_on_the_shortest_length() -> None:
+    gauge = Gauge(position_mm=PLACE)
+    frame = frame_of(gauge)
+    points = in_workshop(gauge, frame, 27.0)
+    grown = np.linalg.norm(points[frame.first] - points[frame.second], axis=1)
+    assert (grown - frame.length)[0] == pytest.approx(357.6066e-3 * 23.2e-6 * 7, rel=1e-6)
+    assert expansion(gauge, 20.0) == 1.0
+    assert expansion(Gauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(1 + 23.2e-5)
+
+
+def test_certificate_scatters_as_the_machine_promises() -> None:
+    work = fieldwork(load_scenario("paper-workshop"), 1)
+    lengths = frame_of(work.scenario.gauge).length
+    blank = simulate(work.scenario, 1)[0]
+    none = tuple(np.zeros(len(effect.parameters)) for effect in work.effects)
+    drawn = [with_lengths(blank, work, none, 1, k).gauge.distance for k in range(400)]
+    gaps = 1e-3 * np.array([[line.length_mm for line in lines] for lines in drawn]) - lengths
+    sigma = length_sigma(Cmm(), lengths)
+    assert sigma[0] * 1e6 == pytest.approx((2.3 + 357.6066 / 300) / 2)
+    np.testing.assert_allclose(gaps.std(axis=0) / sigma, 1.0, atol=0.15)
+    np.testing.assert_allclose(np.corrcoef(gaps.T), np.eye(6), atol=0.2)
+
+
+def test_nominal_points_keep_the_machine_within_its_largest_error() -> None:
+    points = np.random.default_rng(1).uniform(0, 1, (12, 3))
+    names = tuple(f"C{i}" for i in range(12))
+    first, second = np.triu_indices(12, k=1)
+    length = np.linalg.norm(points[first] - points[second], axis=1)
+    gaps = []
+    for k in range(400):
+        measured = nominal_points(points, names, Cmm(), 1, k)
+        gaps.append(np.linalg.norm(measured[first] - measured[second], axis=1) - length)
+    limit = 2 * length_sigma(Cmm(), length)
+    assert 0.93 < np.mean(np.abs(gaps) < limit) <= 1.0
+    assert np.mean(np.abs(gaps) < 0.3 * limit) < 0.7
+
+
+def test_orientation_turns_about_x_then_y_then_z() -> None:
+    turned = orientation(Gauge(position_mm=PLACE, yaw_deg=90, roll_deg=90))
+    np.testing.assert_allclose(turned @ [0.0, 1.0, 0.0], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(turned @ [1.0, 0.0, 0.0], [0, 1, 0], atol=1e-12)

@@ -1,0 +1,71 @@
+"""A tracker of which only some readings are recorded: ranges alone are multilateration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment import adjust
+from ltsim.campaigns.cell import truth_of
+from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.planning.workshop import survey_of
+from ltsim.recording.setup import Target
+from ltsim.simulation.truth import Truth
+from ltsim.tasks.measurands import best_fit
+
+RANGES = {"instrument.observables": ["distance"]}
+
+
+def test_multilateration_from_scenario_to_coordinates(tmp_path: Path) -> None:
+    scenario = lt.scenario("paper-workshop", {**RANGES, "instrument.errors": {"draw": False}})
+    recording, truth = lt.simulate(scenario, seed=3)
+    assert np.isfinite(recording.readings[:, 0]).all()
+    assert np.isnan(recording.readings[:, 1:]).all()
+    lt.write(recording, tmp_path / "rec")
+    assert "mirror image" in repr(lt.adjust(tmp_path / "rec"))
+    rough = {name: Target(approximate_mm=tuple(np.round(1000 * p, -2).tolist())) for name, p in _places(truth)[::5]}
+    stated = lt.read(tmp_path / "rec")
+    found = lt.adjust(stated.replace(setup=stated.setup.model_copy(update={"targets": rough})))
+    assert "mirror image" not in repr(found)
+    places = dict(zip(found.targets, found.points, strict=True))
+    points = np.array([places[name] for name in truth.targets])
+    rotation, shift, _ = best_fit(truth.points, points)
+    gap = points - (truth.points @ rotation.T + shift)
+    assert np.sqrt(np.mean(gap**2)) < 30e-6
+    assert found.fit.p_value is not None
+    assert found.fit.p_value > 0.001
+
+
+def _places(truth: Truth) -> list[tuple[str, np.ndarray]]:
+    return list(zip(truth.targets, truth.points, strict=True))
+
+
+def test_a_calibration_from_ranges_tells_of_no_new_point() -> None:
+    recording, _ = lt.simulate(lt.scenario("paper-workshop", RANGES), seed=3)
+    found = lt.calibrate(recording)
+    assert "expected error of a new point" not in repr(found)
+    known = dict(zip(found.names, found.sigma[0] / found.prior_sigma[0], strict=True))
+    assert known["range-scale"] < 0.999
+    assert known["beam-tilt"] == pytest.approx(1.0)
+
+
+def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
+    assert not survey_of(lt.scenario("paper-workshop", RANGES)).is_whole
+    assert truth_of(lt.scenario("paper-workshop", RANGES), 1).recorded.tolist() == [True, False, False]
+    angles = lt.scenario("paper-workshop", {"instrument.observables": ["azimuth", "elevation"]})
+    with pytest.raises(SetupError, match="or for ranges alone"):
+        survey_of(angles)
+
+
+def test_a_level_tells_nothing_of_ranges() -> None:
+    """Levels tie an axis that no range sees: the network keeps its six free motions, instruments stand upright."""
+    levels = {f"stations.S{i}.levelled": True for i in range(1, 6)}
+    recording, _ = lt.simulate(lt.scenario("paper-workshop", {**RANGES, **levels}), seed=3)
+    found = adjust(recording, misalignment())
+    assert found.problem.free.shape[1] == 6
+    assert not len(found.problem.levels)
+    np.testing.assert_allclose(found.state.rotation[:, 2, 2], 1.0, atol=1e-9)

@@ -1,0 +1,142 @@
+"""A scenario of several trackers: each with errors, noise and limits of its own, and where it stood is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.errors import SetupError
+from ltsim.model.construction import misalignment
+from ltsim.planning.workshop import survey_of
+from ltsim.randomness import stream
+from ltsim.recording.native import read_recording, write_recording
+from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
+from ltsim.simulation.simulator import simulate
+from ltsim.simulation.truth import read_truth, write_truth
+
+PAPER = load_scenario("paper-workshop")
+TWO = load_scenario("two-trackers")
+
+
+def two(**changes: Any) -> Scenario:
+    """The hall of two trackers with some values changed, by dotted key with ``__`` for the dot."""
+    return changed(TWO, {key.replace("__", "."): value for key, value in changes.items()}, Path("two.toml"))
+
+
+def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_of_it() -> None:
+    alone, truth = simulate(PAPER, 7)
+    prior = PAPER.instrument.prior
+    for p in misalignment().parameters:
+        assert truth.instrument[p.name] == p.sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
+    second = {"instruments.B.errors.draw": True, "stations.S5.instrument": "B"}
+    beside, both = simulate(changed(PAPER, second, Path("paper.toml")), 7)
+    own = alone.station != alone.stations.index("S5")
+    assert beside.readings[own].tobytes() == alone.readings[own].tobytes()
+    assert beside.readings[~own].tobytes() != alone.readings[~own].tobytes()
+    assert {name: both.instrument[name] for name in truth.instrument} == truth.instrument
+    tilt = next(p for p in misalignment().parameters if p.name == "beam-tilt")
+    draw = stream(7, "instrument", "B", "beam-tilt").standard_normal()
+    assert both.instrument["beam-tilt@B"] == tilt.sigma_from(prior) * draw
+
+
+def test_a_tracker_with_a_name_measures_as_one_without() -> None:
+    stated = {"errors": {"beam-tilt": 7.0, "range-offset": -20.0}, "noise_factor": 1.5}
+    plain = changed(PAPER, {"instrument": stated}, Path("paper.toml"))
+    stations = {f"stations.{name}.instrument": "A" for name in PAPER.stations}
+    named = changed(PAPER, {"instrument": "none", "instruments.A": stated, **stations}, Path("paper.toml"))
+    (one, first), (other, second) = simulate(plain, 2), simulate(named, 2)
+    assert one.readings.tobytes() == other.readings.tobytes()
+    assert first.instrument == second.instrument and other.instruments == ("A",)
+    assert second.trackers[0].noise_factor == 1.5
+
+
+def test_each_tracker_has_noise_resolution_and_errors_of_its_own() -> None:
+    quiet = {"noise_factor": 0.0, "errors": {}, "resolution": {"distance_um": 0.0, "angle_arcsec": 0.0}}
+    loud = {"noise_factor": 2.0, "errors": {"range-offset": 300.0}, "resolution": {"distance_um": 100.0}}
+    work = fieldwork(two(instruments__A=quiet, instruments__B=loud), 1)
+    recording, truth = lt.simulate(work.scenario, seed=1)
+    gap = recording.readings[:, 0] - work.sightings.range_
+    at_b = np.array(recording.instruments)[recording.instrument] == "B"
+    assert np.abs(gap[~at_b]).max() < 1e-12
+    steps = recording.readings[at_b, 0] / 100e-6
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+    assert truth.instrument["range-offset@B"] == 300e-6
+    assert abs(np.mean(gap[at_b]) + 300e-6) < 20e-6
+
+
+def test_each_tracker_sees_within_its_limits() -> None:
+    recording, _ = lt.simulate(two(instruments__B__limits__elevation_max_deg=20.0), seed=1)
+    highest = {
+        name: np.degrees(recording.readings[(recording.face == 1) & (recording.instrument == i), 2]).max()
+        for i, name in enumerate(recording.instruments)
+    }
+    assert highest["B"] < 20.1 < highest["A"]
+    assert all(note.startswith(("S2", "S4")) for note in recording.notes)
+
+
+def test_recording_and_truth_say_which_tracker_stood_where(tmp_path: Path) -> None:
+    recording, truth = lt.simulate(two(instruments__A__corrected=True), seed=3)
+    write_recording(recording, tmp_path / "rec")
+    text = (tmp_path / "rec" / "setup.toml").read_text()
+    assert "[instruments.A]" in text and 'instrument = "B"' in text and "\n[instrument]" not in text
+    again = read_recording(tmp_path / "rec")
+    assert again.setup == recording.setup and again.instruments == ("A", "B")
+    assert again.instrument_of("S1").corrected and not again.instrument_of("S2").corrected
+    assert again.instrument_of("S4").prior.offset_mm == 0.06
+    write_truth(truth, tmp_path / "truth.json")
+    back = read_truth(tmp_path / "truth.json")
+    assert back.trackers == truth.trackers and [t.stations for t in back.trackers] == [("S1", "S3"), ("S2", "S4")]
+    assert back.instrument == pytest.approx(truth.instrument) and back.units == truth.units
+
+
+def test_the_scenario_survives_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "two.toml"
+    path.write_text(scenario_to_toml(TWO))
+    assert load_scenario(path) == TWO
+    assert "4 stations by 2 trackers" in repr(TWO)
+
+
+def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -> None:
+    recording, truth = lt.simulate("two-trackers", seed=3)
+    found = lt.calibrate(recording)
+    assert found.names[0] == "range-offset@A" and found.names[-1] == "elevation-second-order-sin@B"
+    z = (found.values.ravel() - [truth.instrument[name] for name in found.names]) / found.sigma.ravel()
+    assert np.abs(z).max() < 4 and 0.4 < np.mean(z**2) < 1.8
+    corrected = lt.correct(recording, found)
+    assert all(corrected.instrument_of(name).corrected for name in corrected.stations)
+    assert lt.evaluate(corrected).distance.before.mean < 0.1 * lt.evaluate(recording).distance.before.mean
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stations.S1.instrument": "C"}, r"stations.S1.instrument names 'C', which is not one of A, B"),
+        ({"instruments.A.construction": "dh"}, r"instruments hold different constructions \(instruments.A 'dh' and"),
+        ({"instruments.C.corrected": True}, "instruments.C stands nowhere; name it as the instrument of a station"),
+        ({"instrument.noise_factor": 2.0}, "instrument is stated but stands nowhere"),
+        ({"instruments.B.limits.elevation_max_deg": -50}, "instruments.B.limits is .* below elevation_max_deg"),
+        ({"instruments.B.noise_facto": 2.0}, "unknown key 'instruments.B.noise_facto'|unknown key instruments"),
+        ({"instruments.B.errors.beam-til": 2.0}, "instruments.B.errors.beam-til: .*beam-tilt"),
+    ],
+)
+def test_wrong_input_gets_one_sentence(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(SetupError, match=message) as caught:
+        simulate(changed(TWO, changes, Path("two.toml")), 1)
+    assert "\n" not in str(caught.value)
+
+
+def test_stations_name_trackers_only_where_there_are_some() -> None:
+    table = PAPER.model_dump(mode="json", by_alias=True, exclude_none=True)
+    table["stations"]["S2"]["instrument"] = "A"
+    with pytest.raises(SetupError, match="names 'A', which is not declared"):
+        scenario_from(table, Path("paper.toml"))
+
+
+def test_a_plan_is_for_one_tracker() -> None:
+    with pytest.raises(SetupError, match="a plan is for one, stated as"):
+        survey_of(TWO)

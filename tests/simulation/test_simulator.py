@@ -1,0 +1,311 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ltsim.adjustment import adjust
+from ltsim.effects import CATALOGUE, Effect, find_effect
+from ltsim.errors import SetupError
+from ltsim.geometry.polar import to_polar, wrap
+from ltsim.model.construction import misalignment
+from ltsim.recording.native import read_recording, write_recording
+from ltsim.recording.recording import Recording
+from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.scenario import Scenario, load_scenario
+from ltsim.simulation.simulator import exact_readings, measure, simulate
+from ltsim.simulation.truth import Truth
+from ltsim.units import ARCSECOND, MICROMETRE
+
+PAPER = load_scenario("paper-workshop-re-aimed")
+TWO_FACE = load_scenario("paper-workshop-two-face")
+SILENT = {"noise_factor": 0.0, "errors": {}, "resolution": {"distance_um": 0.0, "angle_arcsec": 0.0}}
+
+
+def with_(scenario: Scenario, **sections: Mapping[str, Any] | list[dict[str, Any]]) -> Scenario:
+    """The scenario with some keys of its sections changed, or its effects."""
+    data = scenario.model_dump(by_alias=True, exclude_none=True)
+    for name, change in sections.items():
+        data[name] = {**data[name], **change} if isinstance(change, Mapping) else change
+    return Scenario.model_validate(data)
+
+
+def ideal(recording: Recording, truth: Truth) -> np.ndarray:
+    """Front-face polar coordinates of every pointing's target, by the truth alone."""
+    offset = truth.points[recording.target] - truth.position[recording.station]
+    return to_polar(np.einsum("nji,nj->ni", truth.rotation[recording.station], offset))
+
+
+def test_without_noise_and_errors_readings_are_the_polar_coordinates() -> None:
+    recording, truth = simulate(with_(PAPER, instrument=SILENT), 5)
+    np.testing.assert_allclose(recording.readings, ideal(recording, truth), rtol=0, atol=1e-14)
+    assert not any(truth.instrument.values())
+
+
+@pytest.mark.parametrize("order", ["per-target", "per-station"])
+def test_face_pairs_differ_by_half_a_turn(order: str) -> None:
+    recording, _ = simulate(with_(TWO_FACE, instrument=SILENT, work={"face_order": order}), 5)
+    keys = list(zip(recording.station, recording.target, strict=True))
+    front = {k: i for i, k in enumerate(keys) if recording.face[i] == 1}
+    back = {k: i for i, k in enumerate(keys) if recording.face[i] == 2}
+    assert front.keys() == back.keys() and len(front) == 140
+    one = recording.readings[[front[k] for k in front]]
+    two = recording.readings[[back[k] for k in front]]
+    np.testing.assert_allclose(two[:, 0], one[:, 0], atol=1e-14)
+    np.testing.assert_allclose(np.abs(wrap(two[:, 1] - one[:, 1])), np.pi, atol=1e-13)
+    np.testing.assert_allclose(two[:, 2] + one[:, 2], np.pi, atol=1e-14)
+
+
+def test_face_order_per_target_and_per_station() -> None:
+    per_target, _ = simulate(TWO_FACE, 1)
+    assert per_target.face[:6].tolist() == [1, 2] * 3
+    assert np.array_equal(per_target.target[::2], per_target.target[1::2])
+    per_station, _ = simulate(with_(TWO_FACE, work={"face_order": "per-station"}), 1)
+    assert per_station.face[:56].tolist() == [1] * 28 + [2] * 28
+
+
+def test_the_instrument_is_exact_in_both_directions() -> None:
+    work = fieldwork(with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2)
+    values = np.array([{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.names])
+    readings = exact_readings(work, values[None], ())
+    point = work.construction.point(readings, values)
+    np.testing.assert_allclose(point, work.sightings.local, rtol=0, atol=1e-12)
+
+
+def test_stated_errors_are_the_true_ones() -> None:
+    _, truth = simulate(with_(PAPER, instrument={"errors": {"beam-tilt": 5.0, "range-scale": -1.5}}), 1)
+    assert truth.instrument["beam-tilt"] == pytest.approx(5e-6)
+    assert truth.instrument["range-scale"] == pytest.approx(-1.5e-6)
+    assert sum(v != 0 for v in truth.instrument.values()) == 2
+
+
+def test_dh_has_its_own_errors() -> None:
+    recording, truth = simulate(with_(PAPER, instrument={"construction": "dh", "harmonics": 1, "degree": 1}), 1)
+    assert truth.construction == "dh" and len(truth.instrument) == 48
+    assert np.isfinite(recording.readings).all()
+
+
+def test_noise_has_the_stated_size_whatever_the_place() -> None:
+    scenario = with_(TWO_FACE, instrument={"resolution": SILENT["resolution"]})
+    work, z = fieldwork(scenario, 8), []
+    for trial in range(60):
+        recording, truth = measure(work, 8, trial)
+        gap = recording.readings - exact_readings(work, np.array([list(truth.instrument.values())]), ())
+        gap[:, 1] = wrap(gap[:, 1])
+        z.append(gap / recording.sigma())
+    square = np.square(np.concatenate(z)).sum(axis=0)
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], 60 * len(recording))
+    assert np.all((square > low) & (square < high))
+
+
+def test_readings_are_whole_steps_of_the_resolution() -> None:
+    recording, _ = simulate(PAPER, 3)
+    steps = recording.readings / [0.1 * MICROMETRE, 0.018 * ARCSECOND, 0.018 * ARCSECOND]
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
+
+
+def test_seeds_give_different_recordings_and_one_seed_the_same() -> None:
+    one, again, other = (simulate(PAPER, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one[0].readings, again[0].readings)
+    assert one[0].setup == again[0].setup
+    assert np.all(one[0].readings != other[0].readings)
+    assert not np.array_equal(one[0].target, other[0].target)
+    assert np.all(one[1].points != other[1].points) and np.all(one[1].position != other[1].position)
+    assert one[0].setup.gauge != other[0].setup.gauge
+
+
+EFFECT = [{"name": "station-settling", "stations": ["S3"], "draw": True}]
+
+
+def test_an_effect_changes_no_other_draw() -> None:
+    plain, truth = simulate(PAPER, 4)
+    more, other = simulate(with_(PAPER, effects=EFFECT), 4)
+    assert truth.instrument == other.instrument
+    np.testing.assert_array_equal(truth.points, other.points)
+    np.testing.assert_array_equal(truth.rotation, other.rotation)
+    np.testing.assert_array_equal(plain.target, more.target)
+    np.testing.assert_array_equal(plain.time, more.time)
+    assert plain.setup == more.setup
+    there = plain.stations.index("S3")
+    same = plain.station != there
+    np.testing.assert_array_equal(plain.readings[same], more.readings[same])
+    assert np.any(plain.readings[~same] != more.readings[~same])
+
+
+def test_a_second_effect_does_not_change_the_values_of_the_first() -> None:
+    second = [{"name": "range-cyclic", "draw": True}, *EFFECT, {"name": "range-cyclic", "draw": True}]
+    one = simulate(with_(PAPER, effects=EFFECT), 4)[1].effects
+    three = simulate(with_(PAPER, effects=second), 4)[1].effects
+    np.testing.assert_array_equal(one[0].values, three[1].values)
+    assert np.all(one[0].values != 0) and np.all(three[0].values != three[2].values)
+
+
+def test_an_effect_adds_exactly_its_shift() -> None:
+    silent = {**SILENT, "errors": {}}
+    entry = [{"name": "range-cyclic", "values": {}, "shape": {"wavelength": 300.0}}]
+    probe = simulate(with_(PAPER, effects=entry), 6)[1].effects[0].effect
+    name = probe.parameters[0].name
+    entry[0]["values"] = {name: 4.0}
+    plain, _ = simulate(with_(PAPER, instrument=silent), 6)
+    more, truth = simulate(with_(PAPER, instrument=silent, effects=entry), 6)
+    work = fieldwork(PAPER, 6)
+    shift = truth.effects[0].effect.shift(work.sightings, truth.effects[0].values)
+    np.testing.assert_allclose(more.readings - plain.readings, shift, atol=1e-14)
+    assert np.abs(shift[:, 0]).max() == pytest.approx(4e-6, rel=0.05)
+
+
+def test_an_effect_on_the_noise_scales_the_same_draws() -> None:
+    exact = {"resolution": SILENT["resolution"], "errors": {}}
+    silent, _ = simulate(with_(PAPER, instrument=SILENT), 6)
+    plain, _ = simulate(with_(PAPER, instrument=exact), 6)
+    entry = [{"name": "station-noise", "stations": ["S2"], "draw": True}]
+    scenario = with_(PAPER, instrument=exact, effects=entry)
+    more, _ = simulate(scenario, 6)
+    there = plain.station == plain.stations.index("S2")
+    np.testing.assert_array_equal(plain.readings[~there], more.readings[~there])
+    ratio = (more.readings - silent.readings)[there] / (plain.readings - silent.readings)[there]
+    assert np.all(ratio > 0) and np.any(np.abs(ratio - 1) > 1e-3)
+
+
+def test_more_noise_cannot_be_taken_away_than_there_is() -> None:
+    entry = [{"name": "turbulence", "values": {p.name: -1e6 for p in find_effect("turbulence").parameters}}]
+    with pytest.raises(SetupError, match="turbulence takes away more noise"):
+        simulate(with_(PAPER, effects=entry), 1)
+
+
+@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
+def test_every_effect_of_the_catalogue_can_be_simulated_and_its_truth_kept(kind: type[Effect]) -> None:
+    places = {"station": {"stations": ["S2"]}, "target": {"targets": ["T03"]}}.get(kind.scope, {})
+    recording, truth = simulate(with_(PAPER, effects=[{"name": kind.name, "draw": True, **places}]), 1)
+    assert np.isfinite(recording.readings).all()
+    assert Truth.from_json(json.loads(json.dumps(truth.to_json()))).effects[0].effect == truth.effects[0].effect
+
+
+def test_wrong_gauge_scale_shows_in_the_certificate_only() -> None:
+    plain, _ = simulate(PAPER, 6)
+    more, _ = simulate(with_(PAPER, effects=[{"name": "gauge-scale", "values": {"gauge-scale": 50.0}}]), 6)
+    np.testing.assert_array_equal(plain.readings, more.readings)
+    assert plain.setup.gauge is not None and more.setup.gauge is not None
+    for a, b in zip(plain.setup.gauge.distance, more.setup.gauge.distance, strict=True):
+        assert b.length_mm / a.length_mm - 1 == pytest.approx(-50e-6, abs=3e-7)
+
+
+def test_a_wrong_unit_is_a_finished_reading_written_down_wrongly() -> None:
+    plain, _ = simulate(PAPER, 6)
+    effect = {"name": "wrong-unit", "stations": ["S2"], "shape": {"mistake": "metre"}, "values": {"mistaken": 1.0}}
+    wrong, _ = simulate(with_(PAPER, effects=[effect]), 6)
+    rows = plain.station == plain.stations.index("S2")
+    np.testing.assert_array_equal(wrong.readings[~rows], plain.readings[~rows])
+    np.testing.assert_allclose(1e3 * wrong.readings[rows, 0], plain.readings[rows, 0], rtol=1e-15)
+
+
+def test_swapped_reflectors_carry_the_errors_of_the_pointings_that_were_made() -> None:
+    targets = ["T03", "T17"]
+    effect = {"name": "target-swap", "stations": ["S2"], "targets": targets, "values": {"swapped": 1.0}}
+    wrong, _ = simulate(with_(PAPER, effects=[effect]), 6)
+    a, b = (wrong.targets.index(name) for name in targets)
+    here = (wrong.station == wrong.stations.index("S2")) & np.isin(wrong.target, (a, b))
+    mended = wrong.replace(target=np.where(here, a + b - wrong.target, wrong.target))
+    assert adjust(mended, misalignment()).p_value > 1e-3
+    assert adjust(wrong, misalignment()).gross[here].all()
+
+
+def test_a_confused_face_carries_the_errors_of_the_face_that_was_used() -> None:
+    effect = {"name": "face-confusion", "stations": ["S2"], "shape": {"face": 2}, "values": {"confused": 1.0}}
+    wrong, _ = simulate(with_(TWO_FACE, effects=[effect]), 6)
+    here = wrong.station == wrong.stations.index("S2")
+    assert np.all(np.abs(wrong.readings[here, 2]) < np.pi / 2)
+    mended = wrong.replace(face=np.where(here, 1, wrong.face))
+    assert adjust(mended, misalignment()).p_value > 1e-3
+
+
+def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> None:
+    recording, truth = simulate(with_(PAPER, cmm={"noise_factor": 0.0}), 6)
+    assert recording.setup.gauge is not None
+    for line in recording.setup.gauge.distance:
+        a, b = (truth.points[truth.targets.index(name)] for name in (line.from_, line.to))
+        assert np.linalg.norm(a - b) * 1e3 == pytest.approx(line.length_mm * (1 + 23.2e-6 * 7), abs=1e-4)
+
+
+def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> None:
+    workshop, laboratory = (simulate(load_scenario(n), 9)[1] for n in ("paper-workshop", "paper-laboratory"))
+    assert workshop.instrument == laboratory.instrument
+    assert laboratory.nominal is not None and workshop.nominal is None
+    assert 0.1e-6 < np.abs(laboratory.nominal - laboratory.points).max() < 8e-6
+
+
+def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
+    work = fieldwork(PAPER, 1)
+    (one, first), (two, second) = measure(work, 1, "trial", 0), measure(work, 1, "trial", 1)
+    np.testing.assert_array_equal(first.points, second.points)
+    np.testing.assert_array_equal(one.target, two.target)
+    assert all(first.instrument[n] != second.instrument[n] for n in first.instrument)
+    assert np.mean(one.readings != two.readings) > 0.98  # a few round to the same step
+
+
+def test_orders_of_the_work() -> None:
+    listed, _ = simulate(with_(PAPER, work={"order": "as-listed"}), 1)
+    assert listed.target[:28].tolist() == list(range(28))
+    levels, truth = simulate(with_(PAPER, work={"order": "level-by-level"}), 1)
+    heights = truth.points[levels.target[:28], 2]
+    assert np.all(np.diff(np.round(heights)) <= 0) and heights[0] > 5 and heights[-1] < 1
+    mixed, _ = simulate(PAPER, 1)
+    visits = mixed.target.reshape(5, 28)
+    assert all(sorted(v) == list(range(28)) for v in visits.tolist())
+    assert len({tuple(v) for v in visits.tolist()}) == 5
+
+
+def test_clock_repeats_and_air() -> None:
+    room = {"temperature_rise_c_per_h": 0.5}
+    work = {"repeats": 2, "seconds_per_pointing": 10.0, "minutes_per_move": 15.0}
+    recording, _ = simulate(with_(PAPER, work=work, workshop=room), 1)
+    assert len(recording) == 280 and sorted(set(recording.repeat.tolist())) == [1, 2]
+    assert np.unique(np.diff(recording.time)).tolist() == [10.0, 10.0 + 15 * 60]
+    air = recording.covariates["air_temperature_c"]
+    assert air[0] == 27.0 and air[-1] == pytest.approx(27.0 + 0.5 * recording.time[-1] / 3600, abs=0.06)
+
+
+def test_the_set_up_knows_the_plan_and_not_the_truth() -> None:
+    recording, truth = simulate(PAPER, 1)
+    for i, name in enumerate(recording.stations):
+        known = recording.setup.stations[name]
+        assert known.position_mm is not None and all(x % 100 == 0 for x in known.position_mm)
+        assert 1 < np.linalg.norm(np.array(known.position_mm) - truth.position[i] * 1e3) < 200
+        assert known.yaw_deg == PAPER.stations[name].yaw_deg
+    assert all(t.known_mm is None and t.approximate_mm is None for t in recording.setup.targets.values())
+    assert recording.setup.instrument.prior == PAPER.instrument.prior
+
+
+def test_a_levelled_station_leans_as_little_as_its_level_says() -> None:
+    stations = {name: {**s.model_dump(), "levelled": True} for name, s in PAPER.stations.items()}
+    scenario = with_(PAPER, stations=stations)
+    lean = [fieldwork(scenario, seed).layout.rotation[:, 2, :2] for seed in range(60)]
+    assert np.std(lean) / ARCSECOND == pytest.approx(1.0, rel=0.15)
+
+
+def test_recordings_survive_being_written(tmp_path: Any) -> None:
+    recording, _ = simulate(TWO_FACE, 1)
+    write_recording(recording, tmp_path / "rec")
+    again = read_recording(tmp_path / "rec")
+    gap = again.readings - recording.readings
+    gap[:, 1] = wrap(gap[:, 1])
+    assert np.abs(gap).max() < 1e-12
+    assert again.setup == recording.setup
+    assert again.stations == recording.stations and np.array_equal(again.face, recording.face)
+    text = (tmp_path / "rec" / "setup.toml").read_text() + (tmp_path / "rec" / "observations.csv").read_text()
+    assert "truth" not in text and "seed" not in text
+
+
+def test_an_effect_without_anything_to_act_on_is_told() -> None:
+    """No thermometer in the recording, and reflectors that face the beam: one constant of their table is left."""
+    smr = PAPER.smr.model_copy(update={"nests": "re-aimed", "incidence_error": True})
+    entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]
+    recording, _ = simulate(with_(PAPER, effects=entries).model_copy(update={"smr": smr}), 1)
+    assert recording.notes[-2:] == (
+        "dead-path changes nothing here",
+        "smr-incidence adds one constant to every range here",
+    )

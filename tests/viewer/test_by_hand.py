@@ -1,0 +1,178 @@
+"""A plan moved by hand: the board says what the planner says, the page follows the mouse, what is saved is a plan."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.plan.test_hall import HALL, points_csv
+from tests.report.browser import find_browser
+from tests.view.tab import opened
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.errors import SetupError
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.planner import sight_table
+from ltsim.planning.spec import load_plan
+from ltsim.scene.visibility import Reason
+from ltsim.viewer.board import Board
+from ltsim.viewer.server import Door
+
+TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]'
+
+
+@pytest.fixture
+def hall(tmp_path: Path) -> Path:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    text = HALL.replace("[search]", f"[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n{TOLERANCES}")
+    (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
+    return tmp_path / "hall.toml"
+
+
+def test_the_board_says_what_the_planner_says(hall: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    stations[1]["mm"][0] += 500.0
+    found = board.judged(stations)
+    survey = board.survey(stations)
+    survey = survey.replace(seen=sight_table(board.site, survey).visible)
+    assert survey.position[1, 0] == pytest.approx(board.site.survey.position[1, 0] + 0.5, abs=1e-4)
+    information = LayoutInformation.of(survey, board.construction)
+    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigma)
+    assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
+    assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.seen.tolist()
+    assert found["shadow"] == pytest.approx(survey.position[:, 2] * np.tan(np.radians(35)))
+
+
+def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    stations[0]["mm"][:2] = [4700.0, 1500.0]  # in the crane way
+    found = board.judged(stations)
+    assert found["problem"] == f"{stations[0]['name']} stands where no tripod may stand"
+    assert found["may_stand"][0] is False
+    assert found["points"]
+    stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
+    assert "S1" in board.judged(stations)["problem"]
+    stations[0]["mm"][:2] = stations[1]["mm"][:2]
+    assert "nearer than 1 m" in board.judged(stations)["problem"]
+    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
+    assert board.judged(stations) == {"problem": "S1 stands in M00"}
+
+
+def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_path: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    stations[0]["mm"][:2] = [2000.0, 2000.0]
+    wanted = board.judged(stations)
+    board.save(stations, tmp_path / "moved")
+    file, scenario = load_plan(tmp_path / "moved" / "plan.toml")
+    assert len(file.listed) == 30
+    assert len(scenario.targets) == 30
+    made = lt.plan(tmp_path / "moved" / "plan.toml")
+    assert made.chosen.survey.position[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
+    assert 1e6 * made.chosen.qualities["targets"] == pytest.approx(wanted["rms_um"])
+    assert made.kept is not None
+    recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
+    assert len(recording.stations) == 3
+    elsewhere = (tmp_path / "moved" / "plan.toml").read_text().replace("x_mm = 4710", "x_mm = 4711", 1)
+    (tmp_path / "moved" / "plan.toml").write_text(elsewhere)
+    with pytest.raises(SetupError, match="'M00', which is a target elsewhere in the scenario"):
+        load_plan(tmp_path / "moved" / "plan.toml")
+
+
+def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["plan", "hall.toml", "--out", "made", "--jobs", "1", "--quiet"]) == 0
+    planned = json.loads((tmp_path / "made" / "plan.json").read_text())
+    board = Board.of(tmp_path / "made")
+    assert [s["mm"] for s in board.hall()["stations"]] == [s["position_mm"] for s in planned["stations"]]
+    assert board.judged(board.hall()["stations"])["rms_um"] == pytest.approx(
+        1e6 * planned["quality"]["targets"], rel=1e-4
+    )
+
+
+def test_the_door_opens_to_the_word_alone(hall: Path, tmp_path: Path) -> None:
+    door = Door(Board.of(hall), tmp_path / "out")
+    own = json.dumps({"stations": door.board.hall()["stations"]}).encode()
+    for path in ("/", "/judged", "//judged", "/wrong/", "/wrong/judged", f"/{door.word}/nothing", f"/{door.word}x/"):
+        assert door.answer(path, own) is None
+
+    def said(name: str, body: bytes) -> dict:
+        found = door.answer(f"/{door.word}/{name}", body)
+        assert found is not None
+        assert found[0] == "application/json"
+        return json.loads(found[1])
+
+    assert said("judged", own)["points"]
+    for wrong in (b"", b"[1]", b'{"stations": [1, 2, 3]}', b'{"stations": [{"mm": [0, 0, 0], "yaw": 0}]}'):
+        assert said("judged", wrong)["problem"]
+        assert said("save", wrong)["problem"]
+    far = json.loads(own)
+    far["stations"][0]["mm"][0] = float("nan")
+    assert "places in millimetres" in said("judged", json.dumps(far).encode())["problem"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ([], "either a scenario or a recording, or --plan FILE"),
+        (["paper-workshop", "--plan", "hall.toml"], "either a scenario or a recording, or --plan FILE"),
+        (["--plan", "nowhere.toml"], "there is no such file"),
+        (["--plan", "hall.toml", "--out", "taken"], "is there already"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(given: list[str], sentence: str, hall: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(hall.parent)
+    Path("taken").mkdir()
+    Path("taken/plan.toml").write_text("mine")
+    assert run(["view", *given]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim.cli.main import main; main()"
+"""A shell in the background starts what it starts deaf to Ctrl-C."""
+SIGMA = "document.querySelector('tr[data-point=M31] td:nth-child(3)').textContent"
+
+
+def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path: Path) -> None:
+    find_browser()
+    command = [sys.executable, "-c", START, "view", "--plan", str(hall), "--out", str(tmp_path / "moved")]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert server.stdout is not None
+        address = server.stdout.readline().strip()
+        assert address.startswith("http://127.0.0.1:")
+        with opened(address, tmp_path) as tab:
+            tab.until("told && told.points")
+            before = tab.value("told"), tab.value(SIGMA), tab.value("stations[0].mm")
+            x, y = tab.middle("[data-station=S1] .head")
+            tab.drag((x, y), (x + 60, y + 8))
+            tab.until(f"!busy && {SIGMA} != '{before[1]}'")
+            after = tab.value("told"), tab.value(SIGMA), tab.value("stations[0].mm")
+            assert after[2][0] > before[2][0] + 100
+            assert after[2][1] < before[2][1]
+            judged = Board.of(hall).judged(tab.value("stations"))
+            assert float(after[1]) == pytest.approx(judged["points"][7]["sigma_um"], rel=0.01)
+            assert after[0]["rms_um"] == pytest.approx(judged["rms_um"])
+            assert after[0]["shadow"] == pytest.approx(judged["shadow"])
+            assert tab.value("layer.sights.childElementCount") > 0
+            tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
+            tab.value("document.querySelector('#save').click()")
+            assert "plan.toml" in tab.until("document.querySelector('#saved').textContent")
+            assert not [line for line in tab.said if "hashes" not in line and '"rendering"' not in line]
+        _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
+        assert list(scenario.stations["S1"].position_mm) == after[2]
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.communicate(timeout=60)
+    assert server.returncode == 0
