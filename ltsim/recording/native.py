@@ -30,7 +30,7 @@ from ltsim.recording.reflectors import balls_of, excess_radii
 from ltsim.recording.result_table import guarded, plain
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
-from ltsim.recording.tables.dialect import is_folder
+from ltsim.recording.tables.sheets import is_folder
 from ltsim.units import DEGREE, MILLIMETRE
 
 OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
