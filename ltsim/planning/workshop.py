@@ -165,7 +165,7 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     if body == WALLS:
         triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
-        triangles = np.concatenate([part for name, part in bodies_of(scenario) if name == body])
+        triangles = np.concatenate([part.triangles for part in bodies_of(scenario) if part.name == body])
     reach, apart = plan.reflectors.reach_mm * MILLIMETRE, plan.reflectors.apart_mm * MILLIMETRE
     found = nest_places(triangles, reach, apart, obstacles_of(scenario), closed=body != WALLS)
     return np.asarray(np.round(found / MILLIMETRE))

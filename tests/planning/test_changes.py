@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.plan.test_hall import HALL, points_csv
-from tests.plan.test_search import site
+from tests.planning.test_hall import HALL, points_csv
+from tests.planning.test_search import site
 
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.plan.fixtures import POSITION, YAW, survey
+from tests.planning.fixtures import POSITION, YAW, survey
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.plan.fixtures import survey
+from tests.planning.fixtures import survey
 
 from ltsim.errors import ModelError
 from ltsim.planning.improvement import Expected, Predictor

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.plan.test_hall import HALL, points_csv
-from tests.report.browser import find_browser
-from tests.view.tab import opened
+from tests.planning.test_hall import HALL, points_csv
+from tests.pages.browser import find_browser
+from tests.viewer.tab import opened
 
 import ltsim as lt
 from ltsim.cli.main import run
