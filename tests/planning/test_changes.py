@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.planning.test_hall import HALL, points_csv
-from tests.planning.test_search import site
 
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
@@ -20,6 +18,8 @@ from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.spec import load_plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import fixed_of, site_of, staying
+from tests.planning.test_hall import HALL, points_csv
+from tests.planning.test_search import site
 
 STAYS = np.arange(28) >= 24
 

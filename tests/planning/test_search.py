@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.planning.fixtures import survey
 
 from ltsim.arrays import Floats
 from ltsim.effects.station_weather import StationWeather
@@ -19,6 +18,7 @@ from ltsim.planning.search import Searcher
 from ltsim.planning.site import Site
 from ltsim.scene.meshes import box, placed, together
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
+from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
 

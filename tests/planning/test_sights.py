@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.planning.test_hall import HALL, points_csv
-from tests.planning.test_search import site
 
 from ltsim.errors import SetupError
 from ltsim.planning.sights import most_sights, with_reachable_sights
@@ -15,6 +13,8 @@ from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile, Stations, load_plan
 from ltsim.planning.workshop import site_of
 from ltsim.scene.visibility import SightLimits
+from tests.planning.test_hall import HALL, points_csv
+from tests.planning.test_search import site
 
 
 def short_sighted(least: int) -> Site:
