@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from ltsim.effects import CATALOGUE
+from ltsim.effects.air import Air
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.planning.floor import Floor
 from ltsim.planning.hall import TABLES, USUAL_HEIGHT_MM, hall_scenario, with_points
@@ -196,6 +197,8 @@ class PlanFile(Section):
     """Its reflectors, as in a scenario file."""
     work: Work | None = None
     """Order and clock of the work there, as in a scenario file; points as listed unless it says so."""
+    air: Air = Air()
+    """What is not known of the air, where ranges are long: in every figure of the plan."""
     floor: Floor = Floor()
     """Where tripods may stand."""
     stations: Stations = Stations()

@@ -14,6 +14,7 @@ from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.planning.floor import ground_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.outlines import Area
 from ltsim.planning.site import Site
 from ltsim.planning.spec import WALLS, PlanFile, Surface
 from ltsim.planning.survey import Survey
@@ -107,6 +108,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
             importance=importance(plan),
+            air=plan.air if plan.air.counts(_longest(areas, survey.points)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move
             if plan.budget.minutes_per_move is None
@@ -125,6 +127,11 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         place_names=names,
         reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
+
+
+def _longest(areas: Sequence[Area], points: Floats) -> float:
+    """Longest range [m] from a corner of the floor to a point."""
+    return max(float(np.linalg.norm(area.outline[:, None] - points[None, :, :2], axis=2).max()) for area in areas)
 
 
 def with_stations(survey: Survey, count: int) -> Survey:
