@@ -242,6 +242,8 @@ def _fewest(
 
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
     """Refuse a grid of set-ups that no memory holds."""
+    if file.search.grid_mm is None:
+        return
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or _corners(scenario)]
     sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
     rows = 1.0 + sizes / file.search.grid_mm

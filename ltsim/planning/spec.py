@@ -167,8 +167,9 @@ class Search(Section):
     """Independent searches for the plan itself."""
     starts_of_the_curve: Annotated[int, Field(ge=1, le=1000)] = 1
     """Independent searches for each other point of the curve."""
-    grid_mm: Positive = 500.0
-    """Step of the candidate places on the floor."""
+    grid_mm: Positive | None = None
+    """Step of the candidate places on the floor; default about 250 places, at least 500 mm apart. Stations are moved
+    off the grid afterwards."""
     yaws: Annotated[int, Field(ge=1, le=72)] = 6
     """Turns of the base tried at each place."""
     heights: Annotated[int, Field(ge=1, le=10)] = 2

@@ -123,8 +123,8 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         spacing=plan.stations.spacing_mm * mm,
         least=least,
         fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
-        places=places,
-        place_names=names,
+        nests=places,
+        nest_names=names,
         reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
 

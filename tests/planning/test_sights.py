@@ -27,7 +27,7 @@ def test_what_can_be_had_is_had() -> None:
     assert most_sights(site(), 0.5, 2)[0] == 3
     found, limiting = most_sights(short_sighted(3), 0.5, 2)
     assert 1 <= found < 3
-    position, _ = short_sighted(3).grid(0.5, 1, 2)
+    position = short_sighted(3).places(0.5, 2)
     share = short_sighted(3).seen(position).mean(axis=0)
     assert limiting == short_sighted(3).survey.target_names[int(np.argmin(share))]
 
