@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.making import Follower, make_plan
+from ltsim.planning.planner import Plan
 from ltsim.planning.spec import load_plan
 from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
 
@@ -16,6 +17,7 @@ def plan(
     seed: int | None = None,
     jobs: int = 1,
     progress: Progress = quiet,
+    follower: Follower | None = None,
 ) -> Plan:
     """Find a layout of stations and reflectors, with its reasons and its curve of cost against quality.
 
@@ -31,6 +33,8 @@ def plan(
         Processes; the plan does not depend on it.
     progress : callable
         Told what is done and the share of it.
+    follower : Follower, optional
+        In place of `progress`: also hears how long it may take, and is given the best layout so far.
 
     Raises
     ------
@@ -47,4 +51,4 @@ def plan(
     file, scenario = load_plan(source)
     changes = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
     file = file.model_copy(update={"search": file.search.model_copy(update=changes)})
-    return make_plan(file, scenario, jobs=jobs, progress=progress)
+    return make_plan(file, scenario, jobs=jobs, follower=follower or Follower(progress))

@@ -27,11 +27,13 @@ from ltsim.planning.schema import (
     PlanResult,
 )
 from ltsim.planning.survey import Survey
+from ltsim.planning.tolerances import reached
 from ltsim.planning.work_order import work_rows
 from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 from ltsim.simulation.sections import Station, Target
+from ltsim.simulation.workshop import bodies_of
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 
 
@@ -62,6 +64,8 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         ],
         "changes_tried": plan.changes.summary,
         "starts": plan.spread,
+        "bodies": [body.words for body in bodies_of(plan.scenario)],
+        "reached": None if plan.kept is None else reached(plan.demands, plan.kept, plan.losses),
         "tolerances_kept": None if plan.kept is None else plan.kept.good,
         "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),

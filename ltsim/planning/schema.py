@@ -307,8 +307,12 @@ class PlanResult(ResultFile, LayoutEntry):
     """One reflector moved, added or left out, the best first."""
     changes_tried: str = ""
     """How many such changes were tried, and how many help."""
+    bodies: tuple[str, ...] = ()
+    """What stands in the hall: what its file was taken for, its size and its place."""
+    reached: bool | None = None
+    """The goal is reached: tolerances are kept, after any one loss too where that is asked for; null without any."""
     tolerances_kept: bool | None = None
-    """All points keep their tolerances; null without any."""
+    """All points keep their tolerances while nothing is lost; null without any."""
     losses: tuple[LossEntry, ...] = ()
     """What remains of the tolerances without each station, and without each sight of such a point."""
     settings: dict[str, Any] = Field(default_factory=dict)

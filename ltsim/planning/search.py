@@ -46,6 +46,10 @@ class Layout:
     """The objective; infinite where the layout is not allowed."""
 
 
+def unkept(_layout: Layout) -> None:
+    """Keep nothing."""
+
+
 @dataclass(frozen=True)
 class Pool:
     """Set-ups with their contributions."""
@@ -75,6 +79,8 @@ class Searcher:
     """Turns and heights tried at each place of the grid."""
     tell: Callable[[float], None] = unheard
     """Hears the share of a start that is done."""
+    keep: Callable[[Layout], None] = unkept
+    """Is given each better layout."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
@@ -158,22 +164,26 @@ class Searcher:
         self._steps += 1
         self.tell(1.0 - PACE**self._steps)
 
-    def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
-        """The candidate that serves best as station `slot`, and the value; -1 and infinite where none may."""
-        self._step()
+    def replacements(self, layout: Pool, slot: int, candidates: Pool, *, anywhere: bool = False) -> Floats:
+        """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
         count = len(candidates.position)
         position = np.broadcast_to(layout.position, (count, *layout.position.shape)).copy()
         seen = np.broadcast_to(layout.seen, (count, *layout.seen.shape)).copy()
         position[:, slot], seen[:, slot] = candidates.position, candidates.seen
-        good = np.flatnonzero(self.site.joined(position, seen))
-        if not len(good):
-            return -1, np.inf
+        good = np.arange(count) if anywhere else np.flatnonzero(self.site.joined(position, seen))
+        values = np.full(count, np.inf)
         blocks = StationBlocks.joined([layout.blocks, candidates.blocks])
         chosen = np.tile(np.arange(self.stations), (len(good), 1))
         chosen[:, slot] = self.stations + good
-        values = self._values(blocks, chosen)
+        values[good] = self._values(blocks, chosen)
+        return values
+
+    def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
+        """The candidate that serves best as station `slot`, and the value; infinite where none may."""
+        self._step()
+        values = self.replacements(layout, slot, candidates)
         best = int(np.argmin(values))
-        return int(good[best]), float(values[best])
+        return best, float(values[best])
 
     def _with(self, layout: Pool, slot: int, candidates: Pool, which: int) -> Pool:
         rows = [layout.blocks.take(np.array([s])) for s in range(self.stations)]
@@ -196,6 +206,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
+                    self.keep(Layout(layout.position, layout.yaw, value))
             if not value < before * (1 - LEAST_IMPROVEMENT):
                 break
         return layout, value
@@ -212,6 +223,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
+                    self.keep(Layout(layout.position, layout.yaw, value))
             if not value < before * (1 - LEAST_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
@@ -277,6 +289,7 @@ class Searcher:
             )
         layout = layout or self.random_layout(rng)
         value = float(self._values(layout.blocks, np.arange(self.stations)[None])[0])
+        self.keep(Layout(layout.position, layout.yaw, value))
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)
         return Layout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
