@@ -20,6 +20,7 @@ from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
 from ltsim.planning.placement import Placement
 from ltsim.planning.site import Site
+from ltsim.planning.survey import Survey
 from ltsim.randomness import stream
 
 CHUNK = 64
@@ -132,10 +133,13 @@ class Searcher:
             "places; move it, widen the floor, or ask for fewer stations a reflector"
         )
 
+    def layout(self, survey: Survey) -> Pool:
+        """The stations of a survey, each as the one that it is."""
+        return self._joined([self.pool(survey.position[[s]], survey.yaw[[s]], s) for s in range(self.stations)])
+
     def evaluate(self, position: Floats, yaw: Floats) -> Layout:
         """A layout as it is."""
-        pools = [self.pool(position[s : s + 1], yaw[s : s + 1], s) for s in range(self.stations)]
-        here = self._joined(pools)
+        here = self.layout(self.site.survey.replace(position=position, yaw=yaw))
         good = self.site.allowed(position).all() and self.site.joined(position[None], here.seen[None])[0]
         value = self._values(here.blocks, np.arange(self.stations)[None])[0] if good else np.inf
         return Layout(position, yaw, float(value))
@@ -284,9 +288,7 @@ class Searcher:
         survey = self.site.survey
         layout: Pool | None = None
         if start == 0 and np.isfinite(self.evaluate(survey.position, survey.yaw).value):
-            layout = self._joined(
-                [self.pool(survey.position[s : s + 1], survey.yaw[s : s + 1], s) for s in range(self.stations)]
-            )
+            layout = self.layout(survey)
         layout = layout or self.random_layout(rng)
         value = float(self._values(layout.blocks, np.arange(self.stations)[None])[0])
         self.keep(Layout(layout.position, layout.yaw, value))
