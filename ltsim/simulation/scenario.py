@@ -104,8 +104,10 @@ class Scenario(Section, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """A built-in scenario by its name, or the scenario of a file; raises SetupError."""
+    """A built-in scenario by its name, or that of a file or of a plan's folder; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
+    if (path / "plan.json").is_file():
+        path = path / "scenario.toml"
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
     with as_setup_error():
