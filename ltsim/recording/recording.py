@@ -31,7 +31,7 @@ REFLECTOR_COLUMN = "reflector"
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Recording(Shown):
     """Readings of a tracker network and what is known about the set-up."""
 
@@ -63,6 +63,16 @@ class Recording(Shown):
 
     def __len__(self) -> int:
         return len(self.station)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both say the same of the same pointings; what was not measured equals itself."""
+        if not isinstance(other, Recording):
+            return NotImplemented
+        names = [f.name for f in dataclasses.fields(self)]
+        return all(_same(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __hash__(self) -> int:
+        return hash((self.stations, self.targets, self.readings.tobytes()))
 
     @property
     def headline(self) -> str:
@@ -218,3 +228,12 @@ class Recording(Shown):
     def replace(self, **changes: Any) -> Recording:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two fields are alike, arrays and tables of arrays among them."""
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=np.issubdtype(one.dtype, np.floating))
+    if isinstance(one, Mapping):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    return bool(one == other)
