@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.report import samples
 
 from ltsim.adjustment import adjust
 from ltsim.calibration.files import read_targets, residuals_csv, targets_csv
@@ -19,6 +18,7 @@ from ltsim.pages.schemas import RESULTS, main, schemas, tables
 from ltsim.recording import write
 from ltsim.recording.result_file import digest_of, read_result
 from ltsim.recording.setup import Setup
+from tests.pages import samples
 
 FOLDERS = {
     "calibration.json": samples.calibration_folder,
