@@ -10,7 +10,6 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.planning.changes import Changes, reflector_changes
 from ltsim.planning.fast import Reducer
 from ltsim.planning.improvement import Expected, Predictor
@@ -25,6 +24,7 @@ from ltsim.planning.tolerances import Demands, Kept, every_loss, holds, judged
 from ltsim.planning.workshop import SIGHTS, fixed_of, objective_of, site_of, survey_of
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.remedies.next_measurement import Progress, quiet
+from ltsim.results import Columns, Result, by_row
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
@@ -70,7 +70,7 @@ class Evaluated:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Shown):
+class Plan(Result):
     """The answer."""
 
     file: PlanFile
@@ -242,6 +242,8 @@ def _fewest(
 
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
     """Refuse a grid of set-ups that no memory holds."""
+    if file.search.grid_mm is None:
+        return
     outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or _corners(scenario)]
     sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
     rows = 1.0 + sizes / file.search.grid_mm
@@ -270,6 +272,9 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
     reduced = reducer.reduce(
         reducer.blocks(survey.position, survey.yaw, slots, survey.seen), slots[None], targets=objective.wants_targets
     )
+    if survey.air is not None and objective.wants_targets:  # the search knows no more of the air than its scatter
+        rms = LayoutInformation.of(survey, built).target_rms if np.isfinite(reduced.target_rms[0]) else np.nan
+        reduced = replace(reduced, target_rms=np.array([rms]))
     qualities = objective.qualities(reduced, built.size)
     value = float(objective.values(reduced, built.size)[0])
     return value, {name: float(quality[0]) for name, quality in qualities.items()}
@@ -357,6 +362,7 @@ def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Constructi
         repeats=way.repeats,
         seconds_per_pointing=way.seconds_per_pointing,
         seconds_per_move=way.seconds_per_move,
+        air=way.air,
     )
     count = len(own.position)
     least = count if file.stations.seen_from == "all" else min(file.stations.seen_from, count)

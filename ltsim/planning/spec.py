@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from ltsim.effects import CATALOGUE
+from ltsim.effects.air import Air
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.planning.floor import Floor
 from ltsim.planning.hall import TABLES, USUAL_HEIGHT_MM, hall_scenario, with_points
@@ -166,8 +167,9 @@ class Search(Section):
     """Independent searches for the plan itself."""
     starts_of_the_curve: Annotated[int, Field(ge=1, le=1000)] = 1
     """Independent searches for each other point of the curve."""
-    grid_mm: Positive = 500.0
-    """Step of the candidate places on the floor."""
+    grid_mm: Positive | None = None
+    """Step of the candidate places on the floor; default about 250 places, at least 500 mm apart. Stations are moved
+    off the grid afterwards."""
     yaws: Annotated[int, Field(ge=1, le=72)] = 6
     """Turns of the base tried at each place."""
     heights: Annotated[int, Field(ge=1, le=10)] = 2
@@ -196,6 +198,8 @@ class PlanFile(Section):
     """Its reflectors, as in a scenario file."""
     work: Work | None = None
     """Order and clock of the work there, as in a scenario file; points as listed unless it says so."""
+    air: Air = Air()
+    """What is not known of the air, where ranges are long: in every figure of the plan."""
     floor: Floor = Floor()
     """Where tripods may stand."""
     stations: Stations = Stations()

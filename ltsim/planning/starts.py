@@ -11,7 +11,7 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import Layout, Searcher, unheard
-from ltsim.planning.site import Site
+from ltsim.planning.site import Site, grid_step
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, staying
@@ -85,7 +85,7 @@ def search_one(
 
     def searcher(where: Site, number: int = 0) -> Searcher:
         return Searcher(
-            where, objective, built, settings.grid_mm * 1e-3, settings.yaws, settings.heights,
+            where, objective, built, grid_step(where.areas, settings.grid_mm), settings.yaws, settings.heights,
             lambda share: tell((number + share) / rounds),
         )  # fmt: skip
 
