@@ -1,9 +1,9 @@
-"""Thirty commands from simulate to report, run by this checkout and by another: do they give the same numbers?
+"""Thirty commands, run by this checkout and by another: the numbers should be the same.
 
     python -m benchmarks.same_numbers ../other-checkout [--keep build/same]
 
-Each command runs in a folder of its own checkout's; every number of every JSON and CSV file that both wrote is compared. A
-number that differs by more than 1e-6 of the largest of its key or column is listed with the file and key.
+Each checkout has a folder of its own; every number of every JSON and CSV file that both wrote is compared. The worst
+of those that differ by more than one in a million is listed with its file and place.
 """
 
 from __future__ import annotations
