@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ltsim.api.catalogue import catalogue as catalogue
     from ltsim.api.diagnosing import diagnose as diagnose
     from ltsim.api.files import convert as convert, read as read, write as write
+    from ltsim.api.injecting import inject as inject, injection_curve as injection_curve
     from ltsim.api.network import (
         adjust as adjust,
         calibrate as calibrate,
@@ -44,6 +45,7 @@ _ROOMS = {
     "workshop": ("scenario", "simulate"),
     "network": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
     "diagnosing": ("diagnose",),
+    "injecting": ("inject", "injection_curve"),
     "campaigns": ("campaign",),
     "recovering": ("recover",),
     "planning": ("plan", "next_measurement", "without_station"),
