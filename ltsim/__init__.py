@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         history as history,
         verify as verify,
     )
+    from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
     from ltsim.campaigns.recovering import recover as recover
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
@@ -27,7 +28,11 @@ if TYPE_CHECKING:
     from ltsim.fieldcheck.verbs import check as check
     from ltsim.files import convert as convert, read as read, write as write
     from ltsim.pages.verbs import report as report, view as view
-    from ltsim.planning.verbs import next_measurement as next_measurement, plan as plan
+    from ltsim.planning.verbs import (
+        next_measurement as next_measurement,
+        plan as plan,
+        without_station as without_station,
+    )
     from ltsim.simulation.verbs import scenario as scenario, simulate as simulate
     from ltsim.tasks.verbs import compare as compare, uncertainty as uncertainty
 
@@ -40,7 +45,8 @@ _ROOMS = {
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
     "campaigns.recovering": ("recover",),
-    "planning.verbs": ("plan", "next_measurement"),
+    "campaigns.injecting": ("inject", "injection_curve"),
+    "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),
     "effects.made": ("Effect",),
     "effects.verbs": ("catalogue",),

@@ -166,7 +166,7 @@ def calibrate(
         raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
     if method == "network":
-        beside = [_wanted(asked, seen) for asked in effects]
+        beside = [wanted(asked, seen) for asked in effects]
         return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
     if any(options.values()) or prior is not None or effects:
         listed = "robust, noise_from_data, datum, prior and with_effects"
@@ -174,7 +174,7 @@ def calibrate(
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
-def _wanted(asked: str | Effect, recording: Recording) -> Wanted:
+def wanted(asked: str | Effect, recording: Recording) -> Wanted:
     """An effect, what it has by default being left to the readings, or one in words."""
     if isinstance(asked, str):
         return _in_words(asked, recording)

@@ -59,7 +59,7 @@ def check(
     from ltsim.fieldcheck import check_file, write_check
     from ltsim.fieldcheck.files import TWO_FACE, CheckFile
 
-    claim(out, CheckFile, (TWO_FACE.file, "check.svg", "check-narrow.svg"), force=force)
+    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -73,12 +73,9 @@ def check(
         found = lt.check(recording, level=level, mpe=limit)
     content = check_file(found)
     if out is not None:
-        from ltsim.pages.figures.check import check_figure  # most checks draw nothing
-        from ltsim.pages.style import narrow, svg
+        from ltsim.pages.style import svg  # most checks draw nothing
 
-        figure = check_figure(found)
-        pictures = {"check.svg": svg(figure), "check-narrow.svg": svg(narrow(figure) or figure)}
-        content = write_check(found, out, pictures)
+        content = write_check(found, out, {"check.svg": svg(found.plot())})
     terminal.answer(content.content())
     for item in found.items:
         terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
