@@ -85,6 +85,28 @@ class ConvergenceError(LtsimError):
         super().__init__(message)
 
 
+_SPELLED = {"flags": False}
+SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
+"""Options that the command line does not call by their own name."""
+
+
+@contextmanager
+def options_are_flags() -> Iterator[None]:
+    """What `option` gives is spelled for the command line."""
+    before, _SPELLED["flags"] = _SPELLED["flags"], True
+    try:
+        yield
+    finally:
+        _SPELLED["flags"] = before
+
+
+def option(name: str) -> str:
+    """An option as the reader writes it: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
+    if not _SPELLED["flags"]:
+        return name
+    return SPECIAL.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
+
+
 def missing_extra(what: str, extra: str) -> SetupError:
     """Build the error for something that needs packages which a plain installation leaves out."""
     return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")

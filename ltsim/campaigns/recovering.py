@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ltsim.campaigns.recovery import Errors, Recovery, errors_of, recover as trials_of
-from ltsim.errors import SetupError, unknown_name
+from ltsim.errors import SetupError, option, unknown_name
 from ltsim.model.construction import construction as construction_called
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.verbs import ScenarioSource, scenario
@@ -51,7 +51,7 @@ def recover(
     built = scenario(source)
     own = construction_of(built)
     if own.name == "dh" and construction not in (None, "dh"):
-        raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
+        raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
     calibrator = own if construction is None else construction_called(construction)
     mode = errors or errors_of(built)
     if mode not in ("drawn", "stated"):
