@@ -23,7 +23,7 @@ from pydantic import BaseModel
 from ltsim.arrays import Floats
 from ltsim.chances import p_text
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
-from ltsim.notation import NONE, decimals, number, with_sigma
+from ltsim.notation import NONE, aligned, decimals, number, with_sigma
 from ltsim.saved import Valued, save
 from ltsim.units import BY_ENDING, unit_of_key
 
@@ -358,27 +358,6 @@ class Result(Valued):
         """The picture of the result, a matplotlib figure; raises ModelError for what has none."""
         figure: Figure = import_module("ltsim.pages.plots").figure_of(self)  # by name: only the room above draws
         return figure
-
-
-def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Rows as aligned text, the first `left` columns to the left, the others to the right.
-
-    Raises
-    ------
-    ModelError
-        When a row is not as long as the header.
-    """
-    if any(len(row) != len(header) for row in rows):
-        raise ModelError("a row of a table is not as long as its header")
-    lines = [header, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
 
 
 def guarded(text: str) -> str:

@@ -169,8 +169,8 @@ def calibrate(
         beside = [wanted(asked, seen) for asked in effects]
         return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
     if any(options.values()) or prior is not None or effects:
-        listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior", "with_effects")))
-        raise ModelError(f"{listed} go with the method network, not {method}")
+        listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
+        raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
