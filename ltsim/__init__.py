@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ltsim import effects as effects, errors as errors
     from ltsim.api.campaigns import campaign as campaign
-    from ltsim.api.catalogue import catalogue as catalogue
+    from ltsim.api.catalogue import add_effect as add_effect, catalogue as catalogue
     from ltsim.api.diagnosing import diagnose as diagnose
     from ltsim.api.files import convert as convert, read as read, write as write
     from ltsim.api.network import (
@@ -44,7 +44,7 @@ _ROOMS = {
     "recovering": ("recover",),
     "planning": ("plan", "next_measurement"),
     "pages": ("view", "report"),
-    "catalogue": ("catalogue",),
+    "catalogue": ("catalogue", "add_effect"),
     "tasks": ("accept", "bench", "check", "compare", "uncertainty"),
 }
 """The functions that each module of `ltsim.api` holds."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.campaign.workshop import workshop
+from tests.campaigns.workshop import workshop
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.curvature import BENT, curvature

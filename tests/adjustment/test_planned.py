@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.campaign.workshop import workshop
+from tests.campaigns.workshop import workshop
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.problem import NetworkProblem
