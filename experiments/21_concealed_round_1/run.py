@@ -13,6 +13,7 @@ from pathlib import Path
 from experiments.common import ROOT, Made, Options, spread_out
 from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.files import targets_csv
+from ltsim.notation import number
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
 
@@ -38,7 +39,7 @@ def examine(folder: Path, out: Path) -> str:
     write_texts(out / folder.name, texts)
     before, after = found.before, found.after
     fit = f"{before.chi2 / before.dof:.3f} to {after.chi2 / after.dof:.3f}"
-    held_out = f"{before.held_out_rms:.3f} to {after.held_out_rms:.3f}"
+    held_out = f"{number(before.held_out_rms)} to {number(after.held_out_rms)}"
     head = f"| {folder.name} | {found.verdict} | {found.search_p_value:.2g} |"
     if not found.findings:
         return f"{head} | | | | {fit} | {held_out} |\n"

@@ -44,7 +44,7 @@ def recover(
     errors : str, optional
         `drawn` from the prior, or as the scenario has them `stated`; default the latter where it states any.
     seed, jobs : int
-        Trial N is ``lt.simulate(source, seed=seed, trial=N, geometry="per-trial")``. Functions are called in this process.
+        Trial N is ``lt.simulate(source, seed=seed, trial=N, geometry="per-trial")``; functions run in this process.
     progress : callable
         Told of every trial that is done.
 

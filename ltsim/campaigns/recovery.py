@@ -42,8 +42,8 @@ from ltsim.campaigns.recovery_checks import (
 from ltsim.campaigns.scoring import Trial, check_known, score, true_values
 from ltsim.errors import ConvergenceError, LtsimError, SetupError
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording import Recording
+from ltsim.results import Columns, Result, by_row
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import instrument_law
 from ltsim.simulation.scenario import Scenario
@@ -65,7 +65,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True, repr=False)
-class Recovery(Shown):
+class Recovery(Result):
     """All trials of a recovery check with `errors` drawn or stated; a trial that gave no result is None."""
 
     trials: tuple[Trial | None, ...]

@@ -68,6 +68,7 @@ def true_values(truth: Truth) -> dict[str, float]:
 
 
 def check_known(names: Sequence[str], true: Mapping[str, float], truth: Truth) -> None:
+    """Raise SetupError for a parameter that is not among the true ones."""
     unknown = [name for name in names if name not in true]
     if unknown:
         raise SetupError(

@@ -22,8 +22,8 @@ from ltsim.campaigns.schema import LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.result_table import ResultTable
+from ltsim.results import Columns, Result, by_row
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -71,7 +71,7 @@ class Difference:
 
 
 @dataclass(frozen=True, repr=False)
-class Paired(Shown):
+class Paired(Result):
     """Differences on common draws."""
 
     entries: tuple[Difference, ...]
@@ -119,7 +119,7 @@ class Checked:
     largest_difference_sigma: float | None
 
 
-class Results(Shown):
+class Results(Result):
     """The rows of a campaign's folder, as tables to query.
 
     Parameters

@@ -125,7 +125,7 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
     cell = results.manifest.cells[end["cell"]].label
     return (
         f"cell {end['cell'] + 1} ({cell}), {end['method']}: the fast solver differs from the full one by up to "
-        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} trials that were verified, allowed {AGREED:g}; "
+        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, allowed {AGREED:g}; "
         'solver = "single" for the method calibrates every trial by the full one'
     )
 

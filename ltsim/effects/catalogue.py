@@ -168,7 +168,6 @@ def fault_of(kind: object) -> str:
     if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
         return "its class lacks a stage or parameters"
     units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
-    wrong = next(
+    return next(
         (f"the unit '{u}' of {name} is none of {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
     )
-    return wrong

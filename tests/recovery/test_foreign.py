@@ -54,7 +54,7 @@ def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None
     wide = lt.recover(SCENE, tolerance={"beam-tilt": "2 urad"}, **how)
     assert {check.what for check in wide.checks()} == {"convergence", "beam-tilt"} and not wide.failures()
     narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failures()
-    assert [check.sentence() for check in narrow][0].startswith("beam-tilt fails: share of errors within 0.01 arcsec")
+    assert narrow[0].sentence().startswith("beam-tilt fails: share of errors within 0.01 arcsec")
     for words, says in (({"beam-tilt": "2 mm"}, "expected a quantity"), ({"bean": "2 urad"}, "of none of")):
         with pytest.raises(SetupError, match=says):
             lt.recover(SCENE, tolerance=words, **how)
@@ -66,7 +66,7 @@ def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
     k = own.names.index("beam-tilt")
     beside = [trial.other.estimate[1] for trial in found.converged]
     assert beside == pytest.approx([trial.estimate[k] for trial in own.converged], rel=1e-12)
-    table = found.to_pandas("parameters")
+    table = found.to_dataframe("parameters")
     assert list(table["parameter"]) == list(ERRORS) and np.all(table["larger_low"] <= table["larger_high"])
 
 
