@@ -200,7 +200,7 @@ class Bench:
         """Columns of a method: criteria and errors after its parameters and the effects that it estimated."""
         deviation = block.deviation
         if effects:
-            deviation = deviation - np.einsum("ncq...,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
+            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
         calibrated = self.judge.clouds(deviation, construction, found.values)
         columns: Columns = self.judge.criteria(calibrated, "after") if self.judge.comparable else {}
         columns["error_calibrated_um"] = self.judge.cloud_error(calibrated)
