@@ -13,6 +13,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.checks import idle_settings
+from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import (
     check_name,
     check_text,
@@ -58,18 +59,20 @@ def recognises(path: Path, head: str) -> bool:
     return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
 
 
-def read_recording(path: Path, *, growing: bool = False) -> Recording:
+def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read a recording folder (or the `observations.csv` in it); raises RecordError.
 
-    Of a recording that is still `growing` a last row without an end is left out, and known lengths may wait for
-    their targets.
+    Of a recording that is still `hints.growing` a last row without an end is left out, and known lengths may wait for
+    their targets. Azimuths that `hints` says to be clockwise are turned over.
     """
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
         raise RecordError(message, file=path)
-    rows = _table(folder / OBSERVATIONS, growing=growing)
-    return parse(rows, read_setup(folder / SETUP), folder, growing=growing)
+    rows = _table(folder / OBSERVATIONS, growing=hints.growing)
+    found = parse(rows, read_setup(folder / SETUP), folder, growing=hints.growing)
+    sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
+    return found.with_readings(found.readings * sense)
 
 
 def _table(path: Path, *, growing: bool) -> list[list[str]]:
