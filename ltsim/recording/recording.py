@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.notebook import Columns, Shown
 from ltsim.recording.setup import Gauge, Instrument, Setup, Station, Target
+from ltsim.results import Columns, Result
 from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
@@ -31,8 +31,8 @@ REFLECTOR_COLUMN = "reflector"
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class Recording(Shown):
+@dataclass(frozen=True, repr=False)
+class Recording(Result):
     """Readings of a tracker network and what is known about the set-up."""
 
     setup: Setup
@@ -63,16 +63,6 @@ class Recording(Shown):
 
     def __len__(self) -> int:
         return len(self.station)
-
-    def __eq__(self, other: object) -> bool:
-        """Whether both say the same of the same pointings; what was not measured equals itself."""
-        if not isinstance(other, Recording):
-            return NotImplemented
-        names = [f.name for f in dataclasses.fields(self)]
-        return all(_same(getattr(self, name), getattr(other, name)) for name in names)
-
-    def __hash__(self) -> int:
-        return hash((self.stations, self.targets, self.readings.tobytes()))
 
     @property
     def headline(self) -> str:
@@ -228,12 +218,3 @@ class Recording(Shown):
     def replace(self, **changes: Any) -> Recording:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Whether two fields are alike, arrays and tables of arrays among them."""
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other, equal_nan=np.issubdtype(one.dtype, np.floating))
-    if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    return bool(one == other)

@@ -9,11 +9,11 @@ from typing import Any, Literal, NoReturn
 from pydantic import Field
 
 from ltsim.errors import ModelError, SetupError, as_setup_error
-from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml
 from ltsim.recording.setup import Material, NonNegative, Reflector, Section, Vector
 from ltsim.recording.specification import sheet_names, stated_by
+from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,
@@ -39,7 +39,7 @@ NONE = "none"
 """As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
 
-class Scenario(Section, Shown):
+class Scenario(Section, Result):
     """The whole file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
@@ -101,12 +101,14 @@ class Scenario(Section, Shown):
         measured = f"{len(self.stations)} stations{trackers}, {len(self.target_names)} targets"
         return [f"Scenario: {title}{measured}, {faces}, {effects}"]
 
-    __repr__ = Shown.__repr__
+    __repr__ = Result.__repr__
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """A built-in scenario by its name, or the scenario of a file; raises SetupError."""
+    """A built-in scenario by its name, or that of a file or of a plan's folder; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
+    if (path / "plan.json").is_file():
+        path = path / "scenario.toml"
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
     with as_setup_error():
