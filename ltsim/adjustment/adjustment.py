@@ -11,6 +11,7 @@ from scipy import special
 
 from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.known import KnownTest, known_tests
 from ltsim.adjustment.loose import poseless, without_loose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
@@ -26,8 +27,8 @@ from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.notebook import Shown
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, planned, solve
@@ -46,21 +47,23 @@ class Outlier:
 
 
 @dataclass(frozen=True, repr=False)
-class Adjustment(Shown):
+class Adjustment(Result):
     """An adjusted network."""
 
     problem: NetworkProblem
     solution: Solution[State]
     gross: Bools
     """(n,): pointings that were left out because they miss their target by far."""
-    datum: InnerDatum | None = None
-    """Datum of the covariances where it is not that of the factor (the pose of the first station)."""
     components: tuple[Component, ...] = ()
     """Estimated noise of groups of readings, where it was asked for; `problem.sigma` holds it."""
     untied: tuple[str, ...] = ()
     """Targets that the whole recording does not place, amid the others in the state."""
+    wrong: tuple[KnownTest, ...] = ()
+    """Known values that contradict the rest: they were left out, and `recording` states them no more."""
     copies: int = 0
     """Rows that repeat others to the last digit: their readings are not counted again."""
+    datum: InnerDatum | None = None
+    """Datum of the covariances where it is not that of the factor (the pose of the first station)."""
 
     def _lines(self) -> list[str]:
         return [
@@ -190,6 +193,11 @@ class Adjustment(Shown):
     def minimal_detectable_bias(self) -> Floats:
         """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked."""
         return minimal_detectable_bias(self.problem, self.redundancy)
+
+    @cached_property
+    def known(self) -> tuple[KnownTest, ...]:
+        """What the rest says about each known value; those left out first."""
+        return (*self.wrong, *known_tests(self.problem, self.solution))
 
     @property
     def lost_targets(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ touched.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -19,13 +18,12 @@ from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.alignment import align, robust_align
-from ltsim.recording.files import comma_number, read_lines, shown, table_rows
-from ltsim.recording.formats.point_list import read_points
+from ltsim.recording.coordinates import read_points
+from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Axes, Target
 from ltsim.units import MILLIMETRE
 
-NAMES, COLUMNS = ("target", "name"), ("x_mm", "y_mm", "z_mm")
 GROSS_MM = 2.0
 CLEARLY = 10.0
 SHAPE = 0.05
@@ -97,27 +95,8 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
 
 
 def read_axes(path: Path) -> dict[str, Floats]:
-    """Coordinates [m] by target: a table with the columns target (or name), x_mm, y_mm, z_mm, or a list of points.
-
-    The table's cells are separated by commas, or by semicolons or tabs with a decimal point or comma.
-
-    Raises
-    ------
-    RecordError
-        For a malformed file.
-    """
-    if not any(set(COLUMNS) <= {cell.strip() for cell in re.split("[,;\t]", line)} for line in read_lines(path)):
-        found = read_points(path, strict=False)
-        return dict(zip(found.names, found.points, strict=True))
-    header, rows = table_rows(path)
-    name = next((column for column in NAMES if column in header), None)
-    if name is None:
-        raise RecordError(f"has no column {' or '.join(NAMES)}; expected {NAMES[0]}, {', '.join(COLUMNS)}", file=path)
-    return {
-        cells[name]: MILLIMETRE * np.array([comma_number(cells[c], file=path, row=line, column=c) for c in COLUMNS])
-        for line, cells in rows
-        if all(cells[c] for c in COLUMNS)
-    }
+    """Coordinates [m] by target of a list of any dialect, those that have all three; raises RecordError."""
+    return read_points(path, strict=False).by_name
 
 
 def _misses(here: Floats, there: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.components import Component, Grouping, estimated_components
 from ltsim.adjustment.copies import copied_rows
 from ltsim.adjustment.datum import InnerDatum, moved_to_datum, stated_datum
+from ltsim.adjustment.known import KINDS, Kind, KnownTest, judged
 from ltsim.adjustment.loose import without_loose
 from ltsim.adjustment.marks import Marks
 from ltsim.adjustment.prior import ParameterPrior
@@ -48,6 +49,7 @@ def adjust(
     variance_components: Grouping | None = None,
     held_to: float = WEAK,
     prior: ParameterPrior | None = None,
+    judging: Collection[Kind] = KINDS,
 ) -> Adjustment:
     """Adjust a network: targets, poses, and the parameters of `construction` and `effects`.
 
@@ -75,6 +77,8 @@ def adjust(
         readings hardly determine from wandering off.
     prior : ParameterPrior, optional
         What is known of the instrument parameters; default what the set-up states.
+    judging : collection of str
+        Kinds of known values that are left out where they contradict the rest (`wrong`); with a `start` none is.
 
     Returns
     -------
@@ -97,6 +101,7 @@ def adjust(
     model = MeasurementModel(recording, built, tuple(effects))
     _check_marks(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
+    searched = start is None
     if start is None:
         reached, lost = reached_network(recording)
         tied = ~lost[recording.target]
@@ -113,14 +118,22 @@ def adjust(
     _check_normals(whole)
     start = replace(start, position=whole.marks.on_marks(start.position, start.points))
     whole = without_loose(whole, start)
-    problem, solution = find(whole, start)
+    wrong: tuple[KnownTest, ...] = ()
+    if searched and not (robust and whole.knows_nothing):
+        sound = whole.using(whole.use & ~gross[:, None]) if robust and gross.any() else whole
+        problem, solution, wrong = judged(sound, solve(sound, start), judging)
+        model = problem.model
+    if wrong and robust:
+        whole, start = whole.on(model), solution.x
+    if robust or not searched:
+        problem, solution = find(whole, start)
     components: tuple[Component, ...] = ()
     if variance_components is not None:
         given = problem, solution, variance_components
         problem, solution, components = estimated_components(*given, find, whole.use)
     untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
     gross &= ~problem.use.any(axis=1)
-    found = Adjustment(problem, solution, gross, components=components, untied=untied, copies=int(copied.sum()))
+    found = Adjustment(problem, solution, gross, components, untied, wrong, int(copied.sum()))
     names = _datum_names(found, datum)
     if not names or solution.factor is None or not problem.free.shape[1]:
         return found

@@ -94,6 +94,11 @@ class NetworkProblem:
         rows = self.gauge, self.control, self.levels, self.marks, self.known_marks
         return replace(self, use=use, structure=Structure.of(self.model, use, *rows, unknowns=self.unknowns))
 
+    def on(self, model: MeasurementModel) -> NetworkProblem:
+        """The problem of another model of the same pointings, with what that states and these weights."""
+        found = NetworkProblem.of(model, sigma=self.sigma, use=self.use, prior=self.prior)
+        return replace(found, extra_sigma=self.extra_sigma)
+
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
         found, mine, theirs = (
@@ -132,8 +137,7 @@ class NetworkProblem:
 
     def _residual_rows(self, state: State, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
-        stated = self.gauge.predict(state.points) + self._gauge_by_extra(state) @ state.extra
-        gauge = self.gauge.whitened(self.gauge.length - stated)
+        gauge = self.gauge.whitened(self.length_residuals(state))
         control = self.control.residual(state.points)
         marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
@@ -142,6 +146,15 @@ class NetworkProblem:
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
         return np.concatenate([pointings, gauge, control, marks, levels.ravel(), held, prior, extra, datum])
+
+    @property
+    def knows_nothing(self) -> bool:
+        """Whether no known length, point or level joins the readings."""
+        return not (len(self.gauge) or self.control.count or self.known_marks.count or len(self.levels))
+
+    def length_residuals(self, state: State) -> Floats:
+        """Known less adjusted lengths (g,) [m]."""
+        return self.gauge.length - self.gauge.predict(state.points) - self._gauge_by_extra(state) @ state.extra
 
     def retract(self, state: State, step: Floats) -> State:
         """The state after a step."""

@@ -10,6 +10,7 @@ from scipy import optimize, special
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.solve.blocks import Factor
+from ltsim.solve.robust import median_deviation
 
 FAMILY_LEVEL = 0.01
 """Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
@@ -17,6 +18,10 @@ SINGLE_LEVEL = 0.001
 """Of a test of one thing that was named beforehand."""
 POWER = 0.8
 """Share of recordings in which what is called detectable is found."""
+BELIEVED = 1.25
+"""Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
+CHECKED = 0.1
+"""Redundancy from which a residual says something about the noise."""
 UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
@@ -34,6 +39,15 @@ def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -
     w = np.where(problem.use, 0.0, np.nan)
     w[checked] = residuals[checked] / (problem.sigma[checked] * np.sqrt(redundancy[checked]))
     return w
+
+
+def scale_of(w: Floats, redundancy: Floats) -> float:
+    """What the stated noise is multiplied with: never less than one, more where the residuals show more.
+
+    Noise smaller than stated makes no reading an outlier that the stated noise allows.
+    """
+    shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
+    return shown if shown > BELIEVED else 1.0
 
 
 def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.loose import without_loose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of
+from ltsim.adjustment.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.arrays import Bools, Floats
 from ltsim.model.measurement import State
 from ltsim.solve.blocks import Factor, SingularSystemError
@@ -19,10 +19,6 @@ from ltsim.solve.robust import median_deviation
 HUBER = 2.0
 RELAXATIONS = 8
 ROUNDS = 20
-BELIEVED = 1.25
-"""Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
-CHECKED = 0.1
-"""Redundancy from which a residual says something about the noise."""
 
 
 def snooped(
@@ -85,20 +81,11 @@ def _relaxed(problem: NetworkProblem, state: State) -> State:
     return state
 
 
-def _scale(w: Floats, redundancy: Floats) -> float:
-    """What the stated noise is multiplied with: never less than one, more where the residuals show more.
-
-    Noise smaller than stated makes no reading an outlier that the stated noise allows.
-    """
-    shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
-    return shown if shown > BELIEVED else 1.0
-
-
 def _doubtful(problem: NetworkProblem, state: State, factor: Factor, limit: float) -> Bools:
     """Readings (n, 3) far off the relaxed network that others check."""
     redundancy = redundancy_of(problem, factor)
     w = normalised(problem, problem.residuals(problem.model.predict(state)), redundancy)
-    return np.nan_to_num(np.abs(w)) > limit * _scale(w, redundancy)
+    return np.nan_to_num(np.abs(w)) > limit * scale_of(w, redundancy)
 
 
 def _half(problem: NetworkProblem, state: State, rejected: Bools) -> Bools:
@@ -118,7 +105,7 @@ def _retested(
     redundancy = redundancy_of(kept, solution.factor)
     residuals = problem.residuals(problem.model.predict(solution.x))
     w = normalised(kept, residuals, redundancy)
-    scale = _scale(w, redundancy)
+    scale = scale_of(w, redundancy)
     new: Bools = (np.nan_to_num(np.abs(w)) > limit * scale) & (redundancy > UNCHECKED)
     if new.any():
         most = np.nan_to_num(np.abs(w)).max()

@@ -65,7 +65,7 @@ def adjust(
     --------
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.adjust(recording).to_pandas("targets").shape
+    >>> lt.adjust(recording).to_dataframe("targets").shape
     (28, 7)
     """
     return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=datum)
@@ -139,7 +139,7 @@ def calibrate(
     >>> found = lt.calibrate(recording)
     >>> found.fit.dof, found.fit.status
     (318, 'converged')
-    >>> found.to_pandas("parameters").columns.tolist()
+    >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'value', 'sigma', 'unit', 'prior_sigma']
     """
     if method not in METHODS:
@@ -277,7 +277,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     >>> found = lt.calibrate(lt.simulate("paper-workshop", seed=7).recording)
     >>> laboratory, truth = lt.simulate("paper-laboratory", seed=7)
     >>> _ = Path("cmm.csv").write_text(nominal_csv(truth))
-    >>> lt.verify(laboratory, "cmm.csv", found).to_pandas()["criterion"].tolist()
+    >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
     ['distance', 'coordinate']
     """
     seen, found = recording_of(recording), calibration_of(calibration)

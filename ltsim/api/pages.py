@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ltsim.api.files import read
 from ltsim.api.workshop import scenario
-from ltsim.notebook import Shown
 from ltsim.pages import scene3d
 from ltsim.pages.page import report as write_report
 from ltsim.pages.planned import from_scenario, with_cad
@@ -18,12 +17,13 @@ from ltsim.pages.workshop import Workshop, from_recording
 from ltsim.recording import Recording
 from ltsim.recording.files import write_text
 from ltsim.recording.setup import About
+from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True, repr=False)
-class View(Shown):
+class View(Result):
     """A workshop to look at: turned by hand in a notebook, or as a picture, a page or a window."""
 
     workshop: Workshop

@@ -51,7 +51,7 @@ def plan(
     --------
     >>> import ltsim as lt
     >>> made = lt.plan("small-plan.toml")
-    >>> made.to_pandas("stations").shape
+    >>> made.to_dataframe("stations").shape
     (3, 6)
     """
     file, scenario = opened(source)

@@ -17,9 +17,9 @@ from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown, by_entry
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
+from ltsim.results import Columns, Result, by_entry
 from ltsim.units import MICROMETRE, MILLIMETRE
 
 SHARPER = 0.975
@@ -133,7 +133,7 @@ class Correction:
 
 
 @dataclass(frozen=True, repr=False)
-class Calibration(Shown):
+class Calibration(Result):
     """Instrument parameters with their covariance, and the network they were found in."""
 
     method: str

@@ -22,8 +22,8 @@ from ltsim.calibration.evidence import Evidence, evidence
 from ltsim.chances import p_is
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown
 from ltsim.remedies.undetermined import SILENT
+from ltsim.results import Columns, Result
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
@@ -95,7 +95,7 @@ class Population:
 
 
 @dataclass(frozen=True, repr=False)
-class History(Shown):
+class History(Result):
     """Calibrations of one instrument in the order of time."""
 
     labels: tuple[str, ...]

@@ -20,6 +20,7 @@ from ltsim.evaluation.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import ball_lift
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, undetermined
@@ -241,7 +242,7 @@ def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
     if not adjustment.effects:
         return ("two distance meters were used; one range zero was assumed for both (method network tells them apart)",)
     value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
-    zero = f"{value / MICROMETRE:.1f} +- {sigma / MICROMETRE:.1f} um"
+    zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
     return (
         f"the interferometer's range zero less the absolute meter's, estimated beside the rest: {zero} (range-mode)",
     )

@@ -9,6 +9,7 @@ from scipy import special
 
 from ltsim.chances import p_is
 from ltsim.evaluation.schema import CriterionEntry
+from ltsim.notation import with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable, numbers, texts
 
@@ -260,16 +261,11 @@ class FittedEffectEntry(Entry):
         if not self.freedom:
             return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
         shown = ", ".join(
-            f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {p.value:.4g}{_more(p)}"
+            f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
         )
         tried = f", the best of {self.tried}" if self.tried > 1 else ""
         return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
-
-
-def _more(parameter: FittedParameterEntry) -> str:
-    """Uncertainty and unit."""
-    return ("" if parameter.sigma is None else f" +- {parameter.sigma:.2g}") + f" {parameter.unit}".rstrip()
 
 
 class CalibrationFile(ResultFile):

@@ -19,8 +19,8 @@ from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import LEVELS, ManifestFile, summary_table
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.result_table import ResultTable
+from ltsim.results import Columns, Result, by_row
 from ltsim.units import unit_of_key
 
 NORMAL_95 = 1.959963984540054
@@ -76,7 +76,7 @@ class Checked:
     largest_difference_sigma: float | None
 
 
-class Results(Shown):
+class Results(Result):
     """The rows of a campaign's folder, as tables to query.
 
     Parameters

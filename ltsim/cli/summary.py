@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
 from ltsim.cli.terminal import Terminal, digits, table
+from ltsim.notation import with_sigma
 from ltsim.units import MICROMETRE
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
         terminal.say("known together far better than each alone:")
         for c in calibration.determined:
             at = f" of {c.instrument}" if c.instrument else ""
-            terminal.say(f"  {c.terms}{at} = {' +- '.join(digits(c.value, c.sigma or 0.0))} {c.unit}")
+            terminal.say(f"  {c.terms}{at} = {with_sigma(c.value, c.sigma, c.unit)}")
     if calibration.undetermined:
         terminal.say()
         show_undetermined(terminal, calibration)

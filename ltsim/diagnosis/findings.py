@@ -20,7 +20,7 @@ from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
-from ltsim.diagnosis.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
+from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
@@ -29,6 +29,7 @@ from ltsim.laws.law import Law
 from ltsim.laws.names import RESEMBLED
 from ltsim.laws.scatter import NoisePattern
 from ltsim.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -162,7 +163,8 @@ def instrument_finding(found: Contradiction) -> Finding:
     estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
     sentence = (
         f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
-        f"({number(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, probability {percent(probability)}."
+        f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
+        f"probability {percent(probability)}."
     )
     drop = (found.difference / found.sigma) ** 2
     return Finding(

@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.visit import Explained, Visit
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
@@ -82,7 +83,8 @@ def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> 
         return f"{name} drifts: {_motion(explained.values)} {within}"
     lean = np.hypot(*explained.values[3:5]) / MICRORADIAN
     sigma = np.sqrt(max(float(explained.covariance[3, 3] + explained.covariance[4, 4]), 0.0)) / MICRORADIAN
-    return f"{name}: no drift of the station {within} (level {plain(lean, 2)} +- {plain(sigma, 2)} urad)"
+    level = with_sigma(float(lean), float(sigma), "urad")
+    return f"{name}: no drift of the station {within} (level {level})"
 
 
 def instrument_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
@@ -90,7 +92,7 @@ def instrument_sentence(recording: Recording, explained: Explained, passed: bool
     duration = float(np.ptp(recording.time))
     spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
     parts = [
-        f"{what} by {plain(value * duration / unit, 2)} +- {plain(sigma * duration / unit, 2)} {name}"
+        f"{what} by {with_sigma(value * duration / unit, sigma * duration / unit, name)}"
         for value, sigma, (what, name, unit) in zip(explained.values, spread, ZEROS, strict=True)
     ]
     said = ", ".join(parts) + " over the visit"

@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from PIL import Image
 
+from ltsim import notation
 from ltsim.arrays import Floats
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -270,24 +271,20 @@ def shorten(name: str, most: int = 34) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number as a person writes it: `digits` significant, no exponent where it can be avoided; a dash for none."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    size = abs(value)
-    if size >= 1e6 or size < 1e-4:
-        return _minus(f"{value:.{max(digits - 2, 0)}e}")
-    decimals = max(digits - 1 - int(np.floor(np.log10(size))), 0)
-    return _minus(f"{value:.{decimals}f}")
+    """A number as `ltsim.notation` writes it, with the signs of print."""
+    return typeset(notation.number(value, digits))
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """`value ± sigma`, both to the second digit of sigma."""
-    if not (np.isfinite(sigma) and sigma > 0):
-        return number(value)
-    decimals = max(1 - int(np.floor(np.log10(sigma))), 0)
-    return _minus(f"{value:.{decimals}f}") + f" ± {sigma:.{decimals}f}"
+    """`value ± sigma`, sigma one standard deviation."""
+    return typeset(notation.with_sigma(value, sigma))
+
+
+def typeset(text: str) -> str:
+    """A number of `ltsim.notation` with the signs of print: ±, a minus, a long dash for none, µm."""
+    if text == notation.NONE:
+        return "–"
+    return _minus(text.replace("+-", "±").replace(" um", " µm"))
 
 
 def fixed(value: float | None, decimals: int) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.planning.changes import Changes, reflector_changes
 from ltsim.planning.fast import Reducer
 from ltsim.planning.improvement import Expected, Predictor
@@ -21,6 +20,7 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
+from ltsim.results import Columns, Result, by_row
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
@@ -70,7 +70,7 @@ class Tried:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Shown):
+class Plan(Result):
     """The answer."""
 
     file: PlanFile

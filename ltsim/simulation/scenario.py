@@ -9,11 +9,11 @@ from typing import Any, Literal, NoReturn
 from pydantic import Field
 
 from ltsim.errors import ModelError, SetupError, as_setup_error
-from ltsim.notebook import Shown
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml
 from ltsim.recording.setup import Material, NonNegative, Reflector, Section, Vector
 from ltsim.recording.specification import sheet_names, stated_by
+from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,
@@ -38,7 +38,7 @@ NONE = "none"
 """As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
 
-class Scenario(Section, Shown):
+class Scenario(Section, Result):
     """The whole file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
@@ -100,7 +100,7 @@ class Scenario(Section, Shown):
         measured = f"{len(self.stations)} stations{trackers}, {len(self.target_names)} targets"
         return [f"Scenario: {title}{measured}, {faces}, {effects}"]
 
-    __repr__ = Shown.__repr__
+    __repr__ = Result.__repr__
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:

@@ -15,7 +15,7 @@ import pytest
 from matplotlib import image
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from tests.report import samples
+from tests.pages import samples
 
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry

@@ -142,11 +142,11 @@ def test_a_list_with_semicolons_and_decimal_commas_is_read(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("name,x_mm,y_mm\nA,1,2\n", "has no column z_mm; expected name, x_mm"),
+        ("name,x_mm,y_mm\nA,1,2\n", "column z_mm: found nothing, expected a number"),
         ("name,x_mm,y_mm,z_mm,colour\nA,1,2,3,red\n", "has the column 'colour' too many"),
-        ("name,x_mm,y_mm,z_mm\nA,1,2\n", "has another number of cells"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2\n", "3 fields, expected 4 as in the header"),
         ("name,x_mm,y_mm,z_mm\nA,1,2,x\n", "z_mm"),
-        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,3\n", "'A' stands twice"),
+        ("name,x_mm,y_mm,z_mm\nA,1,2,3\nA,1,2,4\n", "the point A was listed before"),
         ("name,x_mm,y_mm,z_mm,tolerance_mm\nA,1,2,3,0\n", "found 0, expected a positive number"),
         ("name,x_mm,y_mm,z_mm\n", "holds no points"),
     ],

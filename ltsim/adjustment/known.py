@@ -1,0 +1,250 @@
+"""Known values as observations: coordinates, heights, lengths and levels can be wrong, and are tested like readings.
+
+A wrong one bends every reading that it meets. It is therefore judged before single readings are: the error that lets
+chi-square fall most, for the unknowns that it takes, is the one that is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reliability import (
+    FAMILY_LEVEL,
+    critical_w,
+    noncentrality,
+    normalised,
+    redundancy_of,
+    scale_of,
+    surprise,
+)
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.solve.design import as_dense
+from ltsim.solve.gauss_newton import Solution, solve
+
+Kind = Literal["point", "length", "level"]
+KINDS: tuple[Kind, ...] = ("point", "length", "level")
+SIGMAS = 5.0
+"""Standard deviations of what the rest says from which a known value is left out."""
+CHECKED = 1e-3
+"""Redundancy below which the rest says nothing about a known value."""
+FELT = 1.0
+"""Whitened residual below which a known value need not be looked at: at 5 sigmas its redundancy would be below 4 %."""
+RIVAL = 100.0
+"""How many times likelier than another the error of one known value must be before it alone is blamed."""
+MOST_OUT = 0.5
+"""Share of the known values of a kind beyond which they contradict each other, and none can be named."""
+
+
+@dataclass(frozen=True)
+class KnownValue:
+    """One known value in the rows of an adjustment: a point's coordinates, a length or a level."""
+
+    kind: Kind
+    name: str
+    """Target, both ends of a length, or station."""
+    axes: str
+    """Coordinates that are known, of a point."""
+    sigma: Floats
+    residual: Floats
+    """(q,) [m or rad] each: stated standard deviations, and stated less adjusted."""
+    rows: Ints
+    """(r,): rows of the system that its error reaches."""
+    signature: Floats
+    """(r, q): what an error of 1 [m, rad] in each component does to them."""
+
+
+@dataclass(frozen=True)
+class KnownTest:
+    """What the rest of a network says about a known value; all (q,) are in m or rad, one a component."""
+
+    kind: Kind
+    name: str
+    axes: str
+    sigma: Floats
+    """Stated standard deviation."""
+    residual: Floats
+    """Stated less adjusted."""
+    error: Floats
+    """Estimated error: stated less what the rest says."""
+    sigma_error: Floats
+    """Its standard deviation; infinite where the rest says nothing."""
+    drop: float
+    """Fall of chi-square if it were left out."""
+    rank: int
+    """How many components the rest checks."""
+    left_out: bool = False
+    rivals: tuple[str, ...] = ()
+    """Other known values that may as well be the wrong one: then all of them are kept."""
+
+    @property
+    def w(self) -> float:
+        """Root of the fall of chi-square: the normalised residual of a single component."""
+        return float(np.sqrt(self.drop))
+
+    @property
+    def size(self) -> float:
+        """Length of the estimated error [m or rad]."""
+        return float(np.linalg.norm(self.error))
+
+    @property
+    def redundancy(self) -> Floats:
+        """Share of an error in each component that its residual shows."""
+        return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
+
+    @property
+    def minimal_detectable(self) -> Floats:
+        """Smallest error of each component that the test finds with 80 %; infinite where nothing checks it."""
+        return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
+
+
+def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+    """The known values of a problem, in the order of its rows."""
+    recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
+    shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
+    for i in np.flatnonzero(np.isfinite(gauge.sigma)):
+        name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
+        reached = np.flatnonzero(shown[:, i])
+        column = shown[reached, i : i + 1]
+        yield KnownValue("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
+    first += len(gauge)
+    marks = problem.known_marks, problem.marks.names, state.position
+    for known, names, here in ((problem.control, recording.targets, state.points), marks):
+        for i, place in enumerate(known.target):
+            axes = known.axes[i]
+            root = known.root[i][np.ix_(axes, axes)]
+            sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
+            said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
+            rows = first + np.arange(len(root))
+            yield KnownValue("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
+            first += len(root)
+    for i, tilt in enumerate(-problem.levels.predict(state.rotation)):
+        sigma = np.full(2, problem.levels.sigma[i])
+        name, rows = recording.stations[problem.levels.station[i]], first + 2 * i + np.arange(2)
+        yield KnownValue("level", name, "", sigma, tilt, rows, np.diag(1.0 / sigma))
+
+
+def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
+    """The test of each known value of an adjustment whose whitened residual is `least` at least."""
+    if solution.factor is None:
+        return []
+    residual, tests = problem.residual(solution.x), []
+    for value in known_values(problem, solution.x):
+        own = residual[value.rows]
+        if float(np.linalg.norm(own)) >= least:
+            inside = as_dense(solution.system.design[value.rows]).T @ value.signature
+            left = value.signature.T @ value.signature - inside.T @ solution.factor.covariance_columns(inside)
+            tests.append(_test(value, left, value.signature.T @ own))
+    return tests
+
+
+def _test(value: KnownValue, left: Floats, pull: Floats) -> KnownTest:
+    """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
+    size = np.linalg.norm(value.signature, axis=0)
+    share, turned = np.linalg.eigh(left / np.outer(size, size))
+    checked = share > CHECKED
+    share, turned = share[checked], turned[:, checked]
+    along, back = turned.T @ (pull / size), turned / size[:, None]
+    sure = np.sum(turned**2, axis=1) > 0.5
+    return KnownTest(
+        value.kind,
+        value.name,
+        value.axes,
+        value.sigma,
+        value.residual,
+        back @ (along / share),
+        np.where(sure, np.sqrt(np.sum(back**2 / share, axis=1)), np.inf),
+        float(np.sum(along**2 / share)),
+        int(checked.sum()),
+    )
+
+
+def judged(
+    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind] = KINDS
+) -> tuple[NetworkProblem, Solution[State], tuple[KnownTest, ...]]:
+    """The problem without the known values that contradict the rest, its solution, and what contradicts.
+
+    One at a time, by the fall of chi-square; single readings that explain more are set aside while the rest is judged.
+    """
+    given, out, aside = (problem, solution), [], problem
+    while solution.factor is not None and len(out) < len(problem.model.recording.targets):
+        found = _most_suspect(aside, solution, kinds)
+        if found is None:
+            break
+        if isinstance(found, KnownTest):
+            out.append(found)
+            if found.rivals:
+                break
+            aside = aside.on(replace(aside.model, recording=without(aside.model.recording, found)))
+        else:
+            aside = aside.using(aside.use & ~found)
+        solution = solve(aside, solution.x)
+    gone = [test for test in out if test.left_out]
+    if solution.factor is None or _too_many(*given, gone):
+        return *given, ()
+    if not gone:
+        return *given, tuple(out)
+    kept = aside.using(given[0].use)
+    return kept, solve(kept, solution.x), tuple(out)
+
+
+def _most_suspect(
+    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind]
+) -> KnownTest | Bools | None:
+    """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
+    tests = [test for test in known_tests(problem, solution, FELT) if test.kind in kinds and test.rank]
+    if not tests or problem.dof < 2:
+        return None
+    assert solution.factor is not None
+    redundancy = redundancy_of(problem, solution.factor)
+    w = normalised(problem, problem.residuals(problem.model.predict(solution.x)), redundancy)
+    shown = scale_of(w, redundancy)
+
+    def unlikely(drop: float, rank: int, looks: int) -> tuple[float, float]:
+        healed = np.sqrt(max(solution.cost - drop, 0.0) / max(problem.dof - rank, 1))
+        scaled = drop / max(1.0, min(shown, float(healed))) ** 2
+        return float(surprise(scaled, rank)) - float(np.log(looks)), scaled
+
+    count = len(list(known_values(problem, solution.x)))
+    chances = [unlikely(test.drop, test.rank, count) for test in tests]
+    best = int(np.argmax([chance for chance, _ in chances]))
+    chance, scaled = chances[best]
+    if scaled < max(SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
+        return None
+    worst = int(np.argmax(np.nan_to_num(np.abs(w))))
+    if unlikely(float(np.nan_to_num(w).flat[worst] ** 2), 1, int(problem.use.sum()))[0] <= chance:
+        rivals = [test.name for test, other in zip(tests, chances, strict=True) if other[0] > chance - np.log(RIVAL)]
+        rivals.remove(tests[best].name)
+        return replace(tests[best], left_out=not rivals, rivals=tuple(rivals))
+    reading = np.zeros(w.shape, dtype=bool)
+    reading.flat[worst] = True
+    return reading
+
+
+def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[KnownTest]) -> bool:
+    every = [value.kind for value in known_values(problem, solution.x)]
+    gone = [test.kind for test in out]
+    return any(gone.count(kind) > MOST_OUT * every.count(kind) for kind in KINDS)
+
+
+def without(recording: Recording, test: KnownTest) -> Recording:
+    """The recording whose set-up does not state one known value."""
+    setup = recording.setup
+    if test.kind == "length":
+        gauge = recording.gauge
+        left = tuple(d for d in gauge.distance if f"{d.from_}-{d.to}" != test.name)
+        return recording.replace(setup=setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": left})}))
+    if test.kind == "level":
+        stations = dict(setup.stations)
+        stations[test.name] = stations[test.name].model_copy(update={"levelled": False})
+        return recording.replace(setup=setup.model_copy(update={"stations": stations}))
+    targets = dict(setup.targets)
+    told = targets[test.name]
+    targets[test.name] = told.model_copy(update={"known_mm": None, "approximate_mm": told.known_mm})
+    return recording.replace(setup=setup.model_copy(update={"targets": targets}))
