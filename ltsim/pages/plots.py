@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from functools import singledispatch
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.calibration.calibration import Calibration
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
 from ltsim.pages import figures
+from ltsim.pages.figures.check import check_figure
+from ltsim.pages.residuals import Residuals
+from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
+from ltsim.tasks.congruence import Congruence
+from ltsim.units import MICROMETRE
 
 
 @singledispatch
@@ -41,4 +48,24 @@ def _(result: Criteria) -> Figure:
 
 @figure_of.register
 def _(result: Check) -> Figure:
-    return figures.check_figure(result)
+    return check_figure(result)
+
+
+@figure_of.register
+def _(result: Diagnosis) -> Figure:
+    """The curve or the residuals of the first finding; of a consistent recording its residuals."""
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    for finding in result.findings[:1]:
+        figure = finding_figure(finding, before, after)
+        if figure is not None:
+            return figure
+    return figures.residuals_by_covariate(after)
+
+
+@figure_of.register
+def _(result: Congruence) -> Figure:
+    shifts, axes = (
+        np.array(v) / MICROMETRE for v in zip(*((d.shift, d.semi_axes()) for d in result.displacements), strict=True)
+    )
+    moved = np.array([d.moved for d in result.displacements], dtype=bool)
+    return figures.shifts_by_point([d.target for d in result.displacements], shifts, axes, moved)
