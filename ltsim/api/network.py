@@ -158,7 +158,7 @@ def calibrate(
         raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
     if method == "network":
-        beside = [_wanted(text, seen) for text in with_effects]
+        beside = [wanted(text, seen) for text in with_effects]
         return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
     if any(options.values()) or prior is not None or with_effects:
         listed = "robust, noise_from_data, datum, prior and with_effects"
@@ -166,7 +166,7 @@ def calibrate(
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
-def _wanted(text: str, recording: Recording) -> Wanted:
+def wanted(text: str, recording: Recording) -> Wanted:
     """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     from ltsim.simulation.physics import effect_from  # only this option needs it
 

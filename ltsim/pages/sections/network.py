@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import CombinationEntry, DeterminedEntry
+from ltsim.calibration.schema import Combination, DeterminedEntry
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.model.construction import stated_construction
 from ltsim.pages import figures, style
@@ -77,7 +77,7 @@ def scene(workshop: Workshop) -> Scene:
     return Scene("The workshop in 3D", style.webp_uri(png), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[CombinationEntry], *, decimals: int, note: str = "") -> list[Table]:
+def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Table]:
     """Combinations of parameters that stay open, and the cure of each."""
     rows = [
         [
