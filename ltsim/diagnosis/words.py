@@ -60,24 +60,26 @@ def percent(probability: float) -> str:
 
 
 def card_sentence(
-    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, implausible: bool = False
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, shown: float | None = None
 ) -> str:
-    """An effect of the catalogue in one sentence; two where its size is `implausible` for its cause."""
+    """An effect of the catalogue in a sentence: what the readings show, and what usually causes it."""
     card = card_of(find_effect(effect))
-    doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
-    told = "; ".join(part for part in (card.cause, estimates(parameters)) if part)
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
-    return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
+    told = estimates(parameters)
+    seen = "" if shown is None else f"such a change here: {percent(shown)}; "
+    cause = f"usual cause: {card.cause} (probability of this name {percent(probability)})"
+    return f"{title} ({at}){f': {told}' if told else ''}; {seen}{cause}."
 
 
-def law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
-    """A law that no card names, in one sentence: what varies with what, where, how much."""
+def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law: str) -> str:
+    """A law that no card names, in one sentence: what varies with what, where, how much, how surely."""
     told = estimates(parameters)
     size = f" ({told})" if told else ""
     at = _at(where.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
-    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue (probability {percent(probability)})."
+    sure = f"probability that it follows this {percent(shown)}"
+    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
 
 def outside_sentence(where: Where, law: str) -> str:
