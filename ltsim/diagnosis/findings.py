@@ -24,7 +24,7 @@ from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
-from ltsim.effects.signature import Tunable
+from ltsim.effects.signature import Parameter, Tunable
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.places import trackers_of
@@ -213,13 +213,16 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
 def instrument_finding(found: Contradiction) -> Finding:
     """The finding of a constant that contradicts what else is known of its instrument."""
     p, chance = found.parameter, float(np.exp(-found.evidence))
-    name = next(e.name for e in BASELINE if p.name in {q.name for q in e.parameters})
     estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
+    others = " or ".join(other.name.replace("-", " ") for other in found.alike)
+    only = f", or {others}: the readings tell little more than one combination of them," if others else ""
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
+        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'}{only} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
         f"probability {percent(probability)}."
     )
+    name, *alike = dict.fromkeys(_effect_of(one) for one in (p, *found.alike))
+    share = probability / (1 + len(alike))
     drop = (found.difference / found.sigma) ** 2
     return Finding(
         effect=name,
@@ -228,8 +231,13 @@ def instrument_finding(found: Contradiction) -> Finding:
         parameters=(estimate,),
         evidence=Evidence(chi2_drop=drop, parameters=1, p_value=found.p_value, probability=probability),
         sentence=sentence,
-        equivalents=(),
+        equivalents=tuple(Equivalent(effect=other, probability=share) for other in alike[:MOST_EQUIVALENTS]),
     )
+
+
+def _effect_of(constant: Parameter) -> str:
+    """The effect of the ordinary calibration that a constant belongs to."""
+    return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
 
 
 def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:

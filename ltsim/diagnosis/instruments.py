@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +12,16 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.determined import determined
-from ltsim.calibration.evidence import evidence
+from ltsim.calibration.evidence import Evidence, evidence
 from ltsim.diagnosis.evidence import log_average, log_evidence
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
 from ltsim.effects.effect import Parameter
 
-MEDIAN = np.pi / 2
-"""Variance of a median over that of a mean, of many normal values."""
 ANYTHING = 1e3
 """Guarantees by which a constant that is known to have changed may be off, when the others are looked at."""
+NOT_APART = float(np.log(100.0))
+"""Log evidence that another constant is behind and may still be the one that is off."""
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
 
@@ -58,6 +59,8 @@ class Contradiction:
         Chance that any of the constants compared differs by as many standard deviations.
     against : str
         In words.
+    alike : tuple of Parameter
+        Other constants of the instrument that may be off in its place.
     """
 
     instrument: str
@@ -67,6 +70,7 @@ class Contradiction:
     evidence: float
     p_value: float
     against: str
+    alike: tuple[Parameter, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -92,11 +96,11 @@ class Expected:
     words: tuple[str, ...]
 
     @classmethod
-    def certain(cls, mean: Floats, variance: Floats, words: str) -> Expected:
-        """Constants (p,) of known variances (p,) that have no others beside them."""
+    def of(cls, mean: Floats, covariance: Floats, words: str) -> Expected:
+        """All constants (p,) compared, with no variances beside their covariance (p, p)."""
         count = len(mean)
         none = np.zeros((count, 1))
-        return cls(mean, np.diag(variance), np.arange(count), none, none, (words,) * count)
+        return cls(mean, covariance, np.arange(count), none, none, (words,) * count)
 
 
 def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
@@ -105,28 +109,49 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     The likelihoods of a constant that is off by a few plausible sizes and of one that is not are compared as everywhere
     else; those with more than `least` of log evidence are told.
     """
-    recording, values = adjustment.recording, adjustment.state.instrument
-    names, unit = recording.instruments, prior_sigmas(recording, adjustment.construction)
-    variances = np.array([np.diag(adjustment.instrument_covariance_of(i)) for i in range(len(names))])
-    found = []
-    for i, name in enumerate(names):
-        others = np.delete(np.arange(len(names)), i)
-        if recording.setup.instruments.get(name, recording.setup.instrument).corrected:
-            nothing = np.zeros(values.shape[1])
-            expected = Expected.certain(nothing, nothing, "the correction that it is said to have")
-        elif len(others):
-            middle = np.median(values[others], axis=0) / unit[i]
-            spread = np.median(variances[others], axis=0) / unit[i] ** 2 / len(others) * MEDIAN
-            expected = Expected.certain(middle, spread, "the other instruments")
-        else:
-            continue
-        found += compared(adjustment, i, expected, least)
-    if len(names) == 2:  # Which of two is off nobody can say; the one farther from zero is the likelier.
-        size = {(names[i], p.name): abs(v) for i in (0, 1) for p, v in _constants(adjustment, i)}
-        found = [
-            c for c in found if size[c.instrument, c.parameter.name] >= max(size[n, c.parameter.name] for n in names)
+    recording = adjustment.recording
+    names = recording.instruments
+    stated = [recording.setup.instruments.get(name, recording.setup.instrument) for name in names]
+    found = [
+        one
+        for i, instrument in enumerate(stated)
+        if instrument.corrected
+        for one in compared(adjustment, i, _corrected(adjustment), least)
+    ]
+    alike = [i for i, instrument in enumerate(stated) if not instrument.corrected]
+    if len(alike) == 2:  # Which of two is off nobody can say; the one farther from zero is the likelier.
+        size = {(names[i], p.name): abs(v) for i in alike for p, v in _constants(adjustment, i)}
+        pair = [c for i in alike for c in compared(adjustment, i, _as_others(adjustment, i, alike), least)]
+        found += [
+            c
+            for c in pair
+            if size[c.instrument, c.parameter.name] >= max(size[names[i], c.parameter.name] for i in alike)
         ]
+    while len(alike) > 2:  # The one that is off most has no say in what is expected of the rest.
+        each = {i: compared(adjustment, i, _as_others(adjustment, i, alike), least) for i in alike}
+        worst = max(alike, key=lambda i: max((c.evidence for c in each[i]), default=-np.inf))
+        if not each[worst]:
+            break
+        found += each[worst]
+        alike.remove(worst)
     return sorted(found, key=lambda c: -c.evidence)
+
+
+def _corrected(adjustment: Adjustment) -> Expected:
+    nothing = np.zeros(adjustment.construction.size)
+    return Expected.of(nothing, np.diag(nothing), "the correction that it is said to have")
+
+
+def _as_others(adjustment: Adjustment, i: int, alike: Sequence[int]) -> Expected:
+    """What the readings of the others say of constants that all have in common, within the guarantee."""
+    unit = prior_sigmas(adjustment.recording, adjustment.construction)
+    told = [_said(adjustment, j, unit[j], unit[i]) for j in alike if j != i]
+    covariance = np.linalg.inv(np.eye(len(unit[i])) + sum(one.information for one in told))
+    return Expected.of(covariance @ sum(one.told for one in told), covariance, "the other instruments")
+
+
+def _said(adjustment: Adjustment, i: int, prior: Floats, unit: Floats) -> Evidence:
+    return evidence(adjustment.state.instrument[i], adjustment.instrument_covariance_of(i), prior, unit)
 
 
 def _constants(adjustment: Adjustment, i: int) -> list[tuple[Parameter, float]]:
@@ -143,25 +168,27 @@ def compared(adjustment: Adjustment, i: int, expected: Expected, least: float) -
     parameters, at, variance = adjustment.construction.parameters, expected.at, expected.covariance.copy()
     prior = prior_sigmas(adjustment.recording, adjustment.construction)
     unit = prior[i]
-    said = evidence(adjustment.state.instrument[i], adjustment.instrument_covariance_of(i), unit, unit)
+    said = _said(adjustment, i, unit, unit)
     surprise = said.told - said.information @ expected.mean
     odds = log_share("constant", prior.size)
     changed: dict[int, float] = {}
+    alike: dict[int, tuple[Parameter, ...]] = {}
     while len(changed) < len(at):
         keeps = np.linalg.inv(np.eye(len(unit)) + said.information @ variance)
         score, weight = keeps @ surprise, keeps @ said.information
         if not changed:
             apart = score, weight
-        gain = score[at] ** 2 / np.maximum(np.diag(weight)[at], TINY)
-        best = int(np.argmax(np.where(np.isin(at, list(changed)), -np.inf, gain)))
+        seen = np.maximum(np.diag(weight)[at], TINY)
+        logs = np.full(len(at), -np.inf)
+        for j in np.flatnonzero((seen > TINY) & ~np.isin(at, list(changed))):
+            spread = 1.0 / seen[j] + expected.further[j]
+            logs[j] = odds + _change(score[at[j]] / seen[j], spread, expected.log_weights[j])
+        best = int(np.argmax(logs))
+        if not logs[best] > least:
+            break
         k = int(at[best])
-        if weight[k, k] < TINY:
-            break
-        spread = 1.0 / weight[k, k] + expected.further[best]
-        log = odds + _change(score[k] / weight[k, k], spread, expected.log_weights[best])
-        if not log > least:
-            break
-        changed[k] = log
+        changed[k] = float(logs[best])
+        alike[k] = tuple(parameters[at[j]] for j in np.flatnonzero(logs > logs[best] - NOT_APART) if j != best)
         variance[k, k] += ANYTHING**2
     told = list(changed)
     covariance = np.linalg.inv(apart[1][np.ix_(told, told)])
@@ -169,7 +196,7 @@ def compared(adjustment: Adjustment, i: int, expected: Expected, least: float) -
     chance = np.minimum(prior.size * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     name = adjustment.recording.instruments[i]
     return [
-        Contradiction(name, parameters[k], float(g), float(s), changed[k], float(c), expected.words[k])
+        Contradiction(name, parameters[k], float(g), float(s), changed[k], float(c), expected.words[k], alike[k])
         for k, g, s, c in zip(told, gap * unit[told], sigma * unit[told], chance, strict=True)
     ]
 

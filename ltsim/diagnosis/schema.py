@@ -166,7 +166,9 @@ class Undetectable(Entry):
     reason: str = ""
     """Why it leaves no trace here."""
     hides_um: Known = None
-    """Error of the targets that it may hide."""
+    """Error of the targets that a bad but plausible size of it hides."""
+    shows_at: Known = None
+    """How many times that size would be found; none: it never shows."""
     cure: str = ""
     """The measurement that would help."""
 

@@ -128,15 +128,13 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
-    course = "" if after is before else _course(before.held_out_rms, after.held_out_rms, several=len(findings) > 1)
-    return first.sentence + open_ + more + course
+    return first.sentence + open_ + more + _course(before.held_out_rms, after.held_out_rms)
 
 
-def _course(before: float | None, after: float | None, *, several: bool) -> str:
-    """What became of the error on readings not used for the fit."""
-    if before is None or after is None:
+def _course(before: float | None, after: float | None) -> str:
+    """What became of the error on readings that neither fit nor search has seen."""
+    if before is None or after is None or before == after:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"
     course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
-    modelled = "With them" if several else "With it"
-    return f" {modelled} in the model the error on readings not used for the fit {course} times the stated noise."
+    return f" With what the search finds without them, the error on readings left out {course} times their noise."
