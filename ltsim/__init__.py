@@ -23,7 +23,11 @@ if TYPE_CHECKING:
         verify as verify,
     )
     from ltsim.api.pages import report as report, view as view
-    from ltsim.api.planning import next_measurement as next_measurement, plan as plan
+    from ltsim.api.planning import (
+        next_measurement as next_measurement,
+        plan as plan,
+        without_station as without_station,
+    )
     from ltsim.api.recovering import recover as recover
     from ltsim.api.tasks import (
         accept as accept,
@@ -44,7 +48,7 @@ _ROOMS = {
     "injecting": ("inject", "injection_curve"),
     "campaigns": ("campaign",),
     "recovering": ("recover",),
-    "planning": ("plan", "next_measurement"),
+    "planning": ("plan", "next_measurement", "without_station"),
     "pages": ("view", "report"),
     "catalogue": ("catalogue",),
     "tasks": ("accept", "bench", "check", "compare", "uncertainty"),

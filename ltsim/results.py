@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel
 
 from ltsim.arrays import Floats
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
@@ -59,6 +60,8 @@ class Column:
         By default the one in the name.
     title : str
         What a person reads as its head; by default the name without its unit.
+    field : str
+        What an object of a row calls it, where that is not the name.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Column:
     sigma: str = ""
     unit: str = ""
     title: str = ""
+    field: str = ""
 
     @property
     def heading(self) -> str:
@@ -118,6 +122,26 @@ def flags(**columns: str) -> tuple[Column, ...]:
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
+def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
+    """The columns of a model whose fields are numbers, texts and flags, with what the model says of them.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+    names : str
+        The fields in their order, with blanks between; default all.
+    **more
+        By a field's name what else its `Column` is to know: ``value={"sigma": "sigma"}``.
+    """
+    made = []
+    for name in names.split() or model.model_fields:
+        field = model.model_fields[name]
+        kind = "flag" if field.annotation is bool else "text" if field.annotation is str else "number"
+        how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **more.get(name, {})}
+        made.append(Column(meaning=(field.description or "").rstrip("."), **how))
+    return tuple(made)
+
+
 @dataclass(frozen=True)
 class Table(Valued):
     """A table: what it is about and its columns, declared once; `filled` gives it rows.
@@ -144,12 +168,12 @@ class Table(Valued):
 
     def _row(self, row: Any) -> tuple[Any, ...]:
         if isinstance(row, Mapping):
-            return tuple(row[name] for name in self.header)
+            return tuple(row[c.field or c.name] for c in self.columns)
         if isinstance(row, Sequence):
             if len(row) != len(self.columns):
                 raise ModelError(f"a row of {self.file} has {len(row)} cells for {len(self.columns)} columns")
             return tuple(row)
-        return tuple(getattr(row, name) for name in self.header)
+        return tuple(getattr(row, c.field or c.name) for c in self.columns)
 
     @property
     def name(self) -> str:
@@ -214,9 +238,10 @@ class Table(Valued):
 
     @property
     def _read(self) -> list[Column]:
-        """The columns that a person reads: a standard deviation stands beside its value."""
+        """The columns that a person reads: a standard deviation stands beside its value, what no row has is gone."""
         beside = {column.sigma for column in self.columns}
-        return [column for column in self.columns if column.name not in beside]
+        empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
+        return [column for column in self.columns if column.name not in beside | empty]
 
     @property
     def headings(self) -> list[str]:

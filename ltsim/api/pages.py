@@ -91,7 +91,7 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> Workshop:
     if isinstance(source, Scenario) or str(source) in builtin_names():
         return from_scenario(scenario(source))
     path = Path(source)
-    if (path.suffix == ".toml" and path.is_file()) or not path.exists():
+    if (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists():
         return from_scenario(scenario(source))
     return from_recording(read(path))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ltsim.arrays import Floats
-from ltsim.calibration.schema import CombinationEntry, DeterminedEntry
+from ltsim.calibration.schema import Combination, DeterminedEntry
 from ltsim.pages import figures, style
 from ltsim.pages.document import Block, Detail, Scene, Table, picture
 from ltsim.pages.residuals import Residuals
@@ -67,7 +67,7 @@ def scene(workshop: Workshop, *, interactive: bool) -> Scene:
     )
 
 
-def undetermined(title: str, entries: Sequence[CombinationEntry], *, decimals: int, note: str = "") -> list[Block]:
+def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Block]:
     """Combinations of parameters that stay open, and the cure of each."""
     rows = [
         [
