@@ -22,20 +22,19 @@ from ltsim.geometry.alignment import align, robust_align
 from ltsim.recording.files import comma_number, read_lines, shown, table_rows
 from ltsim.recording.formats.point_list import read_points
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Axes, Target
+from ltsim.recording.setup import LEAST_SIGMA, Axes, Target
 from ltsim.units import MILLIMETRE
 
 NAMES, COLUMNS = ("target", "name"), ("x_mm", "y_mm", "z_mm")
-GROSS_MM = 2.0
+SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
 CLEARLY = 10.0
 SHAPE = 0.05
 """Part of a network's size by which stated coordinates may miss it, as drawings do, and still be of this network."""
-MOST_NAMED = 4
 NOTHING: Mapping[str, Axes] = MappingProxyType({})
 
 
 def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
-    """The recording with its datum at stated coordinates [m] of targets; those that do not fit are left out of it.
+    """The recording with its datum at stated coordinates [m] of targets; `adjust` leaves out those that do not fit.
 
     Raises
     ------
@@ -57,15 +56,7 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     except NetworkError:
         raise RecordError("its targets lie on one line, expected three off it or more", file=source) from None
     _check_shape(here, there, misses, source)
-    limit = max(CLEARLY * float(np.median(misses)), GROSS_MM * MILLIMETRE)
-    kept = [name for name, miss in zip(common, misses, strict=True) if miss <= limit]
-    off = [f"{name} ({miss / MILLIMETRE:.3g} mm)" for name, miss in zip(common, misses, strict=True) if miss > limit]
-    within = misses[misses <= limit].max() / MILLIMETRE
-    said = f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm"
-    if off:
-        more = f" and {len(off) - MOST_NAMED} more" if len(off) > MOST_NAMED else ""
-        said += f"; left out of the datum: {', '.join(off[:MOST_NAMED])}{more}"
-    return _with_datum(recording, {name: points[name] for name in kept}, said)
+    return _with_datum(recording, {name: points[name] for name in common}, source=source)
 
 
 def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
@@ -93,7 +84,9 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
         raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three off it")
     places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
     held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
-    return _with_datum(recording, places, f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}", held)
+    framed = _with_datum(recording, places, held)
+    said = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
+    return framed.replace(notes=(*framed.notes, said))
 
 
 def read_axes(path: Path) -> dict[str, Floats]:
@@ -118,6 +111,44 @@ def read_axes(path: Path) -> dict[str, Floats]:
         for line, cells in rows
         if all(cells[c] for c in COLUMNS)
     }
+
+
+def with_control(recording: Recording, path: Path) -> Recording:
+    """The recording with the coordinates of a table as known ones, each with its standard deviation.
+
+    Columns target (or name), x_mm, y_mm, z_mm, and sigma_mm or sigma_x_mm, sigma_y_mm, sigma_z_mm; an empty coordinate
+    is not known.
+
+    Raises
+    ------
+    RecordError
+        For a malformed file, or one that names no measured target.
+    """
+    header, rows = table_rows(path)
+    name = next((column for column in NAMES if column in header), None)
+    sigmas = SIGMAS if set(SIGMAS) <= set(header) else ("sigma_mm",) * 3
+    wanted = [column for column in (*COLUMNS, *dict.fromkeys(sigmas)) if column not in header]
+    if name is None or wanted:
+        expected = f"{NAMES[0]}, {', '.join(COLUMNS)}, sigma_mm"
+        raise RecordError(f"has no column {wanted[0] if wanted else NAMES[0]}; expected {expected}", file=path)
+    targets, found = dict(recording.setup.targets), 0
+    for line, cells in rows:
+        axes = "".join(axis for axis, column in zip("xyz", COLUMNS, strict=True) if cells[column])
+        if cells[name] not in recording.targets or not axes:
+            continue
+        at = [comma_number(cells[c] or "0", file=path, row=line, column=c) for c in COLUMNS]
+        spread = [comma_number(cells[c] or "1", file=path, row=line, column=c) for c in sigmas]
+        if min(spread) < LEAST_SIGMA:
+            raise RecordError(f"a sigma of {min(spread):g} mm, expected more than 0", file=path, row=line)
+        x, y, z = (sigma**2 for sigma in spread)
+        known = {"known_mm": tuple(at), "known_axes": axes, "known_covariance_mm2": (x, 0.0, 0.0, y, 0.0, z)}
+        targets[cells[name]] = targets.get(cells[name], Target()).model_copy(update=known)
+        found += 1
+    if not found:
+        raise RecordError("names none of the recording's targets; names must be written alike", file=path)
+    said = f"{found} control points of {path.name}, each with its standard deviation"
+    setup = recording.setup.model_copy(update={"targets": targets})
+    return recording.replace(setup=setup, notes=(*recording.notes, said))
 
 
 def _misses(here: Floats, there: Floats) -> Floats:
@@ -146,7 +177,7 @@ def _check_shape(here: Floats, there: Floats, misses: Floats, source: str) -> No
 
 
 def _with_datum(
-    recording: Recording, places: Mapping[str, Floats], said: str, held: Mapping[str, Axes] = NOTHING
+    recording: Recording, places: Mapping[str, Floats], held: Mapping[str, Axes] = NOTHING, source: str | None = None
 ) -> Recording:
     """The recording with its datum at these places, each along the axes of `held` (default all)."""
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
@@ -154,5 +185,4 @@ def _with_datum(
         x, y, z = (place / MILLIMETRE).tolist()
         known = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": held.get(name, "xyz")}
         targets[name] = targets.get(name, Target()).model_copy(update=known)
-    setup = recording.setup.model_copy(update={"targets": targets})
-    return recording.replace(setup=setup, notes=(*recording.notes, said))
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "axes": source}))

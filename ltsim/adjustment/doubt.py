@@ -61,8 +61,16 @@ def _require_known_points(adjustment: Adjustment) -> None:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = _undecided, _mistakes, _thin_stations, _held, _bent, _contradiction, _copies
+    kinds = _known, _undecided, _mistakes, _thin_stations, _held, _bent, _contradiction, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
+
+
+def _known(adjustment: Adjustment) -> Iterator[str]:
+    """Known values that contradict the rest."""
+    told = [test.sentence for test in (*adjustment.wrong, *adjustment.axes) if test.left_out or test.rivals]
+    yield from told[:MOST_NAMED]
+    if len(told) > MOST_NAMED:
+        yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
 
 
 def _left_out(adjustment: Adjustment) -> Bools:

@@ -24,11 +24,19 @@ from ltsim.adjustment.reliability import (
 )
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import State
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import Recording
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.units import ARCSECOND, MILLIMETRE
 
-Kind = Literal["point", "length", "level"]
+Kind = Literal["point", "length", "level", "axes"]
+WORDS: dict[Kind, str] = {
+    "point": "the known coordinates of",
+    "length": "the known length",
+    "level": "the level of",
+    "axes": "the stated coordinates of",
+}
 KINDS: tuple[Kind, ...] = ("point", "length", "level")
 SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
@@ -36,9 +44,11 @@ CHECKED = 1e-3
 """Redundancy below which the rest says nothing about a known value."""
 FELT = 1.0
 """Whitened residual below which a known value need not be looked at: at 5 sigmas its redundancy would be below 4 %."""
+AT_ONCE = 64
+"""Known values that are tested together."""
 RIVAL = 100.0
 """How many times likelier than another the error of one known value must be before it alone is blamed."""
-MOST_OUT = 0.5
+MOST_OUT = 1 / 3
 """Share of the known values of a kind beyond which they contradict each other, and none can be named."""
 
 
@@ -80,6 +90,8 @@ class KnownTest:
     rank: int
     """How many components the rest checks."""
     left_out: bool = False
+    critical: float = SIGMAS
+    """Limit of `w`."""
     rivals: tuple[str, ...] = ()
     """Other known values that may as well be the wrong one: then all of them are kept."""
 
@@ -89,9 +101,24 @@ class KnownTest:
         return float(np.sqrt(self.drop))
 
     @property
-    def size(self) -> float:
-        """Length of the estimated error [m or rad]."""
-        return float(np.linalg.norm(self.error))
+    def off(self) -> str:
+        """By how much it is wrong, in words."""
+        size = float(np.linalg.norm(self.error))
+        along = self.error / size if size else np.zeros(len(self.error))
+        sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
+        unit, factor = ("arcsec", ARCSECOND) if self.kind == "level" else ("mm", MILLIMETRE)
+        return with_sigma(size / factor, sigma / factor, unit)
+
+    @property
+    def sentence(self) -> str:
+        """What is to be said of a known value that contradicts the rest."""
+        what = f"{WORDS[self.kind]} {self.name}"
+        if self.rivals:
+            both = ", ".join((self.name, *self.rivals))
+            return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
+        rest = "by what the others say: left out of the datum" if self.kind == "axes" else "not its readings: left out"
+        verb = "are" if self.kind in ("point", "axes") else "is"
+        return f"{what} {verb} off by {self.off} (w = {self.w:.3g}), {rest}"
 
     @property
     def redundancy(self) -> Floats:
@@ -135,12 +162,14 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
     if solution.factor is None:
         return []
     residual, tests = problem.residual(solution.x), []
-    for value in known_values(problem, solution.x):
-        own = residual[value.rows]
-        if float(np.linalg.norm(own)) >= least:
-            inside = as_dense(solution.system.design[value.rows]).T @ value.signature
-            left = value.signature.T @ value.signature - inside.T @ solution.factor.covariance_columns(inside)
-            tests.append(_test(value, left, value.signature.T @ own))
+    values = [v for v in known_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
+    for some in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
+        inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in some])
+        response, first = solution.factor.covariance_columns(inside), 0
+        for value in some:
+            own = slice(first, first := first + value.signature.shape[1])
+            left = value.signature.T @ value.signature - inside[:, own].T @ response[:, own]
+            tests.append(_test(value, left, value.signature.T @ residual[value.rows]))
     return tests
 
 
@@ -191,7 +220,10 @@ def judged(
     if not gone:
         return *given, tuple(out)
     kept = aside.using(given[0].use)
-    return kept, solve(kept, solution.x), tuple(out)
+    ended = solve(kept, solution.x)
+    off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
+    told = (replace(t, residual=off[t.kind, t.name], error=off[t.kind, t.name]) if t.left_out else t for t in out)
+    return kept, ended, tuple(told)
 
 
 def _most_suspect(

@@ -12,12 +12,12 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.verdict import Verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.determined import determined
-from ltsim.calibration.schema import DeterminedEntry, FittedEffectEntry
+from ltsim.calibration.schema import DeterminedEntry, FittedEffectEntry, KnownEntry
 from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown, by_entry
+from ltsim.notebook import Columns, Shown, by_entry, by_row
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.units import MICROMETRE, MILLIMETRE
@@ -165,6 +165,8 @@ class Calibration(Shown):
     """Whether readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()
     """The noise found, where it was estimated from the readings."""
+    known: tuple[KnownEntry, ...] = ()
+    """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Measured targets that the readings in use do not determine; they have no coordinates."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
@@ -253,6 +255,7 @@ class Calibration(Shown):
             "stations": self._stations,
             "outliers": lambda: by_entry(OutlierRow, self.outliers),
             "noise": lambda: by_entry(NoiseRow, self.noise),
+            "known": lambda: by_row([entry.model_dump() for entry in self.known]),
         }
         return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
 

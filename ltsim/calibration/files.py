@@ -93,6 +93,7 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         verdict=VerdictEntry()
         if judged is None
         else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),
+        known=calibration.known,
         lost_targets=calibration.lost_targets,
         informed=calibration.informed,
         correction=_correction(calibration.correction),

@@ -67,6 +67,7 @@ def calibration_section(
     blocks += combined("Determined in combination", content.determined)
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
+    blocks += _known(content)
     blocks += _outliers(content)
     good = agrees and converged and all(outlier.left_out for outlier in content.outliers)
     title = (recording.setup.title if recording else "") or folder.name
@@ -312,6 +313,40 @@ def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Seque
         np.abs(np.nan_to_num(residuals.w[known])),
         "largest normalised residual",
     )
+
+
+def _known(content: CalibrationFile) -> list[Block]:
+    """Known values, each tested by the rest."""
+    if not content.known:
+        return []
+    rows = [
+        [
+            k.kind,
+            k.name,
+            k.component,
+            f"{style.number(k.residual)} {style.unit_text(k.unit)}",
+            style.number(k.error),
+            "" if k.sigma_error is None else style.number(k.sigma_error),
+            "" if k.minimal_detectable is None else style.number(k.minimal_detectable),
+            f"{k.redundancy:.2f}",
+            f"{k.w:.1f}",
+            "yes" if k.left_out else "",
+        ]
+        for k in sorted(content.known, key=lambda k: (not k.left_out, -k.w))
+    ]
+    header = [
+        "known",
+        "name",
+        "",
+        "stated less adjusted",
+        "error",
+        "sigma",
+        "detectable",
+        "redundancy",
+        "w",
+        "left out",
+    ]
+    return [Table("Known values, each tested by the rest", header, rows, text_columns=3)]
 
 
 def _outliers(content: CalibrationFile) -> list[Block]:
