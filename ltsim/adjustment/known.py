@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
@@ -20,8 +21,10 @@ from ltsim.adjustment.reliability import (
     normalised,
     redundancy_of,
     scale_of,
+    single_level,
     surprise,
 )
+from ltsim.adjustment.snooping import snooped
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import State
 from ltsim.notation import with_sigma
@@ -42,10 +45,14 @@ SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
 """Redundancy below which the rest says nothing about a known value."""
-FELT = 1.0
-"""Whitened residual below which a known value need not be looked at: at 5 sigmas its redundancy would be below 4 %."""
+FELT = 0.2
+"""Whitened residual below which a known value need not be looked at: what is 5 sigmas off has more."""
+FINEST = 0.3
+"""Standard deviation of an exact value, in that of a reading at its target, with which it is tested."""
 AT_ONCE = 64
 """Known values that are tested together."""
+PLAIN = 20.0
+"""w from which a known value is not compared with several bad readings in its place."""
 RIVAL = 100.0
 """How many times likelier than another the error of one known value must be before it alone is blamed."""
 MOST_OUT = 1 / 3
@@ -131,6 +138,26 @@ class KnownTest:
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
 
 
+def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
+    """The problem with what is said to be exact known as well as `FINEST` of a reading, so that it can be tested."""
+    geometry = problem.model.geometry(state)
+    across = geometry.range_[:, None]
+    sizes = problem.sigma * np.concatenate([np.ones_like(across), across, across], axis=1)
+    if not problem.use.any():
+        return problem
+    floor = FINEST * float(np.median(sizes[problem.use]))
+    turn = floor / float(np.median(geometry.range_[problem.use.any(axis=1)]))
+    levels = replace(problem.levels, sigma=np.maximum(problem.levels.sigma, turn))
+    control, marks = problem.control.no_finer(floor), problem.known_marks.no_finer(floor)
+    if (
+        control is problem.control
+        and marks is problem.known_marks
+        and np.array_equal(levels.sigma, problem.levels.sigma)
+    ):
+        return problem
+    return replace(problem, control=control, known_marks=marks, levels=levels)
+
+
 def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
     """The known values of a problem, in the order of its rows."""
     recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
@@ -159,6 +186,9 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
     """The test of each known value of an adjustment whose whitened residual is `least` at least."""
+    if not least and solution.factor is not None:
+        problem, given = loosened(problem, solution.x), problem
+        solution = solution if problem is given else solve(problem, solution.x)
     if solution.factor is None:
         return []
     residual, tests = problem.residual(solution.x), []
@@ -195,22 +225,29 @@ def _test(value: KnownValue, left: Floats, pull: Floats) -> KnownTest:
 
 
 def judged(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind] = KINDS
+    problem: NetworkProblem,
+    solution: Solution[State],
+    kinds: Collection[Kind] = KINDS,
+    spared: frozenset[tuple[Kind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[State], tuple[KnownTest, ...]]:
     """The problem without the known values that contradict the rest, its solution, and what contradicts.
 
     One at a time, by the fall of chi-square; single readings that explain more are set aside while the rest is judged.
     """
-    given, out, aside = (problem, solution), [], problem
+    given, out, aside = (problem, solution), [], loosened(problem, solution.x)
+    if solution.factor is not None and aside is not problem:
+        solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
-        found = _most_suspect(aside, solution, kinds)
+        found = _most_suspect(aside, solution, kinds, spared)
         if found is None:
             break
         if isinstance(found, KnownTest):
             out.append(found)
             if found.rivals:
                 break
-            aside = aside.on(replace(aside.model, recording=without(aside.model.recording, found)))
+            aside = loosened(
+                aside.on(replace(aside.model, recording=without(aside.model.recording, found))), solution.x
+            )
         else:
             aside = aside.using(aside.use & ~found)
         solution = solve(aside, solution.x)
@@ -219,18 +256,43 @@ def judged(
         return *given, ()
     if not gone:
         return *given, tuple(out)
-    kept = aside.using(given[0].use)
+    kept = problem.on(aside.model)
     ended = solve(kept, solution.x)
+    usual = {kind: _usual(kept, ended, kind) for kind in {test.kind for test in gone}}
+    weak = {(test.kind, test.name) for test in gone if test.w < SIGMAS * usual[test.kind]}
+    if weak:
+        return judged(*given, kinds, spared | weak)
     off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
+    if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
+        return *given, ()
     told = (replace(t, residual=off[t.kind, t.name], error=off[t.kind, t.name]) if t.left_out else t for t in out)
     return kept, ended, tuple(told)
 
 
+def _usual(problem: NetworkProblem, solution: Solution[State], kind: Kind) -> float:
+    """How many stated standard deviations known values of a kind are off usually; 1 at least."""
+    tests = [test for test in known_tests(problem, solution) if test.kind == kind]
+    return float(np.sqrt(max(1.0, sum(t.drop for t in tests) / max(sum(t.rank for t in tests), 1))))
+
+
+def _price(problem: NetworkProblem, solution: Solution[State], gone: Sequence[KnownTest]) -> float:
+    """Chi-square without the readings that do not belong, and what each of these and of the known values `gone` costs.
+
+    What one known value explains, a few readings may explain as well: each is paid for as its own test asks for.
+    """
+    kept, ended = snooped(problem, solution.x)
+    readings = int(problem.use.sum())
+    count = len(list(known_values(problem, solution.x))) + len(gone)
+    paid = sum(float(special.chdtri(test.rank, single_level(count, FAMILY_LEVEL))) for test in gone)
+    return ended.cost + paid + critical_w(readings) ** 2 * (readings - int(kept.use.sum()))
+
+
 def _most_suspect(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind]
+    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], spared: Collection[tuple[Kind, str]]
 ) -> KnownTest | Bools | None:
     """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
     tests = [test for test in known_tests(problem, solution, FELT) if test.kind in kinds and test.rank]
+    tests = [test for test in tests if (test.kind, test.name) not in spared]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None

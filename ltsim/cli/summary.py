@@ -27,7 +27,9 @@ METHODS = {
     "equation-9-l1": "distances, the minimum of the paper's eq. 9, least absolute deviations",
 }
 MOST_SHOWN = 12
-MOST_KNOWN = 18
+MOST_KNOWN = 12
+CONSPICUOUS = 3.0
+"""w from which a level is shown among the known values."""
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
@@ -197,12 +199,15 @@ def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
 
 def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
     """Known values by their tests, the worst first: how far each is from what the rest says."""
-    worst = sorted(known, key=lambda entry: (not entry.left_out, -entry.w))
+    told = [entry for entry in known if entry.kind != "level" or entry.left_out or entry.w > CONSPICUOUS]
+    if not told:
+        return
+    worst = sorted(told, key=lambda entry: (not entry.left_out, -entry.w))
     rows = [
         [
             f"{entry.kind} {entry.name} {entry.component}".rstrip(),
             number(entry.residual),
-            with_sigma(entry.error, entry.sigma_error),
+            with_sigma(entry.error if entry.sigma_error else None, entry.sigma_error),
             entry.unit,
             number(entry.redundancy, 2),
             number(entry.w, 2),
@@ -212,8 +217,8 @@ def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
     ]
     terminal.say("known values (stated less adjusted; error by what the rest says):")
     terminal.say(table(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
-    if len(known) > MOST_KNOWN:
-        terminal.say(f"  and {len(known) - MOST_KNOWN} more in calibration.json")
+    if len(known) > len(rows):
+        terminal.say(f"  and {len(known) - len(rows)} more in calibration.json")
 
 
 def criteria_table(criteria: Criteria) -> str:
