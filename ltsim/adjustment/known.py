@@ -33,14 +33,15 @@ from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.units import ARCSECOND, MILLIMETRE
 
-Kind = Literal["point", "length", "level", "axes"]
+Kind = Literal["point", "length", "level", "mark", "axes"]
 WORDS: dict[Kind, str] = {
     "point": "the known coordinates of",
     "length": "the known length",
     "level": "the level of",
+    "mark": "the set-up of",
     "axes": "the stated coordinates of",
 }
-KINDS: tuple[Kind, ...] = ("point", "length", "level")
+KINDS: tuple[Kind, ...] = ("point", "length", "level", "mark")
 SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
@@ -61,7 +62,7 @@ MOST_OUT = 1 / 3
 
 @dataclass(frozen=True)
 class KnownValue:
-    """One known value in the rows of an adjustment: a point's coordinates, a length or a level."""
+    """One known value in the rows of an adjustment: a point, a length, a level, or that a set-up stands on its mark."""
 
     kind: Kind
     name: str
@@ -120,6 +121,9 @@ class KnownTest:
     def sentence(self) -> str:
         """What is to be said of a known value that contradicts the rest."""
         what = f"{WORDS[self.kind]} {self.name}"
+        if self.kind == "mark":
+            mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
+            return f"set-up {self.name} stands {self.off} beside {mark} (w = {self.w:.3g}): given a place of its own"
         if self.rivals:
             both = ", ".join((self.name, *self.rivals))
             return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
@@ -182,6 +186,22 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
         sigma = np.full(2, problem.levels.sigma[i])
         name, rows = recording.stations[problem.levels.station[i]], first + 2 * i + np.arange(2)
         yield KnownValue("level", name, "", sigma, tilt, rows, np.diag(1.0 / sigma))
+    yield from _centrings(problem, state)
+
+
+def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+    """Set-ups over marks that something else shows too: each is said to stand there exactly."""
+    marks, recording = problem.marks, problem.model.recording
+    shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
+    if not shared.any():
+        return
+    number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
+    by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
+    for s in np.flatnonzero(shared):
+        own = problem.use & (recording.station == s)[:, None]
+        if own.any():
+            name = recording.stations[s]
+            yield KnownValue("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
 
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
@@ -243,7 +263,7 @@ def judged(
             break
         if isinstance(found, KnownTest):
             out.append(found)
-            if found.rivals:
+            if not found.left_out:
                 break
             aside = loosened(
                 aside.on(replace(aside.model, recording=without(aside.model.recording, found))), solution.x
@@ -265,8 +285,12 @@ def judged(
     off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    told = (replace(t, residual=off[t.kind, t.name], error=off[t.kind, t.name]) if t.left_out else t for t in out)
-    return kept, ended, tuple(told)
+    return kept, ended, tuple(_settled(test, off[test.kind, test.name]) for test in out)
+
+
+def _settled(test: KnownTest, off: Floats) -> KnownTest:
+    """The test of a known value that was left out with what it is off by in the end."""
+    return replace(test, residual=off, error=off) if test.left_out and test.kind != "mark" else test
 
 
 def _usual(problem: NetworkProblem, solution: Solution[State], kind: Kind) -> float:
@@ -313,9 +337,11 @@ def _most_suspect(
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     if unlikely(float(np.nan_to_num(w).flat[worst] ** 2), 1, int(problem.use.sum()))[0] <= chance:
-        rivals = [test.name for test, other in zip(tests, chances, strict=True) if other[0] > chance - np.log(RIVAL)]
-        rivals.remove(tests[best].name)
-        return replace(tests[best], left_out=not rivals, rivals=tuple(rivals))
+        alike = [k for k, (other, _) in enumerate(chances) if other > chance - np.log(RIVAL)]
+        marks = all(tests[k].kind == "mark" for k in alike)  # Either way they stand apart: the later one goes.
+        chosen = alike[-1] if marks else best
+        rivals = tuple(tests[k].name for k in alike if k != chosen)
+        return replace(tests[chosen], left_out=marks or not rivals, rivals=rivals)
     reading = np.zeros(w.shape, dtype=bool)
     reading.flat[worst] = True
     return reading
@@ -334,9 +360,9 @@ def without(recording: Recording, test: KnownTest) -> Recording:
         gauge = recording.gauge
         left = tuple(d for d in gauge.distance if f"{d.from_}-{d.to}" != test.name)
         return recording.replace(setup=setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": left})}))
-    if test.kind == "level":
-        stations = dict(setup.stations)
-        stations[test.name] = stations[test.name].model_copy(update={"levelled": False})
+    if test.kind in ("level", "mark"):
+        stations, change = dict(setup.stations), {"levelled": False} if test.kind == "level" else {"over": None}
+        stations[test.name] = stations[test.name].model_copy(update=change)
         return recording.replace(setup=setup.model_copy(update={"stations": stations}))
     targets = dict(setup.targets)
     told = targets[test.name]

@@ -130,7 +130,6 @@ def _adjusted(
     grouping: Grouping | None = "instrument" if noise_from_data else None
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     found = adjust(recording, construction, effects=effects, **how)
-    found.solution.require_success()
     require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")

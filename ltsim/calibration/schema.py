@@ -275,7 +275,7 @@ def _more(parameter: FittedParameterEntry) -> str:
 class KnownEntry(Entry):
     """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
 
-    kind: Literal["point", "length", "level", "axes"]
+    kind: Literal["point", "length", "level", "mark", "axes"]
     """What is known."""
     name: str
     """Target, both ends of a length, or station."""

@@ -98,7 +98,7 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     recording = with_length(network(seed=2)[0], 2, more)
     found = adjust_network(recording)
     assert found.outliers == ()
-    assert [(k.kind, k.name, k.left_out) for k in found.known][0] == ("length", "T25-T28", True)
+    assert next((k.kind, k.name, k.left_out) for k in found.known) == ("length", "T25-T28", True)
     assert found.known[0].error == pytest.approx(more, abs=0.01)
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
     assert found.verdict is not None
