@@ -350,7 +350,7 @@ def _most_suspect(
 def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[KnownTest]) -> bool:
     every = [value.kind for value in known_values(problem, solution.x)]
     gone = [test.kind for test in out]
-    return any(gone.count(kind) > MOST_OUT * every.count(kind) for kind in KINDS)
+    return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)
 
 
 def without(recording: Recording, test: KnownTest) -> Recording:
