@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ltsim.api.catalogue import catalogue as catalogue
     from ltsim.api.diagnosing import diagnose as diagnose
     from ltsim.api.files import convert as convert, read as read, write as write
+    from ltsim.api.injecting import inject as inject, injection_curve as injection_curve
     from ltsim.api.network import (
         adjust as adjust,
         calibrate as calibrate,
@@ -22,7 +23,11 @@ if TYPE_CHECKING:
         verify as verify,
     )
     from ltsim.api.pages import report as report, view as view
-    from ltsim.api.planning import next_measurement as next_measurement, plan as plan
+    from ltsim.api.planning import (
+        next_measurement as next_measurement,
+        plan as plan,
+        without_station as without_station,
+    )
     from ltsim.api.recovering import recover as recover
     from ltsim.api.tasks import (
         accept as accept,
@@ -40,9 +45,10 @@ _ROOMS = {
     "workshop": ("scenario", "simulate"),
     "network": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
     "diagnosing": ("diagnose",),
+    "injecting": ("inject", "injection_curve"),
     "campaigns": ("campaign",),
     "recovering": ("recover",),
-    "planning": ("plan", "next_measurement"),
+    "planning": ("plan", "next_measurement", "without_station"),
     "pages": ("view", "report"),
     "catalogue": ("catalogue",),
     "tasks": ("accept", "bench", "check", "compare", "uncertainty"),

@@ -6,8 +6,10 @@ A parameter declares the unit a person reads it in; `FACTOR[unit]` is that unit 
 
 from __future__ import annotations
 
+import functools
 import math
 import re
+from decimal import Decimal
 from types import MappingProxyType
 
 MICROMETRE = 1e-6
@@ -22,10 +24,15 @@ FACTOR = MappingProxyType(
     {
         "um": MICROMETRE,
         "mm": MILLIMETRE,
+        "cm": 0.01,
         "m": 1.0,
+        "in": 0.0254,
+        "ft": 0.3048,
         "urad": MICRORADIAN,
         "mrad": 1e-3,
         "arcsec": ARCSECOND,
+        "cc": GON * 1e-4,
+        "mgon": GON * 1e-3,
         "deg": DEGREE,
         "gon": GON,
         "rad": 1.0,
@@ -50,12 +57,34 @@ FACTOR = MappingProxyType(
 )
 
 ALIKE = (
-    frozenset({"um", "mm", "m"}),
-    frozenset({"urad", "mrad", "arcsec", "deg", "gon", "rad"}),
+    frozenset({"um", "mm", "cm", "m", "in", "ft"}),
+    frozenset({"urad", "mrad", "arcsec", "cc", "mgon", "deg", "gon", "rad"}),
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
 """Units of one kind, which can be converted."""
+_SPELT = MappingProxyType(
+    {
+        "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
+        "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss", "arcsec": "arcsec arcseconds ″", "cc": "cc", "mgon": "mgon",
+        "urad": "urad µrad μrad", "mrad": "mrad", "mm": "mm millimeter millimeters millimetre millimetres",
+        "m": "m meter meters metre metres", "in": "in inch inches zoll \"", "cm": "cm", "ft": "ft feet foot",
+        "um": "um µm μm micron microns", "s": "s sec second seconds sek", "ms": "ms", "min": "min", "h": "h hr hours",
+        "c": "c °c degc", "hpa": "hpa mbar", "%": "% pct",
+    }
+)  # fmt: skip
+NAMED = MappingProxyType({word.replace("_", " "): unit for unit, words in _SPELT.items() for word in words.split()})
+"""Units by what people write, in small letters; `dms` is degrees, minutes and seconds in one cell."""
+ANGLES = ("deg", "gon", "rad", "dms")
+LENGTHS = ("mm", "m", "in", "cm", "ft", "um")
+SMALL_ANGLES = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
+_PI = Decimal("3.14159265358979323846264338327950288")
+_CIRCLE = MappingProxyType(
+    {
+        "deg": Decimal(360), "dms": Decimal(360), "gon": Decimal(400), "rad": 2 * _PI, "mrad": 2000 * _PI,
+        "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
+    }
+)  # fmt: skip
 BY_ENDING = MappingProxyType(
     {
         "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "um", "_deg": "deg", "_arcsec": "arcsec",
@@ -66,6 +95,14 @@ BY_ENDING = MappingProxyType(
 BY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
 """Units by a word at the beginning of a key."""
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
+
+
+@functools.cache
+def ratio(unit: str, other: str) -> Decimal:
+    """One `unit` in `other`, both of angle, length or time, to the last digit."""
+    if unit in _CIRCLE:
+        return _CIRCLE[other] / _CIRCLE[unit]
+    return Decimal(repr(FACTOR[unit])) / Decimal(repr(FACTOR[other]))
 
 
 def unit_of_key(key: str) -> str:

@@ -14,7 +14,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.errors import ModelError, SetupError
-from ltsim.notebook import MOST_SHOWN, Shown
+from ltsim.results import MOST_SHOWN, Result
 
 SMALL_PLAN = """
 format = "ltsim-plan/1"
@@ -49,7 +49,7 @@ def recording() -> Any:
 
 
 @pytest.fixture(scope="module")
-def results(recording) -> list[Shown]:
+def results(recording) -> list[Result]:
     """One of every kind that takes no campaign."""
     calibration = lt.calibrate(recording)
     return [
@@ -116,19 +116,19 @@ def test_tables_of_results_become_data_frames(results):
     pandas = pytest.importorskip("pandas", reason="the extra 'pandas' is not installed")
     for result in results:
         for name in result._tables():
-            assert isinstance(result.to_pandas(name), pandas.DataFrame), (type(result), name)
-            assert len(result.to_pandas(name).columns), (type(result), name)
+            assert isinstance(result.to_dataframe(name), pandas.DataFrame), (type(result), name)
+            assert len(result.to_dataframe(name).columns), (type(result), name)
 
 
 def test_a_table_that_does_not_exist_is_answered_with_those_that_do(recording):
     with pytest.raises(ModelError, match="no table of a Recording called 'points'; did you mean pointings"):
-        recording.to_pandas("points")
+        recording.to_dataframe("points")
 
 
 def test_without_pandas_a_sentence_says_what_to_install(recording, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(SetupError, match=r"data frames need the extra 'pandas': pip install .*ltsim\[pandas\]"):
-        recording.to_pandas()
+        recording.to_dataframe()
 
 
 def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
@@ -140,7 +140,7 @@ def test_a_notebook_shows_text_as_text_and_the_beginning_of_a_table(recording):
 
 
 def test_an_empty_table_is_shown_as_nothing():
-    class Empty(Shown):
+    class Empty(Result):
         def _lines(self) -> list[str]:
             return ["nothing"]
 

@@ -12,7 +12,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.geometry.polar import from_polar
-from ltsim.recording.files import comma_number, shown, table_rows
+from ltsim.recording.files import comma_number, shown
+from ltsim.recording.tables.sheets import table_rows
 
 Kind = Literal["length", "two-face"]
 COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")

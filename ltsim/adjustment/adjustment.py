@@ -27,8 +27,8 @@ from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.notebook import Shown
 from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, planned, solve
@@ -47,7 +47,7 @@ class Outlier:
 
 
 @dataclass(frozen=True, repr=False)
-class Adjustment(Shown):
+class Adjustment(Result):
     """An adjusted network."""
 
     problem: NetworkProblem

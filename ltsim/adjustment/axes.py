@@ -7,7 +7,6 @@ touched.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -19,14 +18,12 @@ from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.alignment import align, robust_align
-from ltsim.recording.files import comma_number, read_lines, shown, table_rows
-from ltsim.recording.formats.point_list import read_points
+from ltsim.recording.coordinates import read_points
+from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import LEAST_SIGMA, Axes, Target
 from ltsim.units import MILLIMETRE
 
-NAMES, COLUMNS = ("target", "name"), ("x_mm", "y_mm", "z_mm")
-SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
 CLEARLY = 10.0
 SHAPE = 0.05
 """Part of a network's size by which stated coordinates may miss it, as drawings do, and still be of this network."""
@@ -90,65 +87,41 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
 
 
 def read_axes(path: Path) -> dict[str, Floats]:
-    """Coordinates [m] by target: a table with the columns target (or name), x_mm, y_mm, z_mm, or a list of points.
-
-    The table's cells are separated by commas, or by semicolons or tabs with a decimal point or comma.
-
-    Raises
-    ------
-    RecordError
-        For a malformed file.
-    """
-    if not any(set(COLUMNS) <= {cell.strip() for cell in re.split("[,;\t]", line)} for line in read_lines(path)):
-        found = read_points(path, strict=False)
-        return dict(zip(found.names, found.points, strict=True))
-    header, rows = table_rows(path)
-    name = next((column for column in NAMES if column in header), None)
-    if name is None:
-        raise RecordError(f"has no column {' or '.join(NAMES)}; expected {NAMES[0]}, {', '.join(COLUMNS)}", file=path)
-    return {
-        cells[name]: MILLIMETRE * np.array([comma_number(cells[c], file=path, row=line, column=c) for c in COLUMNS])
-        for line, cells in rows
-        if all(cells[c] for c in COLUMNS)
-    }
+    """Coordinates [m] by target of a list of any dialect, those that have all three; raises RecordError."""
+    return read_points(path, strict=False).by_name
 
 
 def with_control(recording: Recording, path: Path) -> Recording:
-    """The recording with the coordinates of a table as known ones, each with its standard deviation.
+    """The recording with the coordinates of a list as known ones, each with its standard deviation.
 
-    Columns target (or name), x_mm, y_mm, z_mm, and sigma_mm or sigma_x_mm, sigma_y_mm, sigma_z_mm; an empty coordinate
-    is not known.
+    A list as of `read_points` with standard deviations; a coordinate that it leaves out is not known.
 
     Raises
     ------
     RecordError
-        For a malformed file, or one that names no measured target.
+        For a malformed file, one without standard deviations, or one that names no measured target.
     """
-    header, rows = table_rows(path)
-    name = next((column for column in NAMES if column in header), None)
-    sigmas = SIGMAS if set(SIGMAS) <= set(header) else ("sigma_mm",) * 3
-    wanted = [column for column in (*COLUMNS, *dict.fromkeys(sigmas)) if column not in header]
-    if name is None or wanted:
-        expected = f"{NAMES[0]}, {', '.join(COLUMNS)}, sigma_mm"
-        raise RecordError(f"has no column {wanted[0] if wanted else NAMES[0]}; expected {expected}", file=path)
-    targets, found = dict(recording.setup.targets), 0
-    for line, cells in rows:
-        axes = "".join(axis for axis, column in zip("xyz", COLUMNS, strict=True) if cells[column])
-        if cells[name] not in recording.targets or not axes:
+    listed, targets, found = read_points(path, strict=False), dict(recording.setup.targets), 0
+    for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
+        known = np.isfinite(place)
+        if name not in recording.targets or not known.any():
             continue
-        at = [comma_number(cells[c] or "0", file=path, row=line, column=c) for c in COLUMNS]
-        spread = [comma_number(cells[c] or "1", file=path, row=line, column=c) for c in sigmas]
-        if min(spread) < LEAST_SIGMA:
-            raise RecordError(f"a sigma of {min(spread):g} mm, expected more than 0", file=path, row=line)
-        x, y, z = (sigma**2 for sigma in spread)
-        known = {"known_mm": tuple(at), "known_axes": axes, "known_covariance_mm2": (x, 0.0, 0.0, y, 0.0, z)}
-        targets[cells[name]] = targets.get(cells[name], Target()).model_copy(update=known)
+        spread = np.where(np.outer(known, known), covariance, np.eye(3)) / MILLIMETRE**2
+        if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= LEAST_SIGMA):
+            message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            raise RecordError(f"{message}; coordinates without weight go with --frame", file=path, row=line)
+        stated = {
+            "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
+            "known_axes": "".join(axis for axis, is_known in zip("xyz", known, strict=True) if is_known),
+            "known_covariance_mm2": tuple(spread[np.triu_indices(3)].tolist()),
+        }
+        targets[name] = targets.get(name, Target()).model_copy(update=stated)
         found += 1
     if not found:
         raise RecordError("names none of the recording's targets; names must be written alike", file=path)
     said = f"{found} control points of {path.name}, each with its standard deviation"
     setup = recording.setup.model_copy(update={"targets": targets})
-    return recording.replace(setup=setup, notes=(*recording.notes, said))
+    return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, said))
 
 
 def _misses(here: Floats, there: Floats) -> Floats:

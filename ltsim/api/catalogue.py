@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from ltsim.effects import CATALOGUE, Effect, find_effect
-from ltsim.notebook import Columns, Shown
+from ltsim.results import Columns, Result
 
 
 @dataclass(frozen=True, repr=False)
-class Catalogue(Shown):
+class Catalogue(Result):
     """Effects of the catalogue; `effects` are their classes."""
 
     effects: tuple[type[Effect], ...]
@@ -57,7 +57,7 @@ def catalogue(*names: str) -> Catalogue:
     Examples
     --------
     >>> import ltsim as lt
-    >>> lt.catalogue("beam-tilt").to_pandas("parameters")[["parameter", "unit"]]
+    >>> lt.catalogue("beam-tilt").to_dataframe("parameters")[["parameter", "unit"]]
        parameter  unit
     0  beam-tilt  urad
     """

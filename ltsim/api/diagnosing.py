@@ -17,6 +17,7 @@ def diagnose(
     level: float = 0.05,
     seed: int = 0,
     history: Calibration | History | str | Path | None = None,
+    held_out: bool | None = False,
 ) -> Diagnosis:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
 
@@ -24,12 +25,15 @@ def diagnose(
     ----------
     recording : Recording, str or Path
     level : float
-        False-alarm rate of the whole search on a clean recording.
+        False-alarm rate of the whole search on a clean recording, 0.001 at least.
     seed : int
         Of the draws that price the search.
     history : Calibration, History, str or Path, optional
         An earlier calibration of the instruments, or the history of one, or the file of either. A constant that
         differs from it by more than its usual spread and both uncertainties is a finding.
+    held_out : bool, optional
+        Prove what is found: the whole search is repeated without each of five folds of pointings, which are then
+        predicted. It takes five more searches; with None only small networks are given them.
 
     Raises
     ------
@@ -47,4 +51,4 @@ def diagnose(
     ('consistent', 0)
     """
     known = None if history is None else Known.of(history)
-    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=known)
+    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=known, held_out=held_out)

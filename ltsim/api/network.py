@@ -65,7 +65,7 @@ def adjust(
     --------
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.adjust(recording).to_pandas("targets").shape
+    >>> lt.adjust(recording).to_dataframe("targets").shape
     (28, 7)
     """
     return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=datum)
@@ -139,7 +139,7 @@ def calibrate(
     >>> found = lt.calibrate(recording)
     >>> found.fit.dof, found.fit.status
     (318, 'converged')
-    >>> found.to_pandas("parameters").columns.tolist()
+    >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'value', 'sigma', 'unit', 'prior_sigma']
     """
     if method not in METHODS:
@@ -158,7 +158,7 @@ def calibrate(
         raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
     if method == "network":
-        beside = [_wanted(text, seen) for text in with_effects]
+        beside = [wanted(text, seen) for text in with_effects]
         return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
     if any(options.values()) or prior is not None or with_effects:
         listed = "robust, noise_from_data, datum, prior and with_effects"
@@ -166,7 +166,7 @@ def calibrate(
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
-def _wanted(text: str, recording: Recording) -> Wanted:
+def wanted(text: str, recording: Recording) -> Wanted:
     """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     from ltsim.simulation.physics import effect_from  # only this option needs it
 
@@ -277,7 +277,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     >>> found = lt.calibrate(lt.simulate("paper-workshop", seed=7).recording)
     >>> laboratory, truth = lt.simulate("paper-laboratory", seed=7)
     >>> _ = Path("cmm.csv").write_text(nominal_csv(truth))
-    >>> lt.verify(laboratory, "cmm.csv", found).to_pandas()["criterion"].tolist()
+    >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
     ['distance', 'coordinate']
     """
     seen, found = recording_of(recording), calibration_of(calibration)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ltsim.api.files import read
 from ltsim.api.workshop import scenario
-from ltsim.notebook import Shown
 from ltsim.pages import scene3d
 from ltsim.pages.page import report as write_report
 from ltsim.pages.planned import from_scenario, with_cad
@@ -18,12 +17,13 @@ from ltsim.pages.workshop import Workshop, from_recording
 from ltsim.recording import Recording
 from ltsim.recording.files import write_text
 from ltsim.recording.setup import About
+from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True, repr=False)
-class View(Shown):
+class View(Result):
     """A workshop to look at: turned by hand in a notebook, or as a picture, a page or a window."""
 
     workshop: Workshop
@@ -53,7 +53,8 @@ def view(
     source: Recording | Scenario | str | Path,
     *,
     cad: str | Path | None = None,
-    cad_unit: str = "mm",
+    cad_unit: str | None = None,
+    cad_up: str | None = None,
     colour: str = "incidence",
 ) -> View:
     """The workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
@@ -63,7 +64,8 @@ def view(
     source : Recording, Scenario, str or Path
         A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
     cad : str or Path, optional
-        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room, in `cad_unit` (`mm` or `m`).
+        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room, by its format's convention (glTF: metres, y up; STEP: its
+        own unit; others: millimetres), unless `cad_unit` (`mm`, `m`) and `cad_up` (`y`, `z`) say otherwise.
     colour : str
         What colours the lines of sight of a recording: `incidence` or `residual`.
 
@@ -79,7 +81,7 @@ def view(
     View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
     """
     shown = _workshop_of(source).coloured(colour)
-    return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit))
+    return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit, cad_up))
 
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> Workshop:
@@ -89,7 +91,7 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> Workshop:
     if isinstance(source, Scenario) or str(source) in builtin_names():
         return from_scenario(scenario(source))
     path = Path(source)
-    if (path.suffix == ".toml" and path.is_file()) or not path.exists():
+    if (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists():
         return from_scenario(scenario(source))
     return from_recording(read(path))
 

@@ -45,7 +45,7 @@ def uncertainty(recording: RecordingSource, tasks: str | Path | Mapping[str, Any
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
     >>> length = {"name": "length", "kind": "distance", "targets": ["T01", "T12"]}
     >>> found = lt.uncertainty(recording, {"task": [length], "monte_carlo": {"digits": 1}})
-    >>> found.to_pandas()[["task", "result", "unit"]]
+    >>> found.to_dataframe()[["task", "result", "unit"]]
          task    result unit
     0  length  distance   mm
     """

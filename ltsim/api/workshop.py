@@ -76,10 +76,10 @@ def simulate(
     --------
     >>> import ltsim as lt
     >>> recording, truth = lt.simulate("paper-workshop", seed=7)
-    >>> recording.to_pandas().head(1)[["station", "target", "distance_mm"]].round(1)
+    >>> recording.to_dataframe().head(1)[["station", "target", "distance_mm"]].round(1)
       station target  distance_mm
     0      S1    T06       5003.3
-    >>> truth.to_pandas("instrument").shape
+    >>> truth.to_dataframe("instrument").shape
     (16, 3)
     """
     return Simulated(*measured(scenario(source, changes), seed))

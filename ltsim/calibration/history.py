@@ -22,8 +22,8 @@ from ltsim.calibration.evidence import Evidence, evidence
 from ltsim.chances import p_is
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown
 from ltsim.remedies.undetermined import SILENT
+from ltsim.results import Columns, Result
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
@@ -95,7 +95,7 @@ class Population:
 
 
 @dataclass(frozen=True, repr=False)
-class History(Shown):
+class History(Result):
     """Calibrations of one instrument in the order of time."""
 
     labels: tuple[str, ...]
@@ -290,6 +290,7 @@ class History(Shown):
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=known.spread[None],
             correction=None,
+            weighed=None,
         )
 
 
@@ -316,6 +317,7 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
         covariance=calibration.covariance[at, at],
         held=calibration.held[i : i + 1],
         correction=None,
+        weighed=None,
     )
 
 
@@ -342,6 +344,7 @@ def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
             covariance=c.covariance[np.ix_(keep, keep)],
             held=c.held[:, keep],
             correction=None,
+            weighed=None,
         )
         for c in calibrations
     )

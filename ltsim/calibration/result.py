@@ -22,6 +22,7 @@ from ltsim.evaluation.criteria import Criteria, evaluate
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import ball_lift
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, undetermined
@@ -68,7 +69,13 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state = adjustment.state
     return tuple(
-        StationPose(name, state.position[i], quaternion(state.rotation[i]), sigma[i, :3], sigma[i, 3:])
+        StationPose(
+            name=name,
+            position_mm=(state.position[i] / MILLIMETRE).tolist(),
+            rotation_quaternion=quaternion(state.rotation[i]).tolist(),
+            sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
+            sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
+        )
         for i, name in enumerate(adjustment.recording.stations)
     )
 
@@ -82,7 +89,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = observable_name(column)
-        return OutlierRow(i + 1, station, target, observable, size / factor, unit, w, gross, left_out)
+        named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
+        return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
 
     found = []
     for i in np.flatnonzero(adjustment.gross).tolist():
@@ -122,7 +130,17 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
             sigmas = problem.sigma[own & problem.use[:, column], column]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
-            rows.append(NoiseRow(c.observable, c.instrument, c.factor, c.sigma, c.redundancy, typical, unit))
+            rows.append(
+                NoiseRow(
+                    observable=c.observable,
+                    instrument=c.instrument,
+                    factor=c.factor,
+                    factor_sigma=c.sigma,
+                    redundancy=c.redundancy,
+                    typical=typical,
+                    unit=unit,
+                )
+            )
     return tuple(rows)
 
 
@@ -221,7 +239,7 @@ def undetermined_of(
     for i, own in enumerate(directions):
         names = construction.names_of(instruments)[i * construction.size :]
         for direction, cure in zip(own, sentences[i], strict=True):
-            found.append(Combination(direction.coefficients(names), direction.gain, cure))
+            found.append(Combination(combination=direction.coefficients(names), gain=direction.gain, cure=cure))
     return tuple(found)
 
 
@@ -279,7 +297,7 @@ def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
     if not adjustment.effects:
         return ("two distance meters were used; one range zero was assumed for both (method network tells them apart)",)
     value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
-    zero = f"{value / MICROMETRE:.1f} +- {sigma / MICROMETRE:.1f} um"
+    zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
     return (
         f"the interferometer's range zero less the absolute meter's, estimated beside the rest: {zero} (range-mode)",
     )

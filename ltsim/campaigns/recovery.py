@@ -30,8 +30,8 @@ from ltsim.arrays import Floats
 from ltsim.calibration import Calibration, calibrate_distance, calibrate_network
 from ltsim.errors import ConvergenceError, SetupError
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording import Recording
+from ltsim.results import Columns, Result, by_row
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import instrument_law
 from ltsim.simulation.scenario import Scenario
@@ -98,7 +98,7 @@ class Check:
 
 
 @dataclass(frozen=True, repr=False)
-class Recovery(Shown):
+class Recovery(Result):
     """All trials of a recovery check with `errors` drawn or stated; a trial that did not converge is None."""
 
     names: tuple[str, ...]

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.design import Factor, factors_of_settings
 from ltsim.campaigns.engine import FAILED
@@ -19,8 +21,8 @@ from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import LEVELS, ManifestFile, summary_table
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.result_table import ResultTable
+from ltsim.results import Columns, Result, by_row
 from ltsim.units import unit_of_key
 
 NORMAL_95 = 1.959963984540054
@@ -76,7 +78,7 @@ class Checked:
     largest_difference_sigma: float | None
 
 
-class Results(Shown):
+class Results(Result):
     """The rows of a campaign's folder, as tables to query.
 
     Parameters
@@ -206,6 +208,15 @@ class Results(Shown):
             "ORDER BY cell, method"
         )
         return [_spread(column, row) for row in found]
+
+    def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
+        """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
+        name, word = self._known(column), method.replace("'", "''")
+        rows = self.query(
+            f"SELECT {name} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND isfinite({name}) "
+            f"AND trial < {int(most)} ORDER BY trial"
+        )
+        return np.array(rows, dtype=np.float64).reshape(-1)
 
     def z_scores(self) -> list[Scores]:
         """Mean, spread and coverage of the z-scores of every parameter."""

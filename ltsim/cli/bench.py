@@ -10,6 +10,7 @@ import typer
 from ltsim.cli.options import Out
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
+from ltsim.notation import with_sigma
 
 if TYPE_CHECKING:
     from ltsim.evaluation.schema import BenchFile, EstimateEntry
@@ -71,5 +72,5 @@ def show(terminal: Terminal, found: BenchFile) -> None:
 
 
 def words(entry: EstimateEntry) -> str:
-    """A length with its uncertainty."""
-    return f"{entry.value_um:.2f} +- {entry.sigma_um:.2f} um"
+    """A length with its standard deviation."""
+    return with_sigma(entry.value_um, entry.sigma_um, "um")

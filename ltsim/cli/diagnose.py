@@ -19,7 +19,7 @@ FailOnMismatch = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
 ]
 Level = Annotated[
-    float, typer.Option(min=1e-6, max=0.5, help="False-alarm rate of the whole search on a clean recording.")
+    float, typer.Option(min=1e-3, max=0.5, help="False-alarm rate of the whole search on a clean recording.")
 ]
 HistoryOption = Annotated[
     Path | None,
@@ -29,6 +29,13 @@ HistoryOption = Annotated[
         help="An earlier calibration, or a history of them: what the instrument's constants are compared with.",
     ),
 ]
+HeldOut = Annotated[
+    bool | None,
+    typer.Option(
+        "--held-out/--no-held-out",
+        help="Repeat the search without each of five parts of the readings and predict them; default: small networks.",
+    ),
+]
 
 
 def diagnose(
@@ -36,6 +43,7 @@ def diagnose(
     out: Out = None,
     level: Level = 0.05,
     history: HistoryOption = None,
+    held_out: HeldOut = None,
     fail_on_mismatch: FailOnMismatch = False,
     seed: Seed = 0,
     *,
@@ -55,7 +63,7 @@ def diagnose(
     claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = reading.open(source, terminal)
     with terminal.busy("diagnosing"):
-        found = lt.diagnose(recording, seed=seed, level=level, history=history)
+        found = lt.diagnose(recording, seed=seed, level=level, history=history, held_out=held_out)
     content = found.file(recording) if out is None else write_diagnosis(found, out, recording)
     terminal.answer(content.content())
     show(terminal, found)

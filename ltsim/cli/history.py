@@ -15,6 +15,7 @@ from ltsim.cli.places import Force, claim
 from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
+from ltsim.notation import with_sigma
 
 if TYPE_CHECKING:
     from ltsim.calibration import Calibration
@@ -186,7 +187,7 @@ def _events(found: History, stood_out: Sequence[Event]) -> str:
     parts = []
     for event in stood_out:
         parameter = found.construction.parameters[event.parameter]
-        value, sigma = digits(event.difference / parameter.factor, event.sigma / parameter.factor)
+        step = with_sigma(event.difference / parameter.factor, event.sigma / parameter.factor, parameter.unit)
         usual = f"{event.usual / parameter.factor:.2g} {parameter.unit}"
-        parts.append(f"{parameter.name} by {value} +- {sigma} {parameter.unit} (its usual step: {usual})")
+        parts.append(f"{parameter.name} by {step} (its usual step: {usual})")
     return f"an event (a service, a blow): {'; '.join(parts)}"

@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +16,12 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ltsim.errors import ModelError, printable
+from ltsim.errors import printable
+from ltsim.results import aligned
 
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
+table = aligned
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -106,27 +108,6 @@ class Terminal:
         finally:
             done.set()
             thread.join()
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Rows as aligned text, the first `left` columns to the left, numbers to the right.
-
-    Raises
-    ------
-    ModelError
-        When a row is not as long as the header.
-    """
-    if any(len(row) != len(header) for row in rows):
-        raise ModelError("a row of a table is not as long as its header")
-    lines = [header, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
 
 
 def digits(value: float, sigma: float) -> tuple[str, str]:

@@ -32,6 +32,13 @@ class CadUnit(StrEnum):
     M = "m"
 
 
+class CadUp(StrEnum):
+    """Axis of a CAD file that points up."""
+
+    Y = "y"
+    Z = "z"
+
+
 Place = Annotated[
     str | None, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
 ]
@@ -52,7 +59,8 @@ Html = Annotated[
 Cad = Annotated[
     Path | None, typer.Option("--cad", metavar="FILE", help="CAD file (STL, OBJ, GLB, STEP) to stand in the room.")
 ]
-Unit = Annotated[CadUnit, typer.Option(help="Unit of the coordinates in --cad.")]
+Unit = Annotated[CadUnit | None, typer.Option(help="Unit of the coordinates in --cad; default by its format.")]
+Up = Annotated[CadUp | None, typer.Option(help="Axis of --cad that points up; default by its format.")]
 By = Annotated[Colour, typer.Option("--colour", help="What colours the lines of sight of a recording.")]
 
 
@@ -62,7 +70,8 @@ def view(
     png: Png = None,
     html: Html = None,
     cad: Cad = None,
-    cad_unit: Unit = CadUnit.MM,
+    cad_unit: Unit = None,
+    cad_up: Up = None,
     colour: By = Colour.INCIDENCE,
     *,
     reading: FramedReading,
@@ -93,7 +102,7 @@ def view(
         claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
-        shown = lt.view(source, cad=cad, cad_unit=cad_unit.value, colour=colour.value)
+        shown = lt.view(source, cad=cad, cad_unit=cad_unit, cad_up=cad_up, colour=colour.value)
         if png is not None:
             shown.png(png)
         if html is not None:

@@ -132,7 +132,7 @@ class Cards:
         what it was, as for laws: the difference of a rough number and an exact one may be next to nothing, and a score
         over nothing looks like any evidence.
         """
-        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.scored))
+        values, chance = np.zeros(len(self.effects)), np.zeros((len(self.effects), probe.trials.shape[1]))
         for group in self.groups:
             scores = group.products(probe.vectors)
             if probe.fresh:
@@ -142,7 +142,7 @@ class Cards:
             strength, turn = np.linalg.eigh(gram)
             strength, turn = np.maximum(strength, 0.0), np.swapaxes(turn, 1, 2)
             values[group.members] = log_evidence(np.einsum("hij,hj->hi", turn, score) ** 2, strength)
-            if probe.scored:
+            if probe.trials.shape[1]:
                 chance[group.members] = simulated_evidence(turn @ trials, strength)
         return values, self.family_evidence(chance)
 

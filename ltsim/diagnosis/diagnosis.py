@@ -20,10 +20,10 @@ from ltsim.diagnosis.schema import (
     InstrumentEntry,
     Undetectable,
 )
-from ltsim.notebook import Columns, Shown, by_entry, by_row
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.remedies.detectability import MinimalSize
+from ltsim.results import Columns, Result, by_entry, by_row
 from ltsim.units import FACTOR
 
 
@@ -36,7 +36,7 @@ class Targets:
 
 
 @dataclass(frozen=True, repr=False)
-class Diagnosis(Shown):
+class Diagnosis(Result):
     """The verdict on a recording."""
 
     verdict: str

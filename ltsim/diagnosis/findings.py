@@ -14,21 +14,21 @@ from ltsim.adjustment.refit import Refit
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import carried_by, less_lookalikes
+from ltsim.diagnosis.evidence import carried_by
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
-from ltsim.diagnosis.words import card_sentence, law_sentence, number, outside_sentence, percent, without_clock
+from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
-from ltsim.laws.names import RESEMBLED
 from ltsim.laws.scatter import NoisePattern
 from ltsim.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -53,10 +53,9 @@ class Explained:
 
     def ranking(self, member: int) -> Ranking:
         """Everything that could stand in a member's place, changes of the noise among it."""
-        searcher, bank = self.case.searcher, self.case.bank
-        others = searcher.without(self.found, member)
-        redundancy = searcher.space.redundancy - np.sum(others.extension**2, axis=1)
-        return searcher.rank(others).beside(bank.rivals(others.residual, redundancy))
+        others = self.case.searcher.without(self.found, member)
+        noises = [Hypothesis(one.effect, 0.0, value, one.effect.name) for value, one in self.case.noises(others)]
+        return self.case.searcher.rank(others).beside(noises)
 
     def finding(self, member: int, ranking: Ranking) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -123,7 +122,10 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
         where=where,
         parameters=tuple(rows),
         evidence=Evidence(
-            chi2_drop=hypothesis.drop, parameters=len(rows), p_value=detection.p_value, probability=probability
+            chi2_drop=hypothesis.drop,
+            parameters=len(rows),
+            p_value=detection.chance(hypothesis.evidence),
+            probability=probability,
         ),
         sentence=sentence or card_sentence(effect.name, where, rows, probability),
         equivalents=hypothesis.equivalents,
@@ -149,7 +151,7 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
         known=True,
         where=_place(observables=gross.observables, stations=gross.stations, targets=gross.targets),
         parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
-        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=0.0, probability=1.0),
+        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=1.0),
         sentence=gross.sentence,
         equivalents=(),
     )
@@ -162,7 +164,8 @@ def instrument_finding(found: Contradiction) -> Finding:
     estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
     sentence = (
         f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
-        f"({number(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, probability {percent(probability)}."
+        f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
+        f"probability {percent(probability)}."
     )
     drop = (found.difference / found.sigma) ** 2
     return Finding(
@@ -176,17 +179,10 @@ def instrument_finding(found: Contradiction) -> Finding:
     )
 
 
-def among(chances: Mapping[str, float], name: str, *, doubted: bool = True) -> tuple[float, tuple[Equivalent, ...]]:
-    """The probability that is stated of a name, and the likeliest others that are not excluded.
-
-    A name is `doubted` where a law that looks like it may be there instead.
-    """
-    found = chances.get(name, 0.0)
-    probability = less_lookalikes(found, name) if doubted else found
-    if name in RESEMBLED:
-        chances = {**chances, Law.name: chances.get(Law.name, 0.0) + found - probability}
+def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
+    """The probability of a name, and the likeliest others that are not excluded."""
     others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
-    return probability, tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
+    return chances.get(name, 0.0), tuple(sorted(others, key=lambda other: -other.probability)[:MOST_EQUIVALENTS])
 
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.diagnosis.schema import Estimate, Finding, Fit, Where
 from ltsim.effects import card_of, find_effect
+from ltsim.notation import with_sigma
 
 MOST_NAMED = 4
 """Estimates that a sentence names at most."""
@@ -19,14 +20,6 @@ COVARIATES = {
     "incidence": "the direction from which the reflector is seen",
 }
 """Covariates whose names need words."""
-
-
-def number(value: float, sigma: float) -> str:
-    """Value and uncertainty with the digits that mean something: 12.1 +- 1.8."""
-    if not sigma > 0:
-        return f"{value:.3g}"
-    digits = max(0, 1 - int(f"{sigma:e}".split("e")[1]))
-    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
 
 
 def estimates(parameters: Sequence[Estimate]) -> str:
@@ -42,8 +35,8 @@ def _estimate(parameter: Estimate) -> str:
     name, value, sigma = parameter.name.replace("_", " "), parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
-        return f"{name[6:]}s scatter {number(factor, 0.5 * sigma / max(factor, 0.1))} times as much as stated"
-    return f"{name} {number(value, sigma)} {parameter.unit}".strip()
+        return f"{name[6:]}s scatter {with_sigma(factor, 0.5 * sigma / max(factor, 0.1))} times as much as stated"
+    return f"{name} {with_sigma(value, sigma)} {parameter.unit}".strip()
 
 
 def place(where: Where) -> str:

@@ -12,9 +12,7 @@ Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.11
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-import numpy as np
-
-from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.effects.effect import Lobe, Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 
 
@@ -29,6 +27,6 @@ class AzimuthEccentricity(SlotEffect):
         Parameter("azimuth-eccentricity-sin", "urad", "sine of the raw azimuth", 3 * ARCSECOND, "angle"),
     )
     terms = (
-        Term("azimuth", lambda raw: np.cos(raw[:, 1])),
-        Term("azimuth", lambda raw: np.sin(raw[:, 1])),
+        Term("azimuth", Lobe("cos", 1)),
+        Term("azimuth", Lobe("sin", 1)),
     )

@@ -12,9 +12,7 @@ Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-import numpy as np
-
-from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.effects.effect import Lobe, Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 
 
@@ -29,6 +27,6 @@ class AzimuthSecondOrder(SlotEffect):
         Parameter("azimuth-second-order-sin", "urad", "sine of twice the raw azimuth", 3 * ARCSECOND, "angle"),
     )
     terms = (
-        Term("azimuth", lambda raw: np.cos(2 * raw[:, 1])),
-        Term("azimuth", lambda raw: np.sin(2 * raw[:, 1])),
+        Term("azimuth", Lobe("cos", 1, 2)),
+        Term("azimuth", Lobe("sin", 1, 2)),
     )

@@ -131,6 +131,31 @@ def one(raw: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
+class Lobe:
+    """The basis cos or sin of a multiple of a raw reading (1 azimuth, 2 elevation)."""
+
+    wave: Literal["cos", "sin"]
+    column: int
+    order: float = 1
+
+    def __call__(self, raw: Floats) -> Floats:
+        """(n,) of raw readings (n, 3)."""
+        angle: Floats = self.order * raw[:, self.column]
+        return np.cos(angle) if self.wave == "cos" else np.sin(angle)
+
+
+@dataclass(frozen=True)
+class Power:
+    """The basis range to a power."""
+
+    order: int = 1
+
+    def __call__(self, raw: Floats) -> Floats:
+        """(n,) of raw readings (n, 3)."""
+        return raw[:, 0] ** self.order
+
+
+@dataclass(frozen=True)
 class Term:
     """A parameter's part in a kinematic chain: ``error[slot] += value * basis(raw)``."""
 

@@ -11,9 +11,7 @@ Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.11
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-import numpy as np
-
-from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.effects.effect import Lobe, Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 
 
@@ -28,6 +26,6 @@ class ElevationEccentricity(SlotEffect):
         Parameter("elevation-eccentricity-sin", "urad", "sine of the raw elevation", 3 * ARCSECOND, "angle"),
     )
     terms = (
-        Term("elevation", lambda raw: np.cos(raw[:, 2])),
-        Term("elevation", lambda raw: np.sin(raw[:, 2])),
+        Term("elevation", Lobe("cos", 2)),
+        Term("elevation", Lobe("sin", 2)),
     )

@@ -11,9 +11,7 @@ Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.11
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-import numpy as np
-
-from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.effects.effect import Lobe, Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 
 
@@ -28,6 +26,6 @@ class ElevationSecondOrder(SlotEffect):
         Parameter("elevation-second-order-sin", "urad", "sine of twice the raw elevation", 3 * ARCSECOND, "angle"),
     )
     terms = (
-        Term("elevation", lambda raw: np.cos(2 * raw[:, 2])),
-        Term("elevation", lambda raw: np.sin(2 * raw[:, 2])),
+        Term("elevation", Lobe("cos", 2, 2)),
+        Term("elevation", Lobe("sin", 2, 2)),
     )

@@ -12,7 +12,7 @@ Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivitie
 Status: validated against the exact chain in first order, and against the columns of the D-H chain.
 """
 
-from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.effects.effect import Parameter, Power, SlotEffect, Stage, Term
 from ltsim.units import PPM
 
 
@@ -23,4 +23,4 @@ class RangeScale(SlotEffect):
     stage = Stage.RANGE
     observables = ("distance",)
     parameters = (Parameter("range-scale", "ppm", "share missing from every range", 2 * PPM, "range_scale"),)
-    terms = (Term("range", lambda raw: raw[:, 0]),)
+    terms = (Term("range", Power()),)

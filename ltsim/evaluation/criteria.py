@@ -19,9 +19,9 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.evaluation.clouds import in_first_frame, measured_points, station_means
 from ltsim.model.construction import Construction
-from ltsim.notebook import Columns, Shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
+from ltsim.results import Columns, Result
 from ltsim.units import MICROMETRE
 
 MOST_PLACES = 20_000_000
@@ -86,7 +86,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, repr=False)
-class Criteria(Shown):
+class Criteria(Result):
     """Both criteria; verification fills only the first and the last."""
 
     distance: Comparison

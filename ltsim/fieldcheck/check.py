@@ -24,8 +24,8 @@ from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network
 from ltsim.fieldcheck.visit import Explained, Visit
 from ltsim.fieldcheck.words import bump_sentence, drift_sentence, face_sentence, gross_sentence, instrument_sentence
 from ltsim.model.construction import Construction, stated_construction
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.recording import Recording
+from ltsim.results import Columns, Result, by_row
 
 LEVEL = 0.01
 MOST_GROSS = 0.1
@@ -53,7 +53,7 @@ class SetUp:
 
 
 @dataclass(frozen=True, repr=False)
-class Check(Shown):
+class Check(Result):
     """All set-ups of a recording, and whether the stations agree with each other."""
 
     recording: Recording

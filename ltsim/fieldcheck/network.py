@@ -14,6 +14,7 @@ from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import Recording
 from ltsim.units import ARCSECOND
 
@@ -92,7 +93,7 @@ def _of_levels(found: Adjustment, family: Family) -> list[Item]:
         p = family.adjusted(2.0 * float(special.ndtr(-abs(w[k, worst]))), int(checked.sum()))
         name, passed = found.recording.stations[problem.levels.station[k]], p >= family.level
         tilt = float(np.hypot(*np.where(checked[k], w[k] * sigma[k], 0.0)))
-        size = f"{tilt / ARCSECOND:.2g} +- {sigma[k, worst] / ARCSECOND:.2g} arcsec"
+        size = with_sigma(tilt / ARCSECOND, float(sigma[k, worst]) / ARCSECOND, "arcsec")
         verb = "agrees with" if passed else "is off"
         items.append(Item(name, "level", passed, f"{name}: its level {verb} the vertical of the others ({size})", p))
     return items

@@ -43,14 +43,27 @@ Motion = Turn | Shift
 Chain = tuple[Motion, ...]
 
 
-def constant(value: float) -> Nominal:
+@dataclass(frozen=True)
+class Constant:
     """A nominal amount that does not depend on the readings."""
-    return lambda raw: np.full(len(raw), value)
+
+    value: float
+
+    def __call__(self, raw: Floats) -> Floats:
+        """(n,) of raw readings (n, 3)."""
+        return np.full(len(raw), self.value)
 
 
-def reading(column: int, offset: float = 0.0) -> Nominal:
+@dataclass(frozen=True)
+class Reading:
     """A nominal amount that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
-    return lambda raw: raw[:, column] + offset
+
+    column: int
+    offset: float = 0.0
+
+    def __call__(self, raw: Floats) -> Floats:
+        """(n,) of raw readings (n, 3)."""
+        return raw[:, self.column] + self.offset
 
 
 def _amount(motion: Motion, raw: Floats, errors: Mapping[str, Floats]) -> Floats | None:

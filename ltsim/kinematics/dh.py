@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 
-from ltsim.kinematics.chain import Chain, Motion, Shift, Turn, constant, reading
+from ltsim.kinematics.chain import Chain, Constant, Motion, Reading, Shift, Turn
 
 QUARTER = math.pi / 2
 
@@ -39,14 +39,14 @@ def error_motions(joint: str) -> tuple[Motion, ...]:
 
 
 DH: Chain = (
-    Turn(2, nominal=constant(-QUARTER)),
-    Turn(2, nominal=reading(1, -QUARTER)),  # A1 of Table 1: theta - 90, alpha -90
-    Turn(0, nominal=constant(-QUARTER)),
+    Turn(2, nominal=Constant(-QUARTER)),
+    Turn(2, nominal=Reading(1, -QUARTER)),  # A1 of Table 1: theta - 90, alpha -90
+    Turn(0, nominal=Constant(-QUARTER)),
     *error_motions("J1"),
-    Turn(2, nominal=reading(2, -QUARTER)),  # A2: phi - 90, alpha +90
-    Turn(0, nominal=constant(QUARTER)),
+    Turn(2, nominal=Reading(2, -QUARTER)),  # A2: phi - 90, alpha +90
+    Turn(0, nominal=Constant(QUARTER)),
     *error_motions("J2"),
-    Shift(2, nominal=reading(0)),  # A3: d, theta -90
-    Turn(2, nominal=constant(-QUARTER)),
+    Shift(2, nominal=Reading(0)),  # A3: d, theta -90
+    Turn(2, nominal=Constant(-QUARTER)),
     *error_motions("T"),
 )

@@ -12,7 +12,7 @@ face-2 readings go in as they are; the face signs then come out by themselves.
 
 from __future__ import annotations
 
-from ltsim.kinematics.chain import Chain, Shift, Turn, reading
+from ltsim.kinematics.chain import Chain, Reading, Shift, Turn
 
 MISALIGNMENT: Chain = (
     # Bearing of the standing axis, as functions of the azimuth: tilt and radial run-out in the base frame.
@@ -21,12 +21,12 @@ MISALIGNMENT: Chain = (
     Shift(2, "standing-axial"),
     Turn(0, "standing-tilt-x"),
     Turn(1, "standing-tilt-y"),
-    Turn(2, "azimuth", reading(1)),
+    Turn(2, "azimuth", Reading(1)),
     Shift(0, "transit-offset"),
     Turn(0, "transit-tilt"),
-    Turn(1, "elevation", reading(2), sign=-1.0),
+    Turn(1, "elevation", Reading(2), sign=-1.0),
     Shift(1, "beam-lateral"),
     Shift(2, "beam-vertical"),
     Turn(2, "beam-tilt"),
-    Shift(0, "range", reading(0)),
+    Shift(0, "range", Reading(0)),
 )

@@ -24,32 +24,32 @@ from __future__ import annotations
 
 import math
 
-from ltsim.kinematics.chain import Chain, Shift, Turn, reading
+from ltsim.kinematics.chain import Chain, Reading, Shift, Turn
 
 ZENITH = -0.5 * math.pi
 HALF = -0.5
 
 STEERING_MIRROR: Chain = (
     # To the mirror: T.
-    Turn(2, "azimuth", reading(1)),
+    Turn(2, "azimuth", Reading(1)),
     Shift(0, "transit-offset"),
     Turn(0, "transit-tilt"),
-    Turn(1, "elevation", reading(2, ZENITH), sign=HALF),
+    Turn(1, "elevation", Reading(2, ZENITH), sign=HALF),
     Shift(0, "mirror-offset"),
     Turn(2, "mirror-tilt"),
     # Its image: T^-1 reflected.
     Turn(2, "mirror-tilt"),
     Shift(0, "mirror-offset"),
-    Turn(1, "elevation", reading(2, ZENITH), sign=HALF),
+    Turn(1, "elevation", Reading(2, ZENITH), sign=HALF),
     Turn(0, "transit-tilt", sign=-1.0),
     Shift(0, "transit-offset"),
     Shift(0, "cover-forward", sign=-1.0),
     Shift(1, "cover-left"),
-    Turn(2, "azimuth", reading(1)),
+    Turn(2, "azimuth", Reading(1)),
     # The beam in the base, reflected.
     Shift(0, "beam-x", sign=-1.0),
     Shift(1, "beam-y"),
     Turn(0, "beam-tilt-x"),
     Turn(1, "beam-tilt-y", sign=-1.0),
-    Shift(2, "range", reading(0)),
+    Shift(2, "range", Reading(0)),
 )

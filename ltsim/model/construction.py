@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import BASELINE
-from ltsim.effects.effect import Parameter, SlotEffect, Term, one
+from ltsim.effects.effect import Lobe, Parameter, Power, SlotEffect, Term, one
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
 from ltsim.kinematics.chain import Chain, Motion, point, point_and_derivatives
@@ -215,13 +215,12 @@ def _harmonic(column: int, k: int) -> Term:
     """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
     if k == 0:
         return Term("", one)
-    order, wave = (k + 1) // 2, np.sin if k % 2 else np.cos
-    return Term("", lambda raw: wave(order * raw[:, column]))
+    return Term("", Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2))
 
 
 def _power(k: int) -> Term:
     """Basis number k of the range axis' polynomials: range to the power k."""
-    return Term("", lambda raw: raw[:, 0] ** k)
+    return Term("", Power(k))
 
 
 def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Literal
 
 from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
-from ltsim.effects.effect import Parameter, SlotEffect, Term
+from ltsim.effects.effect import Lobe, Parameter, SlotEffect, Term
 from ltsim.effects.range_offset import RangeOffset
 from ltsim.effects.range_scale import RangeScale
 from ltsim.effects.transit_offset import TransitOffset
@@ -34,10 +34,10 @@ def _tilt(name: str, slot: str, meaning: str) -> tuple[Parameter, Term]:
     return Parameter(name, "urad", meaning, 3 * ARCSECOND, "angle"), Term(slot)
 
 
-def _circle(name: str, meaning: str, order: float, wave: np.ufunc) -> tuple[Parameter, Term]:
+def _circle(name: str, meaning: str, order: float, wave: Literal["cos", "sin"]) -> tuple[Parameter, Term]:
     """A lobe of the circle that turns with the mirror, at half the rate of the reading."""
     parameter = Parameter(name, "urad", meaning, 3 * ARCSECOND, "angle")
-    return parameter, Term("elevation", lambda raw: wave(0.5 * order * raw[:, 2]))
+    return parameter, Term("elevation", Lobe(wave, 2, 0.5 * order))
 
 
 PARAMETERS: tuple[tuple[Parameter, Term], ...] = (
@@ -50,9 +50,9 @@ PARAMETERS: tuple[tuple[Parameter, Term], ...] = (
     _offset("beam-y", "beam-y", "beam beside the standing axis, along y of the base"),
     _tilt("beam-tilt-x", "beam-tilt-x", "beam leans about x of the base"),
     _tilt("beam-tilt-y", "beam-tilt-y", "beam leans about y of the base"),
-    _circle("elevation-eccentricity-cos", "cosine of the mirror's angle, half the raw elevation", 1, np.cos),
-    _circle("elevation-eccentricity-sin", "sine of the mirror's angle", 1, np.sin),
-    _circle("elevation-second-order-cos", "cosine of twice the mirror's angle", 2, np.cos),
-    _circle("elevation-second-order-sin", "sine of twice the mirror's angle", 2, np.sin),
+    _circle("elevation-eccentricity-cos", "cosine of the mirror's angle, half the raw elevation", 1, "cos"),
+    _circle("elevation-eccentricity-sin", "sine of the mirror's angle", 1, "sin"),
+    _circle("elevation-second-order-cos", "cosine of twice the mirror's angle", 2, "cos"),
+    _circle("elevation-second-order-sin", "sine of twice the mirror's angle", 2, "sin"),
 )
 """Each parameter and the slot of `kinematics.steering_mirror` that it feeds."""

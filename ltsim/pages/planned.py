@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.errors import SetupError
 from ltsim.pages.workshop import Sights, Workshop
-from ltsim.scene.meshes import read_mesh
+from ltsim.scene.cad import read_mesh, size_question
 from ltsim.scene.visibility import Reason, Visibility
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_of
@@ -55,10 +55,18 @@ def from_scenario(scenario: Scenario) -> Workshop:
     )
 
 
-def with_cad(workshop: Workshop, file: Path, unit: str = "mm") -> Workshop:
-    """The workshop with the surfaces of a CAD file; its frame is the workshop's (raises SetupError)."""
-    triangles: Floats = read_mesh(file, unit)
-    return replace(workshop, obstacles=np.concatenate([workshop.obstacles, triangles]))
+def with_cad(workshop: Workshop, file: Path, unit: str | None = None, up: str | None = None) -> Workshop:
+    """The workshop with a CAD file standing in it; `unit` and `up` where its format's convention does not hold.
+
+    Raises
+    ------
+    SetupError
+        When it cannot be read, or its size has to be asked about.
+    """
+    cad = read_mesh(file, unit, up)
+    if asked := size_question(cad, np.ptp(workshop.floor, axis=0)):
+        raise SetupError(asked)
+    return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
 
 
 def _sights(layout: Layout, table: Visibility) -> Sights:

@@ -90,7 +90,7 @@ def tables() -> dict[str, list[dict[str, Any]]]:
             {
                 "file": table.file,
                 "about": table.about,
-                "columns": [{"name": c.name, "kind": c.kind, "about": c.about} for c in table.columns],
+                "columns": [{"name": c.name, "kind": c.kind, "about": c.meaning} for c in table.columns],
             }
             for table in beside
         ]

@@ -111,7 +111,7 @@ def reflector_changes(
     stays : (T,) bool
         Targets that stay: no change of theirs is tried.
     """
-    if stays.all() and site.places is None:
+    if stays.all() and site.nests is None:
         return Changes((), dict.fromkeys(("move", "add", "remove"), 0), dict.fromkeys(("move", "add", "remove"), 0))
     return _Trial(Choice.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
 

@@ -184,6 +184,8 @@ class Reducer:
         designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
         noise = [self.survey.setup.instrument.noise]
         sigma = white_noise_sigma(sightings, noise)
+        if self.survey.air is not None:
+            sigma = np.sqrt(sigma**2 + self.survey.air.variance(sightings))
         white = (self._use / sigma)[:, :, None]
         return by_target * (white * POSE_SCALE), np.concatenate(designs, axis=2) * (white * self.scale)
 

@@ -11,8 +11,9 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
 from ltsim.planning.floor import ground_of
+from ltsim.planning.placement import Placement
 from ltsim.planning.points import Point
-from ltsim.planning.site import may_stand, over
+from ltsim.planning.site import FEWEST, grid_step, may_stand, over
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.scenario import FORMAT, Scenario, scenario_from
 from ltsim.simulation.sections import Station, Target
@@ -80,21 +81,19 @@ def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
     heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
     areas, keep_outs = ground_of(made.floor, scenario.workshop.size_mm, heights)
     obstacles, points = obstacles_of(scenario), planned(scenario).points
-    grid = np.concatenate([over(area, made.search.grid_mm * MILLIMETRE, 1) for area in areas])
+    grid = np.concatenate([over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
     grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise SetupError(
             "the floor has no place where a tripod may stand; widen it, move obstacles, or give a smaller grid_mm"
         )
     seen = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
-    useful = seen.sum(axis=1) >= 3
+    useful = seen.sum(axis=1) >= FEWEST
     if not useful.any():
         raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
-    chosen: list[int] = []
-    for _ in range(count):
-        had = seen[chosen].sum(axis=0)
-        worth = (seen / (1.0 + had) ** 2).sum(axis=1) * useful
-        for other in chosen:
-            worth[np.linalg.norm(grid[:, :2] - grid[other, :2], axis=1) < made.stations.spacing_mm * MILLIMETRE] = -1.0
-        chosen.append(int(np.argmax(worth)))
-    return grid[chosen]
+    spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
+    placement = Placement(grid[useful], seen[useful], spacing, np.zeros((0, 3)), none)
+    chosen = placement.stations(count, 1)
+    if len(chosen) < count:
+        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or widen it")
+    return placement.position[chosen]

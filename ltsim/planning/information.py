@@ -14,10 +14,12 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, misalignment
 from ltsim.planning.survey import Survey
 from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, gains, undetermined
+from ltsim.solve.design import as_dense
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,28 @@ class LayoutInformation:
 
     @property
     def target_covariance(self) -> Floats:
-        """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints)."""
-        return self._inner.target_covariance
+        """(T, 3, 3) [m^2] of each target, datum the mean of all targets (inner constraints); with the survey's air."""
+        return self._inner.target_covariance + self._by_air
+
+    @cached_property
+    def _by_air(self) -> Floats | float:
+        """(T, 3, 3) [m^2] that the air adds: errors that the adjustment neither knows nor estimates, carried on.
+
+        Targets move by the gain on the whitened readings, less the rigid motion of all of them.
+        """
+        air, adjustment, problem = self.survey.air, self.adjustment, self.adjustment.problem
+        if air is None:
+            return 0.0
+        used = np.flatnonzero(problem.use.ravel())
+        errors, variance = air.errors(adjustment.sightings), air.variance(adjustment.sightings)
+        sigma, carry = problem.sigma.ravel()[used], as_dense(adjustment.solution.system.design[: len(used)]).T
+        common = errors.reshape(-1, errors.shape[2])[used] / sigma[:, None]
+        inside = np.hstack([carry @ common, carry * (np.sqrt(variance.ravel()[used]) / sigma)])
+        moved = adjustment.factor.covariance_columns(inside)[problem.unknowns.target].reshape(-1, inside.shape[1])
+        motion = rigid_motion(self.survey.points) @ problem.free
+        moved -= motion @ (np.linalg.pinv(motion) @ moved)
+        moved = moved.reshape(-1, 3, inside.shape[1])
+        return moved @ np.swapaxes(moved, 1, 2)
 
     @cached_property
     def target_sigma(self) -> Floats:

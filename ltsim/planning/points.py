@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from pathlib import Path
 
 from ltsim.errors import RecordError, as_setup_error
-from ltsim.recording.files import check_name, comma_number, shown, table_rows
+from ltsim.recording.coordinates import Points, read_points as read_coordinates
+from ltsim.recording.files import comma_number, shown
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section
-
-PLACE = ("x_mm", "y_mm", "z_mm")
+from ltsim.units import MILLIMETRE
 
 
 class Point(Section):
     """A point to measure; with ``points = "points.csv"`` the file has these keys as its columns.
 
-    Cells of the file are separated by commas, semicolons or tabs; with the latter two a decimal comma is read too.
-    Lines before the header that begin with # are remarks.
+    The file is a list of coordinates in any dialect that is read: ``Name;X [m];Y [m];Z [m]`` does as well.
     """
 
     name: str
@@ -36,47 +35,37 @@ class Point(Section):
 
 
 def read_points(path: Path) -> tuple[Point, ...]:
-    """The points of a CSV file; raises SetupError."""
+    """The points of a list of coordinates in any dialect, with the keys above as further columns; raises SetupError."""
     with as_setup_error():
         return _points(path)
 
 
 def _points(path: Path) -> tuple[Point, ...]:
-    header, rows = table_rows(path)
-    _check_header(header, path)
-    found: dict[str, Point] = {}
-    for line, cells in rows:
-        point = _point(cells, path, line)
-        if point.name in found:
-            raise RecordError(f"the point '{shown(point.name)}' stands twice", file=path, row=line)
-        found[point.name] = point
-    if not found:
-        raise RecordError("holds no points below its header", file=path)
-    return tuple(found.values())
+    found = read_coordinates(path)
+    known = list(Point.model_fields)[4:]
+    for name in found.further:
+        if name not in known:
+            what = f"has the column '{shown(name)}' too many; expected name, x, y, z and, optional, {', '.join(known)}"
+            raise RecordError(what, file=path)
+    return tuple(_point(found, i, path) for i in range(len(found.names)))
 
 
-def _check_header(header: list[str], path: Path) -> None:
-    known = list(Point.model_fields)
-    wanted = f"expected {', '.join(known[:4])} and, optional, {', '.join(known[4:])}"
-    for name in known[:4]:
-        if name not in header:
-            raise RecordError(f"has no column {name}; {wanted}", file=path)
-    for name in header:
-        if name not in known or header.count(name) > 1:
-            what = "twice" if name in known else "too many"
-            raise RecordError(f"has the column '{shown(name)}' {what}; {wanted}", file=path)
+def _point(found: Points, i: int, path: Path) -> Point:
+    where = {"file": path, "row": found.lines[i]}
 
-
-def _point(cells: Mapping[str, str], path: Path, line: int) -> Point:
-    def value(column: str, usual: float | None = None) -> float | None:
-        if column not in PLACE and not cells.get(column):
+    def further(column: str, usual: float | None) -> float | None:
+        text = found.further[column][i] if column in found.further else ""
+        if not text:
             return usual
-        found = comma_number(cells[column], file=path, row=line, column=column)
-        if column not in PLACE and not (found > 0 or (found == 0 and column == "weight")):
-            raise RecordError(f"found {found:g}, expected a positive number", file=path, row=line, column=column)
-        return found
+        value = comma_number(text, column=column, **where)
+        if not (value > 0 or (value == 0 and column == "weight")):
+            raise RecordError(f"found {value:g}, expected a positive number", column=column, **where)
+        return value
 
-    name = check_name(cells["name"], "target", file=path, row=line, column="name")
-    numbers = {column: value(column) for column in PLACE}
-    numbers |= {"weight": value("weight", 1.0), "tolerance_mm": value("tolerance_mm")}
-    return Point.model_validate({"name": name, "group": cells.get("group", ""), **numbers})
+    place = dict(zip(("x_mm", "y_mm", "z_mm"), (found.points[i] / MILLIMETRE).round(9).tolist(), strict=True))
+    missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
+    if missing:
+        raise RecordError("found nothing, expected a number", column=missing, **where)
+    group = found.further["group"][i] if "group" in found.further else ""
+    rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
+    return Point.model_validate({"name": found.names[i], "group": group, **place, **rest})

@@ -134,13 +134,13 @@ class Choice:
     @classmethod
     def of(cls, site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction) -> Choice:
         """The places that are in sight; `stays` (T,) are targets that are no matter of choice."""
-        offered = np.zeros((0, 3)) if site.places is None else site.places
+        offered = np.zeros((0, 3)) if site.nests is None else site.nests
         places = np.concatenate([survey.points[~stays], offered])
         own = [name for name, stay in zip(survey.target_names, stays, strict=True) if not stay]
         good = _usable(site, survey, places)
         good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[~stays], offered, TAKEN)]
         good &= ~np.r_[np.zeros(len(own), bool), _taken(survey.points[stays], offered, site.reflector_spacing)]
-        names = tuple(n for n, g in zip((*own, *site.place_names), good, strict=True) if g)
+        names = tuple(n for n, g in zip((*own, *site.nest_names), good, strict=True) if g)
         places = places[good]
         seen = site.seen(survey.position, np.concatenate([survey.points[stays], places]))
         # What stands already is seen as it is, only new places must be seen with some play.
@@ -166,7 +166,7 @@ def choose_reflectors(
     SetupError
         When too few places are in sight.
     """
-    if site.places is None:
+    if site.nests is None:
         return survey
     choice, wanted = Choice.of(site, survey, stays, objective, construction), int((~stays).sum())
     places = choice.places

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -17,15 +18,17 @@ from ltsim.errors import SetupError
 from ltsim.model.construction import Construction, misalignment
 from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
+from ltsim.planning.placement import Placement
 from ltsim.planning.site import Site
+from ltsim.planning.survey import Survey
 from ltsim.randomness import stream
 
 CHUNK = 64
 SWEEPS = 12
-TRIES = 200
+TRIES = 12
+MOST_NAMED = 8
 PACE = 0.985
 """What a step leaves of the way to the end, for somebody who watches: how many steps it takes is not known before."""
-DRAWS = 24
 
 
 def unheard(_share: float) -> None:
@@ -44,6 +47,10 @@ class Layout:
     """The objective; infinite where the layout is not allowed."""
 
 
+def unkept(_layout: Layout) -> None:
+    """Keep nothing."""
+
+
 @dataclass(frozen=True)
 class Pool:
     """Set-ups with their contributions."""
@@ -53,6 +60,10 @@ class Pool:
     yaw: Floats
     seen: Bools
     blocks: StationBlocks
+
+    def take(self, which: Ints) -> Pool:
+        """Some of the set-ups."""
+        return Pool(self.position[which], self.yaw[which], self.seen[which], self.blocks.take(which))
 
 
 @dataclass
@@ -69,6 +80,8 @@ class Searcher:
     """Turns and heights tried at each place of the grid."""
     tell: Callable[[float], None] = unheard
     """Hears the share of a start that is done."""
+    keep: Callable[[Layout], None] = unkept
+    """Is given each better layout."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
@@ -80,9 +93,9 @@ class Searcher:
         """Stations of a layout."""
         return self.reducer.stations
 
-    def pool(self, position: Floats, yaw: Floats, slot: int) -> Pool:
-        """Set-ups that stand for station `slot`."""
-        seen, parts = self.site.seen(position), []
+    def pool(self, position: Floats, yaw: Floats, slot: int, seen: Bools | None = None) -> Pool:
+        """Set-ups that stand for station `slot`; who is `seen` (N, T) is looked up where it is not given."""
+        seen, parts = self.site.seen(position) if seen is None else seen, []
         for a in range(0, len(position), CHUNK):
             some = slice(a, a + CHUNK)
             slots = np.full(len(position[some]), slot, dtype=np.int64)
@@ -94,29 +107,39 @@ class Searcher:
         """The grid of candidate set-ups; it depends on the slot only where effects know the time."""
         key = slot if self.objective.effects else 0
         if key not in self._tables:
-            position, yaw = self.site.grid(self.step, self.yaws, self.heights)
-            enough = 3 if self.site.least < self.stations else self.reducer.survey.points.shape[0]
-            good = self.site.seen(position).sum(axis=1) >= enough
-            if not good.any():
-                raise SetupError(self._nowhere(position))
-            self._tables[key] = self.pool(position[good], yaw[good], key)
+            places = self.placement.position
+            if not len(places):
+                raise SetupError("no place on the floor sees three reflectors; widen the floor or move obstacles")
+            if self.site.least >= self.stations and not self.placement.seen.all(axis=1).any():
+                raise SetupError(self._nowhere())
+            turns = np.arange(self.yaws) * (2 * np.pi / self.yaws)
+            position, seen = (np.repeat(a, self.yaws, axis=0) for a in (places, self.placement.seen))
+            good = seen.all(axis=1) if self.site.least >= self.stations else np.ones(len(seen), dtype=bool)
+            yaw = np.tile(turns, len(places))
+            self._tables[key] = self.pool(position[good], yaw[good], key, seen[good])
         return self._tables[key]
 
-    def _nowhere(self, position: Floats) -> str:
-        """A sentence: which targets cannot be seen."""
-        if not len(position):
-            return "the floor has no place where a tripod may stand; widen it or move obstacles"
-        share = self.site.seen(position).mean(axis=0)
+    @cached_property
+    def placement(self) -> Placement:
+        """Where stations may stand on the grid, and what is in sight from there."""
+        return self.site.placement(self.step, self.heights)
+
+    def _nowhere(self) -> str:
+        """A sentence: which targets cannot be seen from everywhere."""
+        share = self.placement.seen.mean(axis=0)
         worst = self.site.survey.target_names[int(np.argmin(share))]
         return (
             f"no place on the floor sees every reflector: {worst} is seen from {100 * share.min():.0f} % of the "
             "places; move it, widen the floor, or ask for fewer stations a reflector"
         )
 
+    def layout(self, survey: Survey) -> Pool:
+        """The stations of a survey, each as the one that it is."""
+        return self._joined([self.pool(survey.position[[s]], survey.yaw[[s]], s) for s in range(self.stations)])
+
     def evaluate(self, position: Floats, yaw: Floats) -> Layout:
         """A layout as it is."""
-        pools = [self.pool(position[s : s + 1], yaw[s : s + 1], s) for s in range(self.stations)]
-        here = self._joined(pools)
+        here = self.layout(self.site.survey.replace(position=position, yaw=yaw))
         good = self.site.allowed(position).all() and self.site.joined(position[None], here.seen[None])[0]
         value = self._values(here.blocks, np.arange(self.stations)[None])[0] if good else np.inf
         return Layout(position, yaw, float(value))
@@ -145,22 +168,26 @@ class Searcher:
         self._steps += 1
         self.tell(1.0 - PACE**self._steps)
 
-    def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
-        """The candidate that serves best as station `slot`, and the value; -1 and infinite where none may."""
-        self._step()
+    def replacements(self, layout: Pool, slot: int, candidates: Pool, *, anywhere: bool = False) -> Floats:
+        """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
         count = len(candidates.position)
         position = np.broadcast_to(layout.position, (count, *layout.position.shape)).copy()
         seen = np.broadcast_to(layout.seen, (count, *layout.seen.shape)).copy()
         position[:, slot], seen[:, slot] = candidates.position, candidates.seen
-        good = np.flatnonzero(self.site.joined(position, seen))
-        if not len(good):
-            return -1, np.inf
+        good = np.arange(count) if anywhere else np.flatnonzero(self.site.joined(position, seen))
+        values = np.full(count, np.inf)
         blocks = StationBlocks.joined([layout.blocks, candidates.blocks])
         chosen = np.tile(np.arange(self.stations), (len(good), 1))
         chosen[:, slot] = self.stations + good
-        values = self._values(blocks, chosen)
+        values[good] = self._values(blocks, chosen)
+        return values
+
+    def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
+        """The candidate that serves best as station `slot`, and the value; infinite where none may."""
+        self._step()
+        values = self.replacements(layout, slot, candidates)
         best = int(np.argmin(values))
-        return int(good[best]), float(values[best])
+        return best, float(values[best])
 
     def _with(self, layout: Pool, slot: int, candidates: Pool, which: int) -> Pool:
         rows = [layout.blocks.take(np.array([s])) for s in range(self.stations)]
@@ -183,6 +210,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
+                    self.keep(Layout(layout.position, layout.yaw, value))
             if not value < before * (1 - LEAST_IMPROVEMENT):
                 break
         return layout, value
@@ -199,6 +227,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
+                    self.keep(Layout(layout.position, layout.yaw, value))
             if not value < before * (1 - LEAST_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
@@ -216,45 +245,42 @@ class Searcher:
         return self.pool(position[good], layout.yaw[slot] + moves[good, 3], slot)
 
     def random_layout(self, rng: np.random.Generator) -> Pool:
-        """An allowed layout: stations drawn one by one from the grid, fixed ones kept.
-
-        Each is the one of a few random set-ups that brings most targets nearer to the sights they need.
+        """An allowed layout: stations placed one by one with some chance, fixed ones kept; the first try without.
 
         Raises
         ------
         SetupError
-            When none is found.
+            When none is found, with the targets that lack sights.
         """
-        survey = self.site.survey
-        for _ in range(TRIES):
-            pools: list[Pool] = [
-                self.pool(survey.position[s : s + 1], survey.yaw[s : s + 1], s) for s in self.site.fixed
-            ]
-            slots = [*self.site.fixed]
-            for slot in self._free:
-                pools.append(self._drawn(self.table(slot), pools, rng))
-                slots.append(slot)
-            made = self._joined([pools[slots.index(s)] for s in range(self.stations)])
-            if self.site.joined(made.position[None], made.seen[None])[0]:
-                return made
+        survey, free = self.site.survey, self._free
+        tables = {slot: self.table(slot) for slot in free}
+        least: tuple[int, list[int]] | None = None
+        for attempt in range(TRIES):
+            chosen = self.placement.stations(len(free), self.site.least, None if attempt % 2 else rng)
+            if len(chosen) == len(free):
+                lacking = self.placement.missing(chosen, self.site.least)
+                least = min(least or (lacking, chosen), (lacking, chosen))
+                pools = [self.pool(survey.position[[s]], survey.yaw[[s]], s) for s in range(self.stations)]
+                for slot, place in zip(free, chosen, strict=True):
+                    at = np.flatnonzero((tables[slot].position == self.placement.position[place]).all(axis=1))
+                    if len(at):
+                        pools[slot] = tables[slot].take(rng.choice(at, size=1))
+                made = self._joined(pools)
+                if self.site.joined(made.position[None], made.seen[None])[0]:
+                    return made
+        where = "" if least is None else self._lacking(least[1])
         raise SetupError(
             f"no layout of {self.stations} stations was found in {TRIES} tries that keeps them "
-            f"{self.site.spacing:g} m apart and every reflector in sight of {self.site.least}; "
+            f"{self.site.spacing:g} m apart and every reflector in sight of {self.site.least}{where}; "
             "ask for less, or widen the floor"
         )
 
-    def _drawn(self, table: Pool, others: list[Pool], rng: np.random.Generator) -> Pool:
-        """One set-up of the grid, apart from the others."""
-        some = rng.integers(len(table.position), size=DRAWS)
-        count = np.zeros(table.seen.shape[1], dtype=np.int64)
-        apart = np.ones(DRAWS, dtype=bool)
-        for other in others:
-            gap = np.linalg.norm(table.position[some, :2] - other.position[0, :2], axis=1)
-            apart &= gap >= self.site.spacing
-            count += other.seen[0]
-        gained = np.minimum(count + table.seen[some], self.site.least).sum(axis=1) * apart
-        pick = some[[int(np.argmax(gained))]]
-        return Pool(table.position[pick], table.yaw[pick], table.seen[pick], table.blocks.take(pick))
+    def _lacking(self, chosen: list[int]) -> str:
+        """Which targets lack sights where the fewest are missing, in words."""
+        count = self.placement.counted + self.placement.seen[chosen].sum(axis=0)
+        names = [n for n, k in zip(self.site.survey.target_names, count, strict=True) if k < self.site.least]
+        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        return f" (the nearest one lacks {', '.join(names[:MOST_NAMED])}{more})" if names else ""
 
     def from_start(self, seed: int, start: int) -> Layout:
         """One start: number 0 begins at the site's own layout where that is allowed, the others at random."""
@@ -262,11 +288,10 @@ class Searcher:
         survey = self.site.survey
         layout: Pool | None = None
         if start == 0 and np.isfinite(self.evaluate(survey.position, survey.yaw).value):
-            layout = self._joined(
-                [self.pool(survey.position[s : s + 1], survey.yaw[s : s + 1], s) for s in range(self.stations)]
-            )
+            layout = self.layout(survey)
         layout = layout or self.random_layout(rng)
         value = float(self._values(layout.blocks, np.arange(self.stations)[None])[0])
+        self.keep(Layout(layout.position, layout.yaw, value))
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)
         return Layout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)

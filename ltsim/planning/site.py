@@ -8,11 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats
 from ltsim.planning.outlines import EDGE, Area, KeepOut
+from ltsim.planning.placement import Placement
 from ltsim.planning.survey import Survey
-from ltsim.scene.visibility import Blocker, SightLimits, visibility
+from ltsim.scene.visibility import Blocker, SightLimits, narrowest_cone, visibility
+from ltsim.units import MILLIMETRE
 
+FEWEST = 3
+"""Targets in sight that a station needs."""
+PLACES = 250
+"""That cover the floor where no step is stated; stations are refined off the grid afterwards."""
 NEST_STEPS = 60
 NEST_MARGIN = 0.004
 """Steps of the iteration that aims fixed nests, and what is kept free for it [rad]."""
@@ -40,9 +46,9 @@ class Site:
     """Every target is seen from at least so many stations."""
     fixed: tuple[int, ...] = ()
     """Stations that stay where they are."""
-    places: Floats | None = None
+    nests: Floats | None = None
     """(P, 3) [m]: candidate places of reflectors; none: reflectors stay."""
-    place_names: tuple[str, ...] = ()
+    nest_names: tuple[str, ...] = ()
     reflector_spacing: float = 0.3
     """[m]."""
 
@@ -54,6 +60,12 @@ class Site:
     def replace(self, **changes: Any) -> Site:
         """A copy with some fields changed."""
         return replace(self, **changes)
+
+    def of_layout(self, survey: Survey) -> Site:
+        """The site with a layout's stations and reflectors, those of its own choice in nests of the same kind."""
+        aimed = np.full(len(survey.points), bool(self.aimed.any()))
+        aimed[: len(self.aimed)] = self.aimed[: len(survey.points)]
+        return self.replace(survey=survey, aimed=aimed)
 
     def allowed(self, position: Floats) -> Bools:
         """(N,): a tripod may stand there."""
@@ -73,7 +85,7 @@ class Site:
     def joined(self, position: Floats, seen: Bools) -> Bools:
         """(B,): layouts (B, S, 3) that keep stations apart, targets in sight and nests served; `seen` (B, S, T)."""
         good: Bools = (seen.sum(axis=1) >= self.least).all(axis=1)
-        good &= (seen.sum(axis=2) >= 3).all(axis=1)
+        good &= (seen.sum(axis=2) >= FEWEST).all(axis=1)
         gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
         first, second = np.triu_indices(position.shape[1], k=1)
         good &= (gap[:, first, second] > self.spacing - 1e-9).all(axis=1)
@@ -84,24 +96,31 @@ class Site:
     def _served(self, position: Floats) -> Bools:
         """(B,): every fixed nest can be aimed so that all stations fall within the reflector's acceptance."""
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]
-        range_ = np.linalg.norm(back, axis=3)
-        back /= range_[..., None]
-        centre = back.mean(axis=2)
-        for i in range(NEST_STEPS):
-            cosine = np.einsum("btsk,btk->bts", back, centre)
-            worst = np.argmin(cosine, axis=2)[:, :, None, None]
-            centre += (np.take_along_axis(back, worst, axis=2)[:, :, 0] - centre) / (i + 2)
-            centre /= np.linalg.norm(centre, axis=2, keepdims=True)
-        cosine = np.clip(np.einsum("btsk,btk->bts", back, centre), -1.0, 1.0)
-        incidence = np.arccos(cosine) + self.play / range_
+        range_ = np.linalg.norm(back, axis=3, keepdims=True)
+        cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
+        incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.play / range_[..., 0]
         return np.asarray(incidence.max(axis=(1, 2)) < self.limits.acceptance - NEST_MARGIN)
 
-    def grid(self, step: float, yaws: int, heights: int) -> tuple[Floats, Floats]:
-        """Candidate set-ups on a grid: positions (N, 3) that are allowed, each with `yaws` turns; yaw (N,)."""
+    def places(self, step: float, heights: int) -> Floats:
+        """Places (N, 3) of a grid where a tripod may stand."""
         grid = np.concatenate([over(area, step, heights) for area in self.areas])
-        grid = np.unique(grid[self.allowed(grid)], axis=0)
-        turns = np.arange(yaws) * (2 * np.pi / yaws)
-        return np.repeat(grid, yaws, axis=0), np.tile(turns, len(grid))
+        return np.unique(grid[self.allowed(grid)], axis=0)
+
+    def placement(self, step: float, heights: int) -> Placement:
+        """The greedy placement on a grid, at places in sight of three targets; fixed stations stand already."""
+        places, fixed = self.places(step, heights), self.survey.position[list(self.fixed)]
+        seen = self.seen(places)
+        enough = seen.sum(axis=1) >= FEWEST
+        counted = self.seen(fixed).sum(axis=0) if len(fixed) else np.zeros(seen.shape[1], dtype=np.int64)
+        return Placement(places[enough], seen[enough], self.spacing, fixed, counted)
+
+
+def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
+    """[m]: of a grid of places; where none is stated `PLACES` of them cover the areas, half a metre apart or more."""
+    if grid_mm is not None:
+        return grid_mm * MILLIMETRE
+    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
+    return max(round(float(np.sqrt(size / PLACES)), 1), 0.5)
 
 
 def may_stand(
@@ -126,10 +145,3 @@ def over(area: Area, step: float, heights: int) -> Floats:
     bottom, top = area.heights
     levels = np.linspace(bottom, top, heights if top - bottom > EDGE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)
-
-
-def spread(count: int, whole: Ints) -> Ints:
-    """At most `count` of the indices, evenly spread."""
-    if len(whole) <= count:
-        return whole
-    return whole[np.unique(np.linspace(0, len(whole) - 1, count).round().astype(int))]

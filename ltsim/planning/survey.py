@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints, as_floats
+from ltsim.effects.air import Air
 from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction
@@ -48,6 +49,9 @@ class Survey:
     """What is recorded of each pointing: everything, or the distance alone."""
     importance: Mapping[str, float] = field(default_factory=dict)
     """Weight of targets by name in the root mean square of point errors; one where not named."""
+
+    air: Air | None = None
+    """What is not known of the air; none where ranges are short."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)

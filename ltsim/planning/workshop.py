@@ -14,6 +14,7 @@ from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.planning.floor import ground_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.outlines import Area
 from ltsim.planning.site import Site
 from ltsim.planning.spec import WALLS, PlanFile, Surface
 from ltsim.planning.survey import Survey
@@ -107,6 +108,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
             importance=importance(plan),
+            air=plan.air if plan.air.counts(_longest(areas, survey.points)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
             seconds_per_move=survey.seconds_per_move
             if plan.budget.minutes_per_move is None
@@ -121,10 +123,23 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         spacing=plan.stations.spacing_mm * mm,
         least=least,
         fixed=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
-        places=places,
-        place_names=names,
+        nests=places,
+        nest_names=names,
         reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
+
+
+def _longest(areas: Sequence[Area], points: Floats) -> float:
+    """Longest range [m] from a corner of the floor to a point."""
+    return max(float(np.linalg.norm(area.outline[:, None] - points[None, :, :2], axis=2).max()) for area in areas)
+
+
+def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
+    """Numbers of faces and of rounds to choose from; the scenario's alone where the plan leaves no choice."""
+    if not plan.chooses:
+        return [scenario.work.faces], [scenario.work.repeats]
+    usual = sorted({1, 2, scenario.work.repeats})
+    return sorted(set(plan.budget.faces or (1, 2))), sorted(set(plan.budget.repeats or usual))
 
 
 def with_stations(survey: Survey, count: int) -> Survey:
@@ -165,7 +180,7 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     if body == WALLS:
         triangles = walls(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
-        triangles = np.concatenate([part for name, part in bodies_of(scenario) if name == body])
+        triangles = np.concatenate([part.triangles for part in bodies_of(scenario) if part.name == body])
     reach, apart = plan.reflectors.reach_mm * MILLIMETRE, plan.reflectors.apart_mm * MILLIMETRE
     found = nest_places(triangles, reach, apart, obstacles_of(scenario), closed=body != WALLS)
     return np.asarray(np.round(found / MILLIMETRE))

@@ -20,7 +20,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
-from ltsim.recording.formats.point_list import read_points
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.plausibility import SHORTEST_MM, chord_gap
 from ltsim.units import FACTOR
 

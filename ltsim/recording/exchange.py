@@ -10,7 +10,7 @@ from types import ModuleType
 from pydantic import ValidationError
 
 from ltsim.errors import RecordError, unknown_name
-from ltsim.recording import native
+from ltsim.recording import coordinates, native
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import decoded
 from ltsim.recording.formats import (
@@ -19,7 +19,6 @@ from ltsim.recording.formats import (
     gama_writer,
     gsi,
     openindy,
-    point_list,
     polar_text,
     spatialanalyzer,
 )
@@ -32,6 +31,7 @@ RecordingSource = Recording | str | Path
 """A recording, or a file or folder that holds one."""
 HEAD = 16_384
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
+POINT_LIST = "names and coordinates: no recording, said so"
 TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
 
 
@@ -58,6 +58,18 @@ def _of(room: ModuleType, name: str, about: str, *suffixes: str, write: Write | 
     return Format(name, about, suffixes, room.recognises, room.read, write)
 
 
+def _are_points(path: Path, head: str) -> bool:
+    return path.is_file() and not head.startswith(("<", "PK")) and coordinates.recognises(head)
+
+
+def _refuse_points(path: Path, hints: Hints) -> Recording:
+    """A list of points is no recording: say so and what it is good for."""
+    count = len(coordinates.read_points(path, strict=False).names)
+    message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
+    more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
+    raise RecordError(f"{message} ({more})", file=path)
+
+
 FORMATS: tuple[Format, ...] = (
     Format(
         "native",
@@ -73,7 +85,7 @@ FORMATS: tuple[Format, ...] = (
     _of(openindy, "openindy", "OpenIndy project", ".xml"),
     _of(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
     _of(polar_text, "polar-text", POLAR_TEXT, ".txt", ".dat", ".asc", write=polar_text.write),
-    _of(point_list, "point-list", "names and coordinates: no recording, said so", ".txt", ".xyz", ".csv"),
+    Format("point-list", POINT_LIST, (".txt", ".xyz", ".csv"), _are_points, _refuse_points),
     _of(tables, "table", TABLE, ".csv", ".tsv", ".txt", ".xlsx"),
 )
 

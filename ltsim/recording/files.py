@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import tempfile
@@ -54,25 +53,35 @@ def decoded(content: bytes) -> str:
     return content.removeprefix(UTF8).decode("latin-1")
 
 
-def read_text(path: Path, *, latin: bool = False) -> str:
-    """The text of a file in UTF-8 or, with its byte-order mark, UTF-16; `latin` falls back to Latin-1."""
+def read_text(path: Path, *, liberal: bool = False) -> str:
+    """The text of a file in UTF-8 or UTF-16; `liberal` takes what is neither for Windows-1252."""
     content = read_bytes(path)
     if content.startswith(UTF16):
         content = decoded(content).encode()
+    elif b"\x00" in content[1:2] and liberal:
+        content = content.decode("utf-16-le", errors="replace").encode()
     if b"\x00" in content:
         raise RecordError("holds binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        if latin:
-            return content.decode("latin-1")
+        if liberal:
+            return _windows(content)
         line = content[: problem.start].count(b"\n") + 1
         raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
 
 
-def read_lines(path: Path, *, latin: bool = False) -> list[str]:
+def _windows(content: bytes) -> str:
+    """Text in Windows-1252; the five bytes that it leaves open are those of Latin-1."""
+    try:
+        return content.decode("cp1252")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")
+
+
+def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
     """The lines of a text file, without line breaks; at most `MAX_LINES`, none longer than `MAX_LINE`."""
-    text = read_text(path, latin=latin)
+    text = read_text(path, liberal=liberal)
     if text.count("\n") > MAX_LINES:
         raise RecordError(f"has more than {MAX_LINES} lines, the most that is read", file=path)
     lines = text.split("\n")
@@ -80,32 +89,6 @@ def read_lines(path: Path, *, latin: bool = False) -> list[str]:
         if len(line) > MAX_LINE:
             raise RecordError(f"line {i + 1} is longer than {MAX_LINE} characters", file=path)
     return [line.rstrip("\r") for line in lines]
-
-
-def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """The header of a small table that a person wrote, and its rows by column, each with its line; blank ones left out.
-
-    Cells are separated by semicolons, tabs or commas; with the former two a number may have a decimal comma
-    (`comma_number`). Lines before the header that begin with # are remarks.
-
-    Raises
-    ------
-    RecordError
-        When a row has more or fewer cells than the header.
-    """
-    lines = read_lines(path)
-    remarks = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines) - 1)
-    separator = next((mark for mark in ";\t" if mark in lines[remarks]), ",")
-    reader = csv.reader(lines[remarks:], delimiter=separator, skipinitialspace=True)
-    header = [name.strip() for name in next(reader, [])]
-    rows = []
-    for cells in reader:
-        if any(cell.strip() for cell in cells):
-            line = remarks + reader.line_num
-            if len(cells) != len(header):
-                raise RecordError("has another number of cells than the header", file=path, row=line)
-            rows.append((line, dict(zip(header, (cell.strip() for cell in cells), strict=True))))
-    return header, rows
 
 
 def is_number(text: str) -> bool:

@@ -27,10 +27,10 @@ from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.plausibility import check_degrees
 from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, REFLECTOR_COLUMN, SIGMA_COLUMNS, Recording
 from ltsim.recording.reflectors import balls_of, excess_radii
-from ltsim.recording.result_table import guarded, plain
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
-from ltsim.recording.tables.dialect import is_folder
+from ltsim.recording.tables.sheets import is_folder
+from ltsim.results import guarded, plain
 from ltsim.units import DEGREE, MILLIMETRE
 
 OBSERVATIONS, SETUP = "observations.csv", "setup.toml"

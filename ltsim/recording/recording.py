@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.notebook import Columns, Shown
 from ltsim.recording.setup import Gauge, Instrument, Setup, Station, Target
+from ltsim.results import Columns, Result
 from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
@@ -32,7 +32,7 @@ _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 
 @dataclass(frozen=True, repr=False)
-class Recording(Shown):
+class Recording(Result):
     """Readings of a tracker network and what is known about the set-up."""
 
     setup: Setup

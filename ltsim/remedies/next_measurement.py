@@ -12,7 +12,6 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.effects.signature import Signature
 from ltsim.model.construction import stated_construction
-from ltsim.notebook import Columns, Shown
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.remedies.deciding import DECISIVE, Explanation, Rivals, explanation, space_of
 from ltsim.remedies.network import Network
@@ -26,6 +25,7 @@ from ltsim.remedies.remedy import (
     returns,
 )
 from ltsim.remedies.words import advice, listed
+from ltsim.results import Columns, Result
 
 FINALISTS = 24
 """Further places whose evidence is computed in full: those that tell most about the instrument."""
@@ -84,7 +84,7 @@ class Proposal:
 
 
 @dataclass(frozen=True, repr=False)
-class NextMeasurement(Shown):
+class NextMeasurement(Result):
     """Proposals, the best first."""
 
     proposals: tuple[Proposal, ...]

@@ -1,6 +1,6 @@
-"""Obstacles from CAD: what stands between a station and a target, and where no station can stand.
+"""Obstacles: what stands between a station and a target, and where no station can stand.
 
-The only file of the scene that knows meshes. Embree casts the rays in single precision; rays that pass close
+Embree casts the rays in single precision; rays that pass close
 to an edge, where it may err either way, are cast again here in double precision.
 """
 
@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +16,8 @@ import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from ltsim.arrays import Bools, Floats
-from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z, perpendicular
-from ltsim.scene import exact
-from ltsim.units import FACTOR
 
-SUFFIXES = (".stl", ".obj", ".glb", ".ply")
-MAX_BYTES = 512 * 1024 * 1024
 GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
 END = 1e-6
@@ -140,32 +133,6 @@ def cylinder(diameter: float, height: float) -> Floats:
     mesh = trimesh.creation.cylinder(radius=0.5 * diameter / np.cos(np.pi / SIDES), height=height, sections=SIDES)
     triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
     triangles[:, :, 2] += 0.5 * height
-    return triangles
-
-
-def read_mesh(path: Path, unit: str) -> Floats:
-    """Triangles (m, 3, 3) [m] of a CAD file in `unit`, STEP and IGES in their own; raises SetupError."""
-    suffix, known = path.suffix.lower(), SUFFIXES + exact.SUFFIXES
-    if suffix not in known:
-        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(known)}")
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
-        content = path.read_bytes()
-    except OSError as problem:
-        raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    if suffix in exact.SUFFIXES:
-        try:
-            content, suffix, unit = exact.as_glb(content, suffix), ".glb", "m"
-        except SetupError as problem:
-            raise SetupError(f"{path}: {problem}") from None
-    try:
-        loaded: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
-        triangles: Floats = np.array(loaded.triangles, dtype=np.float64) * FACTOR[unit]
-    except Exception as problem:  # readers of all these formats raise whatever they meet
-        raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
-    if not len(triangles) or not np.all(np.isfinite(triangles)):
-        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
     return triangles
 
 

@@ -214,20 +214,24 @@ def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
         Unit vectors.
     half_angle : (T,) float, [rad]
         Half-angle of that cone; a target can serve all stations when the acceptance is larger.
-
-    Notes
-    -----
-    The narrowest cone of directions is the smallest ball around their unit vectors (stations within a half
-    space). Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges as 1/i.
     """
     back = position - points[:, None, :]
     back /= np.linalg.norm(back, axis=2, keepdims=True)
-    centre = back.mean(axis=1)
-    rows = np.arange(len(points))
-    for i in range(1, 1001):
-        farthest = back[rows, np.argmin(np.einsum("tsk,tk->ts", back, centre), axis=1)]
-        centre += (farthest - centre) / (i + 1)
-        centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+    centre = narrowest_cone(back)
     cosine = np.clip(np.einsum("tsk,tk->ts", back, centre), -1.0, 1.0)
     half_angle: Floats = np.arccos(cosine.min(axis=1))
     return centre, half_angle
+
+
+def narrowest_cone(directions: Floats, steps: int = 1000) -> Floats:
+    """Axes (..., 3) of the narrowest cones around unit vectors (..., S, 3) of a half space.
+
+    It is the smallest ball around the vectors. Badoiu and Clarkson's iteration, step 1/(i+1) to the farthest, converges
+    as 1/i.
+    """
+    centre = directions.mean(axis=-2)
+    for i in range(1, steps + 1):
+        farthest = np.argmin(np.einsum("...sk,...k->...s", directions, centre), axis=-1)[..., None, None]
+        centre += (np.take_along_axis(directions, farthest, axis=-2)[..., 0, :] - centre) / (i + 1)
+        centre /= np.linalg.norm(centre, axis=-1, keepdims=True)
+    return centre

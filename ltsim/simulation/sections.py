@@ -63,9 +63,13 @@ class Obstacle(Section):
     name: str = ""
     """What messages and pictures call it."""
     file: str | None = None
-    """STL, OBJ, PLY, GLB, STEP or IGES file, named from the scenario's folder."""
-    unit: Literal["mm", "m"] = "mm"
-    """Unit of the file's coordinates; STEP and IGES state their own."""
+    """STL, OBJ, PLY, GLB, glTF, STEP or IGES file, named from the scenario's folder."""
+    unit: Literal["mm", "m"] | None = None
+    """Unit of the file's coordinates; without it metres for glTF, their own for STEP and IGES, else millimetres."""
+    up: Literal["y", "z"] | None = None
+    """Which of the file's axes points up; without it y for glTF, else z."""
+    beyond_room: bool = False
+    """It may reach beyond the room or below its floor; else that is asked about."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box, in place of a file."""
     cylinder_mm: tuple[Positive, Positive] | None = None

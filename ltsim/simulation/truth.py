@@ -17,10 +17,10 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, RecordError
 from ltsim.evaluation.schema import NOMINAL
 from ltsim.geometry.rotations import quaternion
-from ltsim.notebook import Columns, Shown
 from ltsim.recording.files import read_text, write_text
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Finite, Section, Vector
+from ltsim.results import Columns, Result
 from ltsim.simulation.physics import effect_from, shape_of
 from ltsim.units import FACTOR, MILLIMETRE
 
@@ -45,7 +45,7 @@ class TrackerTruth:
 
 
 @dataclass(frozen=True, repr=False)
-class Truth(Shown):
+class Truth(Result):
     """What a recording was made from; SI units, the workshop's frame."""
 
     title: str

@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
-from ltsim.scene.meshes import Obstacles, box, cylinder, placed, read_mesh, together
+from ltsim.scene.cad import Cad, extent, inside, read_mesh, size_question
+from ltsim.scene.meshes import Obstacles, box, cylinder, placed, together
 from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
 from ltsim.simulation.gauge import frame_of, in_workshop
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import Instrument
+from ltsim.simulation.sections import Instrument, Obstacle
 from ltsim.units import DEGREE, MILLIMETRE
 
 
@@ -98,18 +99,44 @@ def sight_limits(scenario: Scenario, tracker: Instrument) -> SightLimits:
     )
 
 
+@dataclass(frozen=True)
+class Body:
+    """An obstacle in its place."""
+
+    name: str
+    triangles: Floats
+    """(m, 3, 3) [m]."""
+    cad: Cad | None
+    """The file that it comes from."""
+
+    @property
+    def words(self) -> str:
+        """Its name, what its file was taken for, its size and its place."""
+        read = f" ({self.cad.file.name}, {self.cad.read_as})" if self.cad else ""
+        return f"{self.name or 'obstacle'}{read}: {extent(self.triangles)}"
+
+
 def obstacles_of(scenario: Scenario) -> Obstacles | None:
     """What stands in the way, or None in an empty workshop; raises SetupError."""
     parts = bodies_of(scenario)
-    return together(triangles for _, triangles in parts) if parts else None
+    return together(body.triangles for body in parts) if parts else None
 
 
-def bodies_of(scenario: Scenario) -> list[tuple[str, Floats]]:
-    """Name and triangles (m, 3, 3) [m] of each obstacle in its place; raises SetupError as `obstacles_of`."""
+def bodies_of(scenario: Scenario) -> list[Body]:
+    """Each obstacle in its place.
+
+    Raises
+    ------
+    SetupError
+        For a CAD file that cannot be read, or whose size or place has to be asked about.
+    """
+    room = np.array(scenario.workshop.size_mm) * MILLIMETRE
     parts = []
-    for entry in scenario.workshop.obstacles:
+    for i, entry in enumerate(scenario.workshop.obstacles, 1):
+        cad = None
         if entry.file is not None:
-            triangles = read_mesh(Path(entry.file), entry.unit)
+            cad = read_mesh(Path(entry.file), entry.unit, entry.up)
+            triangles = cad.triangles
         elif entry.box_mm is not None:
             triangles = box(np.array(entry.box_mm) * MILLIMETRE)
         elif entry.cylinder_mm is not None:
@@ -117,9 +144,30 @@ def bodies_of(scenario: Scenario) -> list[tuple[str, Floats]]:
             triangles = cylinder(float(diameter), float(height))
         else:
             raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
-        there = placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
-        parts.append((entry.name, there))
+        body = Body(entry.name or f"obstacle {i}", _in_place(entry, triangles), cad)
+        if cad is not None and (asked := size_question(cad, room) or _place_question(entry, body, cad, room)):
+            raise SetupError(asked)
+        parts.append(body)
     return parts
+
+
+def _in_place(entry: Obstacle, triangles: Floats) -> Floats:
+    return placed(triangles, np.array(entry.position_mm) * MILLIMETRE, entry.yaw_deg * DEGREE)
+
+
+def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
+    """What has to be asked about a body that reaches beyond the room; empty for nothing."""
+    if entry.beyond_room or inside(body.triangles, room):
+        return ""
+    other = "z" if cad.up == "y" else "y"
+    turned = _in_place(entry, cad.of_other(up=other))
+    size = " x ".join(f"{v:g}" for v in room)
+    what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
+    fits = f'with up = "{other}" it would stand in it' if inside(turned, room) else "move it by position_mm"
+    return (
+        f"{cad.file}: {what} of {size} m ({cad.read_as}: {extent(body.triangles)}); {fits}; "
+        "if it belongs there, state beyond_room = true"
+    )
 
 
 def visibility_of(scenario: Scenario, layout: Layout | None = None) -> Visibility:

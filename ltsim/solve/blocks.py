@@ -64,7 +64,7 @@ class Factor:
 
     @in_one_thread
     def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
-        self._system, design = system, system.design
+        self._system, self._damping, design = system, damping, system.design
         self._elimination: Elimination
         try:
             if isinstance(design, np.ndarray):
@@ -76,6 +76,10 @@ class Factor:
         self._scale = self._elimination.scale
         if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest() <= RANK:
             raise SingularSystemError(UNDETERMINED)
+
+    def __reduce__(self) -> tuple[type[Factor], tuple[BlockSystem, float]]:
+        """It is made again of its system, which is smaller."""
+        return Factor, (self._system, self._damping)
 
     def _weakest(self) -> float:
         """Squared length of the image of the weakest direction, by inverse iteration; accurate however small."""

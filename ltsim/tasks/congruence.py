@@ -19,7 +19,7 @@ from scipy import special
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.chances import p_is
-from ltsim.notebook import Columns, Shown
+from ltsim.results import Columns, Result
 from ltsim.units import MICROMETRE
 
 AXES = tuple(enumerate("xyz"))
@@ -58,7 +58,7 @@ class Displacement:
 
 
 @dataclass(frozen=True, repr=False)
-class Congruence(Shown):
+class Congruence(Result):
     """Two epochs compared."""
 
     statistic: float

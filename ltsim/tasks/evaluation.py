@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
-from ltsim.notebook import Columns, Shown, by_row
 from ltsim.recording.recording import Recording
+from ltsim.results import Columns, Result, by_row
 from ltsim.solve.threads import in_one_thread
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.linearity import CURVED, curvature
@@ -24,7 +24,7 @@ MOST_TOLD = 8
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation(Shown):
+class Evaluation(Result):
     """What tasks on a recording are worth."""
 
     tasks: Tasks
@@ -48,7 +48,7 @@ class Evaluation(Shown):
         ]
         more = len(self.results) - len(told)
         head = f"{len(self.results)} results, {100 * coverage:g} % intervals, {self.drawn.trials} trials"
-        return [head, *told, *([f"and {more} more: to_pandas()"] if more > 0 else [])]
+        return [head, *told, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:
         return {"results": self._results, "budget": self._budget}
@@ -126,7 +126,7 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)
-    drawn = draw(inputs, measurands, stretch, tasks.monte_carlo)
+    drawn = draw(inputs, measurands, stretch, tasks.monte_carlo, linear)
     gap = curvature(inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
     agrees = drawn.agrees(linear, tasks.monte_carlo.coverage)

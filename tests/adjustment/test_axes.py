@@ -105,8 +105,8 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
         found = read_axes(tmp_path / name)
         assert list(found) == ["A"]
         np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
-    (tmp_path / "d.csv").write_text("point;x_mm;y_mm;z_mm\nA;1;2;3\n")
-    with pytest.raises(RecordError, match=r"d.csv: has no column target or name"):
+    (tmp_path / "d.csv").write_text("what;when\nA;1\n")
+    with pytest.raises(RecordError, match=r"d.csv: is no list of coordinates, expected a header"):
         read_axes(tmp_path / "d.csv")
 
 

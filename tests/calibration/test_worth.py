@@ -101,8 +101,8 @@ def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
         by_value = point_errors(found.adjustment)
         gap = found.values[0] - truth.state.instrument[0]
         seen.append(gap @ by_value @ gap)
-        told.append(found.correction.corrected**2)
-        assert found.correction.corrected < found.correction.uncorrected
+        told.append(found.correction.corrected_um**2)
+        assert found.correction.corrected_um < found.correction.uncorrected_um
     assert np.sqrt(np.mean(seen) / np.mean(told)) == pytest.approx(1.0, abs=0.35)
 
 

@@ -79,7 +79,7 @@ def test_folder_of_an_earlier_version_is_read_with_its_settings_and_not_continue
     """Its rows hold no settings, its manifest no factors: they come from the cells."""
     out = tmp_path / "out"
     run_campaign(file, out)
-    now = Results(out).to_pandas()
+    now = Results(out).to_dataframe()
     manifest = json.loads((out / "manifest.json").read_text())
     del manifest["factors"], manifest["settings"]["link"]
     for cell in manifest["cells"]:
@@ -91,7 +91,7 @@ def test_folder_of_an_earlier_version_is_read_with_its_settings_and_not_continue
         pq.write_table(rows.drop_columns(["noise_factor"]), path)
     results = Results(out)
     assert [f.name for f in results.factors] == ["noise_factor"]
-    assert results.to_pandas().equals(now)
+    assert results.to_dataframe().equals(now)
     query = "SELECT noise_factor, count(*) FROM rows GROUP BY ALL ORDER BY 1"
     assert results.query(query) == [(1.0, 600), (2.0, 600)]
     with pytest.raises(SetupError, match="begun by an earlier version"):

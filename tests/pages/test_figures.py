@@ -15,7 +15,6 @@ import pytest
 from matplotlib import image
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from tests.report import samples
 
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry
@@ -31,6 +30,7 @@ from ltsim.planning.schema import ChangeEntry
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 from ltsim.simulation.scenario import load_scenario
+from tests.pages import samples
 
 DEFAULT = {colour.lower() for colour in mpl.colors.TABLEAU_COLORS.values()}
 """What matplotlib takes by itself: a red and a green among them that one man in twelve cannot tell apart."""

@@ -7,16 +7,16 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tests.report import samples
+from ltsim.pages.sections.hidden import beside_truth
 
 from ltsim.errors import RecordError
 from ltsim.pages import solids
 from ltsim.pages.document import Document, Listing, Section, Table
 from ltsim.pages.page import document, render
-from ltsim.pages.sections.hidden import beside_truth
 from ltsim.pages.style import DARK, new_figure, svg
 from ltsim.recording import read, write
 from ltsim.recording.setup import About, Instrument
+from tests.pages import samples
 
 ABOUT = About(instrument="Model 9, 751234", date="2026-05-31", operator="A. Muster", customer="Hall <3>")
 

@@ -10,13 +10,13 @@ from urllib.request import urlopen
 from xml.etree.ElementTree import fromstring
 
 import pytest
-from tests.report import samples
 
 from ltsim.calibration import calibrate_network, write_calibration
 from ltsim.errors import LtsimError, RecordError
 from ltsim.pages.document import Document
 from ltsim.pages.page import document, render, report
 from ltsim.recording import write
+from tests.pages import samples
 
 PLACES = ("diagnosis", ".")
 MARKUP = '<img src=x onerror="alert(1)">&amp;'

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib import image
-from tests.report import samples
 
 from ltsim.pages import planned, scene3d, workshop
 from ltsim.pages.document import POLICY
@@ -16,6 +15,7 @@ from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.scene_page import scene_page
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import Obstacle
+from tests.pages import samples
 
 
 @pytest.fixture(scope="module")

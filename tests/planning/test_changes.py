@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.plan.test_hall import HALL, points_csv
-from tests.plan.test_search import site
 
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
@@ -20,6 +18,8 @@ from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.spec import load_plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import fixed_of, site_of, staying
+from tests.planning.test_hall import HALL, points_csv
+from tests.planning.test_search import site
 
 STAYS = np.arange(28) >= 24
 
@@ -51,7 +51,7 @@ def point_error(survey: Survey, names: list[str]) -> float:
 @pytest.mark.parametrize("weights", [{INSTRUMENT: 1.0}, {TARGETS: 1.0}])
 def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     places, names = wall_places()
-    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     objective = Objective(weights)
     found = reflector_changes(where, where.survey, STAYS, objective, misalignment())
     assert {change.what for change in found.told} == {"move", "add", "remove"}
@@ -72,7 +72,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
 
 def test_what_was_tried_and_did_not_help_is_said() -> None:
     places, names = wall_places()
-    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     made = choose_reflectors(where, where.survey, STAYS, Objective(), misalignment())
     found = reflector_changes(where, made, np.arange(28) < 4, Objective(), misalignment())
     assert found.helped["move"] == 0, "the exchange has made every move that helps"
@@ -85,7 +85,7 @@ def test_what_was_tried_and_did_not_help_is_said() -> None:
 
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:
     places, names = wall_places()
-    where = site(places=places, place_names=names, reflector_spacing=0.5)
+    where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     made = choose_reflectors(where, where.survey, STAYS, Objective({TARGETS: 1.0}), misalignment())
     assert LayoutInformation.of(made).target_rms < 0.9 * LayoutInformation.of(where.survey).target_rms
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.plan.fixtures import survey
 
 from ltsim.adjustment import adjust
 from ltsim.effects.range_cyclic import RangeCyclic
@@ -15,6 +14,7 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.planning.improvement import Predictor, expected_length
 from ltsim.planning.information import LayoutInformation
 from ltsim.randomness import stream
+from tests.planning.fixtures import survey
 
 TRIALS = 60
 

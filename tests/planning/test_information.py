@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.plan.fixtures import POSITION, YAW, survey
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -20,6 +19,7 @@ from ltsim.planning.objective import smallest_sizes
 from ltsim.randomness import stream
 from ltsim.recording.setup import Station
 from ltsim.remedies.detectability import examine
+from tests.planning.fixtures import POSITION, YAW, survey
 
 
 def scattered(layouts: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -18,8 +18,8 @@ import numpy as np
 from ltsim.errors import NetworkError
 from ltsim.planning.fast import Reducer
 from ltsim.planning.information import LayoutInformation
-from tests.plan.fixtures import survey
-from tests.plan.test_information import masks
+from tests.planning.fixtures import survey
+from tests.planning.test_information import masks
 
 made, found = survey(), {}
 reducer = Reducer(made)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.plan.fixtures import survey
 
 from ltsim.errors import ModelError
 from ltsim.planning.improvement import Expected, Predictor
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.sensitivity import sensitivity
+from tests.planning.fixtures import survey
 
 
 class Known(Predictor):

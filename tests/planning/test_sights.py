@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.plan.test_hall import HALL, points_csv
-from tests.plan.test_search import site
 
 from ltsim.errors import SetupError
 from ltsim.planning.sights import most_sights, with_reachable_sights
@@ -15,6 +13,8 @@ from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile, Stations, load_plan
 from ltsim.planning.workshop import site_of
 from ltsim.scene.visibility import SightLimits
+from tests.planning.test_hall import HALL, points_csv
+from tests.planning.test_search import site
 
 
 def short_sighted(least: int) -> Site:
@@ -27,7 +27,7 @@ def test_what_can_be_had_is_had() -> None:
     assert most_sights(site(), 0.5, 2)[0] == 3
     found, limiting = most_sights(short_sighted(3), 0.5, 2)
     assert 1 <= found < 3
-    position, _ = short_sighted(3).grid(0.5, 1, 2)
+    position = short_sighted(3).places(0.5, 2)
     share = short_sighted(3).seen(position).mean(axis=0)
     assert limiting == short_sighted(3).survey.target_names[int(np.argmin(share))]
 

@@ -13,7 +13,7 @@ from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.recording import Hints, Recording, read, write
-from ltsim.recording.formats.point_list import read_points
+from ltsim.recording.coordinates import read_points
 from tests.recording.samples import POINTS, outcome, shared, workshop
 
 CLOCKWISE = Hints(azimuth="clockwise")
@@ -212,7 +212,7 @@ def test_point_lists(tmp_path: Path) -> None:
         read_points(file)
     assert len(read_points(file, strict=False).notes) == 2
     file.write_text("A 1 2\n")
-    with pytest.raises(RecordError, match="expected a name, x, y and z"):
+    with pytest.raises(RecordError, match="or lines of a name, x, y and z"):
         read_points(file)
 
 

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from ltsim.errors import SetupError
-from ltsim.scene.meshes import Obstacles, box, native_hits, placed, read_mesh, together
+from ltsim.scene.cad import read_mesh
+from ltsim.scene.meshes import Obstacles, box, native_hits, placed, together
 
 CUBE = together([placed(box(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
 
@@ -70,7 +71,7 @@ def test_nothing_blocks_nothing() -> None:
 def test_cad_files_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"part.{suffix}"
     trimesh.creation.box(extents=(1000, 2000, 500)).export(path)
-    triangles = read_mesh(path, "mm")
+    triangles = read_mesh(path, "mm", "z").triangles
     assert triangles.shape == (12, 3, 3)
     np.testing.assert_allclose(np.ptp(triangles.reshape(-1, 3), axis=0), [1.0, 2.0, 0.5], atol=1e-7)
 
@@ -88,7 +89,7 @@ def test_damaged_files_get_one_sentence(name: str, content: bytes, message: str,
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(SetupError, match=message) as caught:
-        read_mesh(path, "mm")
+        read_mesh(path, "mm", "z")
     assert "\n" not in str(caught.value)
 
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tests.report.browser import FLAGS, find_browser
+from tests.pages.browser import FLAGS, find_browser
 
 UNTIL = """new Promise((done, lost) => {{ const look = n => {{ const found = ({0});
   found ? done(found) : n ? setTimeout(look, 50, n - 1) : lost("never: {1}"); }}; look(600); }})"""

@@ -10,9 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.plan.test_hall import HALL, points_csv
-from tests.report.browser import find_browser
-from tests.view.tab import opened
 
 import ltsim as lt
 from ltsim.cli.main import run
@@ -23,6 +20,9 @@ from ltsim.planning.spec import load_plan
 from ltsim.scene.visibility import Reason
 from ltsim.viewer.board import Board
 from ltsim.viewer.server import Door
+from tests.pages.browser import find_browser
+from tests.planning.test_hall import HALL, points_csv
+from tests.viewer.tab import opened
 
 TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]'
 
@@ -30,7 +30,7 @@ TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]
 @pytest.fixture
 def hall(tmp_path: Path) -> Path:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    text = HALL.replace("[search]", f"[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n{TOLERANCES}")
+    text = HALL.replace("[search]", f"[stations]\ncount = 3\n[work]\nfaces = 1\n{TOLERANCES}")
     (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
     return tmp_path / "hall.toml"
 

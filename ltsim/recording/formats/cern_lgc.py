@@ -123,7 +123,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 def _lines(file: _File) -> Iterator[tuple[int, list[str]]]:
     """Line number and words of every line that says something; comments after % and $ are dropped."""
-    for i, line in enumerate(read_lines(file.path, latin=True)):
+    for i, line in enumerate(read_lines(file.path, liberal=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
             file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
 from decimal import Decimal
 
+from ltsim.errors import RecordError
 from ltsim.recording.files import is_number
 
 FACES = {
@@ -36,14 +37,40 @@ def plain(text: str) -> str:
     return text.replace(grouping, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
+_GROUPED = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+_BOTH = {mark: re.compile(_GROUPED[mark].pattern + rf"[{other}]\d+", re.ASCII) for mark, other in (".,", ",.")}
+
+
+def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
+    """The mark that groups thousands in a sheet, as ``7.000,5`` shows it for the ``7.000`` beside; '' for none.
+
+    Raises
+    ------
+    RecordError
+        Where one cell groups by points and another by commas.
+    """
+    shown = {mark: cell for row in rows for cell in row for mark, form in _BOTH.items() if form.fullmatch(cell)}
+    if len(shown) > 1:
+        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: make them alike", file=file)
+    return next(iter(shown), "")
+
+
+def ungrouped(text: str, grouping: str) -> str:
+    """A number without the marks of its thousands, where the sheet groups them."""
+    return text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text
+
+
 def is_value(text: str) -> bool:
     """Whether a cell is a number or an angle in degrees, minutes and seconds."""
     return is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None
 
 
-def value(text: str) -> Decimal | None:
-    """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none."""
-    number = plain(text)
+def value(text: str, grouping: str = "") -> Decimal | None:
+    """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none.
+
+    `grouping` is that of its sheet, by `grouping_of`.
+    """
+    number = plain(ungrouped(text.strip(), grouping))
     if is_number(number):
         return Decimal(number)
     found = _SEXAGESIMAL.fullmatch(text.strip())

@@ -1,4 +1,4 @@
-"""What a header means: roles of columns by the words of five languages, units in brackets, faces by number."""
+"""What a header means: roles of columns by English and German words, units in brackets, faces by number."""
 
 from __future__ import annotations
 
@@ -9,67 +9,70 @@ from dataclasses import dataclass, replace
 
 from ltsim.errors import RecordError
 from ltsim.recording.files import shown
+from ltsim.units import ANGLES, LENGTHS, NAMED, SMALL_ANGLES
 
+HORIZONTAL = ("horizontal", "azimuth")
+VERTICAL = ("vertical", "zenith", "elevation")
+DISTANCE = ("distance", "flat")
+PLACE = ("x", "y", "z")
+READINGS = (*HORIZONTAL, *VERTICAL, *DISTANCE, *PLACE)
+HEIGHTS = ("instrument_height_mm", "target_height_mm")
+SIGMA_OF = {
+    **dict.fromkeys(DISTANCE, "sigma_distance_mm"),
+    **dict.fromkeys(HORIZONTAL, "sigma_azimuth_arcsec"),
+    **dict.fromkeys(VERTICAL, "sigma_elevation_arcsec"),
+    **{axis: f"sigma_{axis}_mm" for axis in PLACE},
+}
+"""The role of a column with the standard deviation of another."""
 WORDS = {
-    "station": "station stn st setup standpunkt stp stand standort stazione estacion stationname stationid from von "
-    "instrument tracker stationsname",
+    "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
+    "instrument tracker stationsname setupname",
     "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber targetname "
-    "targetid id to nach reflector smr cible punto zielpunkt ziel pointvise nombre nom puntoid nest",
-    "face": "face f lage kreislage cercle faccia cara cerchio circlelage visierlage",
-    "repeat": "repeat repetition rep wiederholung ripetizione repeticion",
-    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction ah "
-    "anglehorizontal angolorizzontale angoloorizzontale angulohorizontal horizontalwinkel hzwinkel direccion "
-    "direzione hcircle hzcircle horizontalcircle",
+    "targetid id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
+    "face": "face f lage kreislage circlelage visierlage",
+    "repeat": "repeat repetition rep wiederholung",
+    "round": "round obsset satz setnumber satznummer",
+    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
+    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
-    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle anglevertical angoloverticale "
-    "angulovertical vcircle verticalcircle",
-    "zenith": "zenith za zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance distancezenithale "
-    "anglezenithal angulocenital angolozenitale cenit zenital zenithal",
-    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel site anglesite angledesite elevacion "
-    "elevazione altitudeangle",
-    "distance": "distance dist d sd slopedist slopedistance slope range r di schragdistanz schraegdistanz "
-    "schragstrecke schraegstrecke strecke distanz distanceinclinee distancia distanza distanciainclinada "
-    "distanzainclinata raumstrecke distance3d sdist",
-    "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz dh hdist distancehorizontale",
-    "time": "time zeit timestamp zeitstempel zeitpunkt datetime heure ora hora tempo temps utc uhrzeit clock "
-    "clocktime times measuredat",
-    "date": "date datum fecha data jour dia day",
-    "sigma_distance_mm": "sigmadistance sigmad sd_distance sdd sdist stddevdistance sigmas sigmarange",
-    "sigma_azimuth_arcsec": "sigmaazimuth sigmahz shz sigmaaz sigmahorizontal stddevhz",
-    "sigma_elevation_arcsec": "sigmaelevation sigmav sv sigmael sigmazenith sigmavertical stddevv",
+    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
+    "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
+    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
+    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz schragstrecke "
+    "schraegstrecke strecke distanz raumstrecke distance3d sdist",
+    "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
+    "x": "x e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
+    "y": "y n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
+    "z": "z h height hohe hoehe zcoordinate zkoordinate",
+    "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
+    "date": "date datum day",
+    "instrument_height_mm": "instrumentheight insthgt insthgtm ih hi fromhgt stationheight instrumentenhohe "
+    "instrumentenhoehe instrumenthohe geratehohe geraetehoehe kippachshohe standpunkthohe",
+    "target_height_mm": "targetheight tohgt th ht hr reflectorheight prismheight rodheight zielhohe zielhoehe "
+    "zielpunkthohe reflektorhohe prismenhohe tafelhohe",
     "air_temperature_c": "airtemperature airtemp lufttemperatur",
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
-UNITS = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "grad°", "degres", "gradi", "grados"), "deg"),
-    **dict.fromkeys(("gon", "gons", "grad", "grads", "g", "gr", "neugrad"), "gon"),
-    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
-    **dict.fromkeys(("dms", "ddmmss", "d m s", "° ' \"", "°'\"", "dd mm ss"), "dms"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-    **dict.fromkeys(("in", "inch", "inches", '"', "zoll"), "in"),
-    **dict.fromkeys(("s", "sec", "second", "seconds", "sek"), "s"),
-    **dict.fromkeys(("arcsec", "cc", "mgon", "um", "urad", "cm", "ft", "ms", "min", "h", "c", "°c", "hpa", "%"), ""),
-}
-UNITS |= {word: word for word, unit in UNITS.items() if not unit}
 ALLOWED = {
-    **dict.fromkeys(("horizontal", "azimuth", "vertical", "zenith", "elevation"), ("deg", "gon", "rad", "dms")),
-    **dict.fromkeys(("distance", "flat"), ("mm", "m", "in", "cm", "ft", "um")),
+    **dict.fromkeys((*HORIZONTAL, *VERTICAL), ANGLES),
+    **dict.fromkeys((*DISTANCE, *PLACE, *HEIGHTS, "sigma_distance_mm"), LENGTHS),
+    **dict.fromkeys((f"sigma_{axis}_mm" for axis in PLACE), LENGTHS),
+    **dict.fromkeys(("sigma_azimuth_arcsec", "sigma_elevation_arcsec"), SMALL_ANGLES),
     "time": ("s", "ms", "min", "h"),
-    **dict.fromkeys(("sigma_azimuth_arcsec", "sigma_elevation_arcsec"), ("arcsec", "cc", "mgon", "urad", "deg", "gon")),
-    "sigma_distance_mm": ("mm", "um", "m"),
-    "air_temperature_c": ("c", "°c", "deg"),
+    "air_temperature_c": ("c", "deg"),
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-HORIZONTAL = ("horizontal", "azimuth")
-VERTICAL = ("vertical", "zenith", "elevation")
-DISTANCE = ("distance", "flat")
-MAPPED = (*(role for role in WORDS if "_" not in role),)
+"""Units of a role; a column in another unit has not that role."""
+WEAK = ("nr", "nummer", "no")
+"""Words that name the target where no other word does."""
+MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
+_SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
+_VALUE = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 
 @dataclass(frozen=True)
@@ -82,32 +85,50 @@ class Column:
     unit: str = ""
     face: int = 0
 
+    @property
+    def is_further(self) -> bool:
+        """Whether it is kept beside the pointing: what has a name and is no part of it."""
+        return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
+
 
 def columns_of(fields: Sequence[str]) -> list[Column]:
     """Columns of a header, each with the role and unit that its words have.
 
     Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
+    Coordinates beside polar readings are further columns.
     """
     found = [_column(place, title) for place, title in enumerate(fields)]
     both = {c.role for c in found if c.face == 1} & {c.role for c in found if c.face == 2}
+    polar = _kinds_in(found) > 1
+    named = {words_of(c.title)[0] for c in found if c.role == "target"}
     kept: list[Column] = []
     taken: set[tuple[str, int]] = set()
     for column in found:
         one = column
         if one.face and one.role not in both:
-            one = replace(_column(one.place, one.title, faced=False))
-        if one.role and (one.role, one.face) in taken:
+            one = _column(one.place, one.title, faced=False)
+        if one.role == "target" and words_of(one.title)[0] in WEAK and not named <= {*WEAK}:
+            one = replace(one, role="")
+        if one.role and ((one.role, one.face) in taken or (polar and one.role in PLACE)):
             one = replace(one, role="", face=0)
         taken.add((one.role, one.face))
         kept.append(one)
     return kept
 
 
-def is_header(columns: Sequence[Column]) -> bool:
-    """Whether a direction, a vertical angle or a distance are among the columns: two of them at least."""
+def _kinds_in(columns: Sequence[Column]) -> int:
     roles = {column.role for column in columns}
-    kinds = [bool(roles.intersection(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE)]
-    return sum(kinds) > 1
+    return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE))
+
+
+def is_header(columns: Sequence[Column]) -> bool:
+    """Whether two of direction, vertical angle and distance are among the columns, or all three coordinates."""
+    return _kinds_in(columns) > 1 or names_places(columns)
+
+
+def names_places(columns: Sequence[Column]) -> bool:
+    """Whether the columns hold x, y, z of named targets."""
+    return {"target", *PLACE} <= {column.role for column in columns}
 
 
 def words_of(title: str) -> tuple[str, str]:
@@ -118,9 +139,21 @@ def words_of(title: str) -> tuple[str, str]:
         name, unit = bracket.groups()
     else:
         parts = re.split(r"[\s_]+", title.strip())
-        if len(parts) > 1 and parts[-1].lower() in UNITS and ROLE_OF.get(_folded("".join(parts[:-1]))):
+        if len(parts) > 1 and parts[-1].lower() in NAMED and role_of("".join(parts[:-1])):
             name, unit = " ".join(parts[:-1]), parts[-1]
-    return _folded(name), UNITS.get(unit.strip().lower(), unit.strip())
+    return _folded(name), NAMED.get(unit.strip().lower(), unit.strip())
+
+
+def role_of(name: str) -> str:
+    """The role of a header by its words, such as `haerror` for the sigma of a direction; '' for none."""
+    name = _folded(name)
+    if name in ROLE_OF:
+        return ROLE_OF[name]
+    value = _VALUE.fullmatch(name)
+    if value is not None and value[1] in ROLE_OF:
+        return ROLE_OF[value[1]]
+    stems = [found[1] for form in _SIGMAS if (found := form.fullmatch(name))]
+    return next((SIGMA_OF[ROLE_OF[stem]] for stem in stems if ROLE_OF.get(stem) in SIGMA_OF), "")
 
 
 def _folded(text: str) -> str:
@@ -130,13 +163,14 @@ def _folded(text: str) -> str:
 
 def _column(place: int, title: str, *, faced: bool = True) -> Column:
     name, unit = words_of(title)
-    role, face = ROLE_OF.get(name, ""), 0
+    role, face = role_of(name), 0
     numbered = _FACED.fullmatch(name) if faced and not role else None
     if numbered is not None:
-        role = ROLE_OF.get(numbered.group(1), "")
+        role = role_of(numbered.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
     if role in ALLOWED and unit and unit not in ALLOWED[role]:
-        role, face = "", 0
+        # surveyors' lists have heights in a column called elevation
+        role, face = ("z" if role == "elevation" and unit in LENGTHS else ""), 0
     return Column(place, title, role, unit, face)
 
 
@@ -185,7 +219,7 @@ def _titled(text: str) -> tuple[str, str]:
     bracket = _BRACKET.fullmatch(text)
     if bracket is None or not bracket.group(1):
         return text, ""
-    return bracket.group(1), UNITS.get(bracket.group(2).lower(), bracket.group(2))
+    return bracket.group(1), NAMED.get(bracket.group(2).lower(), bracket.group(2))
 
 
 def _place(fields: Sequence[str], title: str) -> int | None:

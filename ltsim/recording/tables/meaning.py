@@ -8,7 +8,7 @@ coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle ca
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
@@ -31,22 +31,19 @@ from ltsim.recording.conventions import (
     sense_by_poses,
     sense_unknown,
 )
+from ltsim.recording.files import shown
+from ltsim.recording.plausibility import SHORTEST_MM
 from ltsim.recording.setup import Setup
-from ltsim.recording.tables.header import DISTANCE, HORIZONTAL, VERTICAL, Column
+from ltsim.recording.tables import cells
+from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, VERTICAL, Column
 from ltsim.recording.tables.rows import Printed, Table
-from ltsim.units import DEGREE, MILLIMETRE
+from ltsim.units import DEGREE, MILLIMETRE, ratio
 
-PI = Decimal("3.14159265358979323846264338327950288")
-DEGREES = {"deg": Decimal(1), "dms": Decimal(1), "gon": Decimal("0.9"), "rad": 180 / PI}
-MILLIMETRES = {
-    "mm": Decimal(1),
-    "m": Decimal(1000),
-    "in": Decimal("25.4"),
-    "cm": Decimal(10),
-    "ft": Decimal("304.8"),
-    "um": Decimal("0.001"),
-}
 HALF, FULL, QUARTER = Decimal(180), Decimal(360), Decimal(90)
+TALL_M = (0.2, 3.0)
+"""[m] Heights of instruments and targets over their marks lie here: they tell metres from millimetres."""
+AMBIGUOUS_MM = 1000.0
+"""Longest distance that may as well be in metres."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +59,33 @@ class Meaning:
 
     def readings(self, p: Printed) -> tuple[float, float, float]:
         """Raw range [m], azimuth, elevation [rad] of a pointing, in the numbers that a native file would hold."""
-        nan = Decimal("nan")
-        length = nan if p.distance is None else p.distance * MILLIMETRES[self.length_unit]
-        turn = nan if p.horizontal is None else p.horizontal * DEGREES[self.horizontal_unit]
-        if self.azimuth == "clockwise" and p.horizontal is not None:
-            turn = -turn % FULL
-            turn += FULL if turn < 0 else 0
-        up = nan if p.vertical is None else p.vertical * DEGREES[self.vertical_unit]
-        if self.vertical == "zenith":
-            up = QUARTER - up
-        if p.vertical is not None and up < -QUARTER:
-            up += FULL
+        length = turn = up = Decimal("nan")
+        if (printed := _of(p, DISTANCE)) is not None:
+            length = printed * ratio(self.length_unit, "mm")
+        if (printed := _of(p, HORIZONTAL)) is not None:
+            turn = printed * ratio(self.horizontal_unit, "deg")
+            if self.azimuth == "clockwise":
+                turn = -turn % FULL
+                turn += FULL if turn < 0 else 0
+        if (printed := _of(p, VERTICAL)) is not None:
+            up = printed * ratio(self.vertical_unit, "deg")
+            up = QUARTER - up if self.vertical == "zenith" else up
+            up += FULL if up < -QUARTER else 0
         return float(length) * MILLIMETRE, float(turn) * DEGREE, float(up) * DEGREE
+
+    def unit_of(self, role: str) -> str:
+        """The unit of the readings that a column of sigmas or heights stands beside, where it states none."""
+        return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
+            role, self.length_unit
+        )
+
+
+def _float(value: Decimal | None) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _of(p: Printed, kind: Sequence[str]) -> Decimal | None:
+    return next((p.values[role] for role in kind if role in p.values), None)
 
 
 def meaning_of(table: Table, setup: Setup, hints: Hints, file: Path) -> Meaning:
@@ -88,7 +100,7 @@ def meaning_of(table: Table, setup: Setup, hints: Hints, file: Path) -> Meaning:
     stated = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     polar = _polar(table, file)
     units, vertical, notes = _angles(columns, stated, polar, hints, file)
-    length, more = _length(stated["distance"], polar, hints)
+    length, more = _length(stated["distance"], polar, table, hints, file)
     found = Meaning(*units, length, vertical, "counter-clockwise")
     azimuth, why = _sense(table, found, polar, setup, hints, file)
     return replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
@@ -98,9 +110,8 @@ def _polar(table: Table, file: Path) -> PolarTable:
     """The numbers as printed, for whoever decides by them."""
     _, station = indices((p.station for p in table.pointings), "station", file)
     _, target = indices((p.target for p in table.pointings), "target", file)
-    numbers = np.array(
-        [[np.nan if v is None else float(v) for v in (p.horizontal, p.vertical, p.distance)] for p in table.pointings]
-    )
+    kinds = (HORIZONTAL, VERTICAL, DISTANCE)
+    numbers = np.array([[_float(_of(p, kind)) for kind in kinds] for p in table.pointings])
     return PolarTable(station, target, *numbers.T)
 
 
@@ -118,7 +129,7 @@ def _angles(
     # The data are asked in one unit: angles in different ones are brought to degrees first.
     asked, known = polar, None
     if unit:
-        turns = [float(DEGREES[u or unit]) for u in (one, other)]
+        turns = [float(ratio(u or unit, "deg")) for u in (one, other)]
         asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
         known = "deg"
     if known and (said or hints.vertical):
@@ -130,10 +141,20 @@ def _angles(
     return (one or unit or angle, other or unit or angle), vertical, notes
 
 
-def _length(stated: str, polar: PolarTable, hints: Hints) -> tuple[str, list[str]]:
-    if stated:
-        return stated, []
-    return ("mm", []) if not np.isfinite(polar.distance).any() else length_meaning(polar, hints)
+def _length(stated: str, polar: PolarTable, table: Table, hints: Hints, file: Path) -> tuple[str, list[str]]:
+    """Unit of the distances: as stated, by heights beside them, by their size, or asked for."""
+    if stated or not np.isfinite(polar.distance).any():
+        return stated or hints.length or "mm", []
+    longest = float(np.nanmax(polar.distance))
+    if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
+        return length_meaning(polar, hints)
+    column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
+    heights = [] if column is None else [cells.value(p.further.get(column.title, "")) for p in table.pointings]
+    tall = [abs(float(height)) for height in heights if height]
+    if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
+        return "m", [f"distances taken as m: '{shown(column.title)}' beside them holds heights of metres"]
+    message = f"distances of up to {longest:.6g} may be metres or millimetres; say which: --hint length=m or"
+    raise RecordError(f"{message} --hint length=mm", file=file)
 
 
 def _sense(
@@ -152,7 +173,9 @@ def _sense(
     if azimuth is not None:
         return azimuth, [f"azimuths taken as {azimuth}: so the stations see the same points from their rough places"]
     column = table.column(HORIZONTAL)
-    if column is not None and column.role == "horizontal":
+    if table.positional or column is None:
+        raise RecordError(sense_unknown(), file=file)
+    if column.role == "horizontal":
         circle = f"'{column.title}' taken as a horizontal circle, clockwise"
         return "clockwise", [circle + " (--hint azimuth=counter-clockwise says otherwise)"]
     if meaning.vertical == "elevation":

@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.recording.build import NAN, Pointing, recording_of
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
 from ltsim.recording.files import MAX_TEXT, check_name, shown
-from ltsim.recording.recording import KIND_COLUMN, Recording
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.dialect import SUFFIXES, WORKBOOK, Row, is_folder, separator_of, sheets_of, split
-from ltsim.recording.tables.header import Column
-from ltsim.recording.tables.meaning import meaning_of
+from ltsim.recording.tables.header import ALLOWED, Column, names_places
+from ltsim.recording.tables.meaning import Meaning, meaning_of
+from ltsim.recording.tables.names import common_names
+from ltsim.recording.tables.places import is_of_places, readings_of_places
 from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
-from ltsim.units import FACTOR
+from ltsim.recording.tables.setups import over_marks, split_rounds
+from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, Row, is_folder, separator_of, sheets_of, split
+from ltsim.units import FACTOR, ratio
 
 SETUP = "setup.toml"
-ANGLE_IN_ARCSEC = {"arcsec": 1.0, "cc": 0.324, "mgon": 3.24, "gon": 3240.0, "deg": 3600.0, "urad": 0.20626480624709636}
-SIGMA_UNIT = {"sigma_distance_mm": {"mm": 1.0, "um": 1e-3, "m": 1e3}, "sigma_azimuth_arcsec": ANGLE_IN_ARCSEC}
-SIGMA_UNIT["sigma_elevation_arcsec"] = ANGLE_IN_ARCSEC
 MOST_SHOWN = 3
+Further = tuple[dict[str, float], dict[str, str]]
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -34,46 +37,52 @@ def recognises(path: Path, head: str) -> bool:
         return is_folder(path)
     if head.startswith(WORKBOOK.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
-    if "\x00" in head or head.lstrip()[:1] in ("<", "{"):
+    if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False
     lines = [line for line in head.splitlines()[:-1][:60] if line.strip()]
     separator = separator_of(lines)
     rows = [Row(i, split(line.lstrip("# "), separator)) for i, line in enumerate(lines)]
-    named = any(header_of(row, NO_HINTS) for row in rows)
+    headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
+    if headers and names_places(headers[0]) and not any(c.role == "station" for c in headers[0]):
+        return False  # a list of coordinates, unless its station is named
     measured = sum(sum(map(cells.is_value, row.fields)) > 1 and len(row.fields) > 2 for row in rows)
-    return measured > 0 and (named or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows)))
+    return measured > 0 and (bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows)))
 
 
-def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Read a table; raises RecordError."""
-    table = table_of(sheets_of(path), hints, path)
+def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
+    """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
+    table = table_of(sheets_of(path), hints, path, positional=positional)
+    renamed, named = common_names([(p.station, p.target) for p in table.pointings])
+    table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
     setup, notes = _setup(path, hints)
-    meaning = meaning_of(table, setup, hints, path)
-    readings = np.array([meaning.readings(p) for p in table.pointings])
+    if is_of_places(table):
+        meaning, readings, sigmas = readings_of_places(table, hints, path)
+    else:
+        meaning = meaning_of(table, setup, hints, path)
+        readings, sigmas = np.array([meaning.readings(p) for p in table.pointings]), None
+    rounds = split_rounds(table, readings)
+    setup, over = over_marks(table, setup)
     faces, reduced = _faces(table, readings)
     times, started, timed = _times(table, hints, path)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
-    further, kept = _further(table)
-    flat = table.column(("flat",)) is not None
-    pointings = [
-        Pointing(
-            p.station,
-            check_name(p.target, "target", file=p.file, row=p.line),
-            face,
-            distance,
-            azimuth,
-            elevation,
-            time=time,
-            covariates=covariates,
-            labels={KIND_COLUMN: "horizontal", **labels} if flat else labels,
-            source=f"{Path(str(p.file)).name}, line {p.line}",
+    further, kept = _further(table, meaning)
+    days = _days(table) if timed else None
+    pointings = []
+    for i, (p, face, (distance, azimuth, elevation)) in enumerate(
+        zip(table.pointings, faces, readings.tolist(), strict=True)
+    ):
+        covariates, labels = further[i]
+        covariates |= sigmas[i] if sigmas else {}
+        labels |= {"date": days[i]} if days else {}
+        if "flat" in p.values:
+            labels[KIND_COLUMN] = "horizontal"
+        target = check_name(p.target, "target", file=p.file, row=p.line)
+        source = f"{Path(str(p.file)).name}, line {p.line}"
+        pointings.append(
+            Pointing(p.station, target, face, distance, azimuth, elevation, times[i], covariates, labels, source)
         )
-        for p, face, (distance, azimuth, elevation), time, (covariates, labels) in zip(
-            table.pointings, faces, readings.tolist(), times, further, strict=True
-        )
-    ]
-    said = [*table.notes, *meaning.notes, *reduced, *timed, *kept, *_left_out(table), *notes]
+    said = [*table.notes, *named, *meaning.notes, *rounds, *over, *reduced, *timed, *kept, *_left_out(table), *notes]
     return recording_of(pointings, setup, notes=said, file=path)
 
 
@@ -87,7 +96,7 @@ def _setup(path: Path, hints: Hints) -> tuple[Setup, list[str]]:
     return read_setup(file), [f"noise and what else is known are read from {file}"]
 
 
-def _faces(table: Table, readings: np.ndarray) -> tuple[list[int], list[str]]:
+def _faces(table: Table, readings: Floats) -> tuple[list[int], list[str]]:
     """Face of each pointing; readings of face 2 that were reduced to face 1 are turned back in place."""
     beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     stated = [p.face for p in table.pointings]
@@ -121,36 +130,60 @@ def _times(table: Table, hints: Hints, file: Path) -> tuple[list[float], str, li
     if found is None:
         unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
+    if not any(":" in text for text in texts):
+        return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
     return found, start, []
 
 
-def _further(table: Table) -> tuple[list[tuple[dict[str, float], dict[str, str]]], list[str]]:
-    """Further columns of each pointing: numbers as covariates, texts as labels."""
-    columns = [c for c in table.columns if c.title and (not c.role or "_" in c.role)]
-    numeric = {c.title for c in columns if _is_numeric(c, table.pointings)}
-    names = {c.title: _name(c, c.title in numeric) for c in columns}
-    factors = {c.title: SIGMA_UNIT.get(c.role, {}).get(c.unit, 1.0) for c in columns}
-    found = []
+def _days(table: Table) -> list[str] | None:
+    """The column of dates as text, which is kept where it is no clock."""
+    return [p.moment for p in table.pointings] if table.column(("date",)) else None
+
+
+def _further(table: Table, meaning: Meaning) -> tuple[list[Further], list[str]]:
+    """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
+
+    Sigmas and heights have names and units of their own, those of the readings where their header states none.
+    """
+    columns = [c for c in table.columns if c.is_further]
+    numeric = {c.title: number for c in columns if (number := _factor(c, table.pointings, meaning)) is not None}
+    names = {c.title: c.role if "_" in c.role and c.title in numeric else c.title for c in columns}
+    found: list[Further] = []
     for p in table.pointings:
-        values = {names[t]: _number(x) * factors[t] for t, x in p.further.items() if t in numeric}
+        values = {names[t]: _number(p, t) * factor for t, factor in numeric.items() if t in p.further}
         found.append((values, {names[t]: x for t, x in p.further.items() if t not in numeric}))
-    kept = ", ".join(f"'{shown(names[c.title])}'" for c in columns)
-    return found, [f"kept as further columns: {kept}"] if kept else []
+    own = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
+    said = [
+        f"'{shown(c.title)}' taken as {c.role}" + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
+        for c in columns
+        if c.title in own and c.title in numeric
+    ]
+    kept = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in own)
+    return found, [*said, *([f"kept as further columns: {kept}"] if kept else [])]
 
 
-def _is_numeric(column: Column, pointings: Sequence[Printed]) -> bool:
-    texts = [p.further.get(column.title, "") for p in pointings]
-    return any(texts) and all(cells.value(text) is not None for text in texts if text)
+def _unit(column: Column, meaning: Meaning) -> str:
+    """The unit of a column of sigmas or heights."""
+    return column.unit or meaning.unit_of(column.role)
 
 
-def _number(text: str) -> float:
-    number = cells.value(text) if text else None
+def _factor(column: Column, pointings: Sequence[Printed], meaning: Meaning) -> float | None:
+    """What the numbers of a column are multiplied by; None for a column of text."""
+    texts = [(p.further.get(column.title, ""), p.grouping) for p in pointings]
+    numeric = any(t for t, _ in texts) and all(cells.value(t, grouping) is not None for t, grouping in texts if t)
+    if not numeric:
+        return None
+    wanted = column.role.rpartition("_")[2]
+    if wanted not in ("mm", "arcsec"):
+        return 1.0
+    unit = _unit(column, meaning)
+    return float(ratio(unit, wanted)) if unit in (*ALLOWED[column.role], "dms") else 1.0
+
+
+def _number(p: Printed, title: str) -> float:
+    text = p.further[title]
+    number = cells.value(text, p.grouping) if text else None
     return NAN if number is None else float(number)
-
-
-def _name(column: Column, numeric: bool) -> str:
-    """Name of a further column: that of the native format where the header means one, otherwise the header."""
-    return column.role if column.role and numeric else column.title
 
 
 def _left_out(table: Table) -> list[str]:

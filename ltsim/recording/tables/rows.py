@@ -11,39 +11,41 @@ from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
 from ltsim.recording.files import check_text, shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.dialect import Row, Sheet
 from ltsim.recording.tables.header import (
     DISTANCE,
     HORIZONTAL,
-    ROLE_OF,
+    READINGS,
     VERTICAL,
     Column,
     assignments,
     columns_of,
     is_header,
     mapped,
+    role_of,
     words_of,
 )
+from ltsim.recording.tables.sheets import Row, Sheet, check_whole, words_of_row
 
-READINGS = (HORIZONTAL, VERTICAL, DISTANCE)
+POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
+"""Roles of a table without a header whose lines are names and three numbers."""
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
 @dataclass(frozen=True)
 class Printed:
-    """One pointing as its row prints it: angles and distance in the units of their columns, None where empty."""
+    """One pointing as its row prints it: numbers by role in the units of their columns, those that are not empty."""
 
     file: object
     line: int
     station: str
     target: str
     face: int | None
-    horizontal: Decimal | None
-    vertical: Decimal | None
-    distance: Decimal | None
+    values: dict[str, Decimal]
     moment: str = ""
-    repeat: str = ""
     further: dict[str, str] = field(default_factory=dict)
+    grouping: str = ""
+    round: str = ""
+    """Which round of its station it belongs to: a number, perhaps with a day."""
 
 
 @dataclass
@@ -54,39 +56,59 @@ class Table:
     pointings: list[Printed] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     nameless: bool = False
+    positional: bool = False
+    marks: dict[str, str] = field(default_factory=dict)
+    """Name of the mark under each set-up whose own name differs from it."""
     notes: list[str] = field(default_factory=list)
 
     def column(self, kind: Sequence[str]) -> Column | None:
         """The first column of one of the roles."""
         return next((c for c in self.columns if c.role in kind), None)
 
+    def take(self, columns: Sequence[Column], file: object, row: int | None = None) -> None:
+        """A further header: of the same roles and units, perhaps with more columns that are kept.
 
-def table_of(sheets: Sequence[Sheet], hints: Hints, file: object) -> Table:
-    """The pointings of all sheets.
+        Raises
+        ------
+        RecordError
+            Where it holds other readings, or in other units.
+        """
+        said = [[(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)]
+        if said[0] and said[0] != said[1]:
+            message = "its columns differ from those of the headers before, expected the same roles and units"
+            raise RecordError(message, file=file, row=row)
+        titles = {c.title for c in self.columns}
+        self.columns += [c for c in columns if c.title not in titles]
+
+    def add(self, other: Table, file: object) -> None:
+        """The pointings of a further sheet; raises RecordError."""
+        self.take(other.columns, file)
+        self.pointings += other.pointings
+        self.left_out += other.left_out
+        self.notes += [note for note in other.notes if note not in self.notes]
+        self.nameless |= other.nameless
+        self.positional |= other.positional
+
+
+def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> Table:
+    """The pointings of all sheets; `positional` takes lines of names and three numbers without a header.
 
     Raises
     ------
     RecordError
         Where a header does not say what its columns hold, headers differ in what they hold, or a cell is wrong.
     """
-    whole: Table | None = None
+    whole = Table([])
     for sheet in sheets:
-        start = _header_at(sheet, hints)
-        if start is None:
-            if len(sheets) > 1 and not _looks_measured(sheet):
-                continue
-            raise RecordError(_unnamed(sheet), file=sheet.file)
-        one = _SheetReader(sheet, hints, several=len(sheets) > 1).read(start)
-        if whole is None:
-            whole = one
-        elif [(c.role, c.unit) for c in one.columns if c.role] != [(c.role, c.unit) for c in whole.columns if c.role]:
-            message = "its columns differ from those of the files or sheets before, expected the same roles and units"
-            raise RecordError(message, file=sheet.file)
-        else:
-            whole.pointings += one.pointings
-            whole.left_out += one.left_out
-            whole.nameless |= one.nameless
-    if whole is None or not whole.pointings:
+        start = header_at(sheet, hints)
+        reader = _SheetReader(sheet, hints, several=len(sheets) > 1)
+        if start is not None:
+            whole.add(reader.read(start), sheet.file)
+        elif positional:
+            whole.add(reader.read_positional(), sheet.file)
+        elif len(sheets) == 1 or any(sum(map(cells.is_value, row.fields)) > 2 for row in sheet.rows[:50]):
+            raise RecordError(unnamed(sheet), file=sheet.file)
+    if not whole.pointings:
         raise RecordError("holds no pointings", file=file)
     return whole
 
@@ -99,18 +121,14 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[Column] | Non
     return columns if is_header(columns) and not any(cells.is_value(f) for f in row.fields) else None
 
 
-def _header_at(sheet: Sheet, hints: Hints) -> int | None:
+def header_at(sheet: Sheet, hints: Hints) -> int | None:
     """Place of the first header; -1 where `hints.columns` counts the columns of a table without one."""
-    if hints.columns is not None:
+    if hints.columns is not None and sheet.rows:
         asked = assignments(hints.columns, sheet.file)
         if all(title.isdigit() for *_, title, _ in asked):
             first = next((i for i, row in enumerate(sheet.rows) if not row.comment), 0)
             return first if not any(map(cells.is_value, sheet.rows[first].fields)) else first - 1
     return next((i for i, row in enumerate(sheet.rows) if header_of(row, hints, sheet.file) is not None), None)
-
-
-def _looks_measured(sheet: Sheet) -> bool:
-    return any(sum(map(cells.is_value, row.fields)) > 2 for row in sheet.rows[:50])
 
 
 class _SheetReader:
@@ -120,28 +138,47 @@ class _SheetReader:
         self.sheet, self.hints = sheet, hints
         self.station = sheet.name if several else hints.station or ""
         self.table = Table([])
+        self.columns: list[Column] = []
         self.wanted: list[int] = []
 
     def read(self, start: int) -> Table:
+        """The rows below the header in row `start`; -1 counts columns."""
         rows = self.sheet.rows
         for row in rows[: max(start, 0)]:
             self._other(row)
         if start < 0:
-            width = len(rows[start + 1].fields)
-            numbered = Row(0, tuple(str(i + 1) for i in range(width)))
-            self.table.columns = header_of(numbered, self.hints, self.sheet.file) or []
-            self.wanted = list(range(width))
-        for i, row in enumerate(rows[max(start, 0) :]):
-            measured = self._has_values(row)
+            numbered = Row(0, tuple(str(i + 1) for i in range(len(rows[start + 1].fields))))
+            self._head(header_of(numbered, self.hints, self.sheet.file) or [], None)
+        return self._read(rows[max(start, 0) :])
+
+    def read_positional(self) -> Table:
+        """Lines of station, target and three numbers; of the target alone where they are shorter by one."""
+        body = [row for row in self.sheet.rows if not row.comment]
+        roles = POSITIONS[1:] if body and len(body[0].fields) == 4 else POSITIONS
+        for row in body:
+            if len(row.fields) != len(roles):
+                message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
+                raise RecordError(message, file=self.sheet.file, row=row.line)
+        self.table.positional = True
+        self._head([Column(i, role, role) for i, role in enumerate(roles)], None)
+        return self._read(self.sheet.rows, every=True)
+
+    def _head(self, columns: list[Column], row: int | None) -> None:
+        self.table.take(columns, self.sheet.file, row)
+        self.columns = columns
+        self.wanted = [c.place for c in columns if c.role in READINGS]
+
+    def _read(self, rows: Sequence[Row], *, every: bool = False) -> Table:
+        for i, row in enumerate(rows):
+            measured = (every and not row.comment) or self._has_values(row)
             again = header_of(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
-                self.table.columns = again
-                self.wanted = [c.place for c in again if any(c.role in kind for kind in READINGS)]
+                self._head(again, row.line)
             elif row.comment or not measured:
                 self._other(row)
             else:
-                self._pointing(row, last=i + max(start, 0) == len(rows) - 1)
-        self.table.notes += _doubled(self.table.columns)
+                self._pointing(row, last=i == len(rows) - 1)
+        self.table.notes += _doubled(self.columns)
         return self.table
 
     def _has_values(self, row: Row) -> bool:
@@ -150,70 +187,56 @@ class _SheetReader:
 
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
-        text = " ".join(field for field in row.fields if field)
-        found = _STATION.fullmatch(text)
-        if found is not None and ROLE_OF.get(words_of(found.group(1))[0]) == "station":
+        found = _STATION.fullmatch(" ".join(field for field in row.fields if field))
+        if found is not None and role_of(found.group(1)) == "station":
             self.station = found.group(2)
         elif not row.comment:
-            self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{shown(text, 30)}')")
+            self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{words_of_row(row)}')")
 
     def _pointing(self, row: Row, *, last: bool) -> None:
-        columns, file = self.table.columns, self.sheet.file
+        columns, file = self.columns, self.sheet.file
         if last and self.sheet.open_end:
             if self.hints.growing:
                 return  # it may not be whole yet
-            self._check_cut(row)
+            check_whole(self.sheet, len(columns), strict=self.table.positional)
         if len(row.fields) > len(columns) and any(row.fields[len(columns) :]):
             message = f"{len(row.fields)} fields, expected {len(columns)} as in the header"
             raise RecordError(message, file=file, row=row.line)
         cell = {c.place: row.fields[c.place] if c.place < len(row.fields) else "" for c in columns}
         for face in (1, 2) if any(c.face for c in columns) else (0,):
             one = self._one(row, [c for c in columns if c.face in (0, face)], cell, face)
-            if face == 0 or any(v is not None for v in (one.horizontal, one.vertical)):
+            if face == 0 or any(role in one.values for role in (*HORIZONTAL, *VERTICAL)):
                 self.table.pointings.append(one)
 
-    def _check_cut(self, row: Row) -> None:
-        """The last line without a line break: whole if it ends as the one before it does."""
-        before = next((p for p in reversed(self.sheet.rows[:-1]) if len(p.fields) == len(self.table.columns)), None)
-        ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
-        if len(row.fields) != len(self.table.columns) or (len(ends) == 2 and ends[0] < ends[1]):
-            raise RecordError("the file ends inside this row: it was cut", file=self.sheet.file, row=row.line)
-
     def _one(self, row: Row, columns: list[Column], cell: dict[int, str], face: int) -> Printed:
-        file = self.sheet.file
+        def text(role: str) -> str:
+            return next((cell[c.place] for c in columns if c.role == role), "")
 
-        def text(*roles: str) -> str:
-            return next((cell[c.place] for c in columns if c.role in roles), "")
-
-        def number(roles: Sequence[str]) -> Decimal | None:
-            column = next((c for c in columns if c.role in roles), None)
-            if column is None or not cell[column.place]:
-                return None
-            found = cells.value(cell[column.place])
-            if found is None or not abs(found) < 10**9:
-                message = f"found '{shown(cell[column.place])}', expected a number"
-                raise RecordError(message, file=file, row=row.line, column=shown(column.title))
-            return found
-
-        station, target = text("station") or self.station, text("target")
+        station, file = text("station") or self.station, self.sheet.file
         self.table.nameless |= not station
+        further = {c.title: cell[c.place] for c in columns if c.is_further}
         return Printed(
             file,
             row.line,
             station or "S1",
-            target,
+            text("target"),
             face or _face(text("face"), row, file),
-            number(HORIZONTAL),
-            number(VERTICAL),
-            number(DISTANCE),
+            {c.role: self._number(cell[c.place], c, row) for c in columns if c.role in READINGS and cell[c.place]},
             moment=" ".join(filter(None, (text("date"), text("time")))),
-            repeat=text("repeat"),
-            further={c.title: check_text(cell[c.place], file=file, row=row.line) for c in columns if _is_further(c)},
+            further={title: check_text(said, file=file, row=row.line) for title, said in further.items()},
+            grouping=self.sheet.grouping,
+            round=" ".join(filter(None, (text("date"), text("round")))),
         )
 
-
-def _is_further(column: Column) -> bool:
-    return bool(column.title) and (not column.role or "_" in column.role)
+    def _number(self, text: str, column: Column, row: Row) -> Decimal:
+        found = cells.value(text, self.sheet.grouping)
+        if found is None or not abs(found) < 10**9:
+            what = f"found '{shown(text)}', expected a number"
+            raise RecordError(what, file=self.sheet.file, row=row.line, column=shown(column.title))
+        if column.role in DISTANCE and not found > 0:
+            what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
+            raise RecordError(what, file=self.sheet.file, row=row.line, column=shown(column.title))
+        return found
 
 
 def _face(text: str, row: Row, file: object) -> int | None:
@@ -228,7 +251,7 @@ def _face(text: str, row: Row, file: object) -> int | None:
 def _doubled(columns: Sequence[Column]) -> list[str]:
     """A word on columns whose header could have been a role that another column has."""
     taken = {c.role: c.title for c in columns if c.role}
-    lost = [(c.title, ROLE_OF.get(words_of(c.title)[0], "")) for c in columns if not c.role]
+    lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]
     return [
         f"column '{shown(title)}' is kept as a further one; the {role} is read from '{shown(taken[role])}'"
         for title, role in lost
@@ -236,7 +259,7 @@ def _doubled(columns: Sequence[Column]) -> list[str]:
     ]
 
 
-def _unnamed(sheet: Sheet) -> str:
+def unnamed(sheet: Sheet) -> str:
     """The sentence for a header that says nothing, with the option to type."""
     head = next((row for row in sheet.rows if len(row.fields) > 2 and not any(map(cells.is_value, row.fields))), None)
     body = [row.fields for row in sheet.rows if sum(map(cells.is_value, row.fields)) > 1]
@@ -253,9 +276,9 @@ def _unnamed(sheet: Sheet) -> str:
 def _guess(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
     """Names first, then a face, then three numbers: an angle, a vertical angle, a distance."""
     columns = list(zip(*body[:400], strict=True))
-    texts = [i for i, column in enumerate(columns) if not all(map(cells.is_value, column))]
+    texts = [i for i, column in enumerate(columns) if any(column) and not all(map(cells.is_value, column))]
     faces = [i for i, column in enumerate(columns) if i not in texts and all(map(cells.face, column))]
-    numbers = [i for i in range(len(columns)) if i not in texts and i not in faces][:3]
+    numbers = [i for i in range(len(columns)) if all(map(cells.is_value, columns[i])) and i not in faces][:3]
     texts.sort(key=lambda i: len(set(columns[i])))
     roles = ("station", "target")[-len(texts) :] if texts else ()
     said = [f"{role}={titles[i]}" for role, i in zip(roles, texts, strict=False)]

@@ -1,0 +1,134 @@
+"""Thirty commands, run by this checkout and by another: the numbers should be the same.
+
+    python -m benchmarks.same_numbers ../other-checkout [--keep build/same]
+
+Each checkout has a folder of its own; every number of every JSON and CSV file that both wrote is compared. The worst
+of those that differ by more than one in a million is listed with its file and place.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parents[1]
+START = "from ltsim.cli.main import main; main()"
+COMMANDS = """
+simulate paper-workshop --seed 7 --out rec --truth truth.json
+simulate paper-workshop-two-face --seed 8 --out two --truth two.json
+simulate paper-laboratory --seed 9 --out lab --truth lab.json --nominal cmm.csv
+simulate two-trackers --seed 10 --out trackers --truth trackers.json
+simulate paper-workshop-re-aimed --seed 11 --out aimed --truth aimed.json
+adjust rec --out adjusted
+adjust rec --robust --noise-from-data --out adjusted-robust
+adjust rec --datum T01,T02,T05,T12 --out adjusted-datum
+adjust trackers --out adjusted-trackers --points points.csv
+calibrate rec --out calibrated
+calibrate two --out calibrated-two
+calibrate rec --method distance --out calibrated-distance
+calibrate rec --method distance-l1 --out calibrated-l1
+calibrate rec --construction dh --out calibrated-dh
+calibrate two --without range-scale --hold vertical-index=5 --out calibrated-held
+calibrate trackers --robust --out calibrated-trackers
+calibrate two --with index-drift --out calibrated-with
+calibrate rec --prior calibrated-two --out calibrated-prior
+correct two --calibration calibrated-two --out corrected
+evaluate rec --calibration calibrated --out evaluated
+verify lab --nominal cmm.csv --calibration calibrated --out verified
+check two --out checked
+diagnose rec --seed 1 --out diagnosed
+diagnose trackers --seed 1 --out diagnosed-trackers
+compare rec aimed --out compared
+history calibrated calibrated-two --dates 2026-01-01,2026-02-01 --out history
+recover paper-workshop-re-aimed --trials 100 --jobs 1 --out recovered
+convert rec rec.gkf --to gama-local
+convert rec.gkf back
+plan paper-workshop --starts 1 --jobs 1 --out planned
+"""
+
+
+def run(checkout: Path, folder: Path) -> dict[str, int]:
+    """Exit status of each command in a folder."""
+    environment = os.environ | {"PYTHONPATH": str(checkout)}
+    statuses = {}
+    folder.mkdir(parents=True, exist_ok=True)
+    for command in COMMANDS.strip().splitlines():
+        words = [sys.executable, "-c", START, *command.split(), "--quiet"]
+        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        statuses[command] = done.returncode
+    return statuses
+
+
+def numbers(value: object, key: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a JSON value with the path of keys that leads to it."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from numbers(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from numbers(inner, f"{key}[{index}]")
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield key, float(value)
+
+
+def numbers_of(path: Path) -> dict[str, float]:
+    """Every number of a JSON or CSV file by its place."""
+    if path.suffix == ".json":
+        return dict(numbers(json.loads(path.read_text(encoding="utf-8"))))
+    found = {}
+    with path.open(encoding="utf-8", newline="") as lines:
+        for index, row in enumerate(csv.DictReader(lines)):
+            for name, text in row.items():
+                try:
+                    found[f"{name}[{index}]"] = float(text)
+                except (TypeError, ValueError):
+                    continue
+    return found
+
+
+def differences(ours: Path, theirs: Path) -> Iterator[str]:
+    """A line for each file whose numbers differ, with the worst place."""
+    for path in sorted(theirs.rglob("*")):
+        if path.suffix not in (".json", ".csv") or path.name == "manifest.json":
+            continue
+        name = path.relative_to(theirs)
+        if not (ours / name).exists():
+            yield f"{name}: not written"
+            continue
+        old, new = numbers_of(path), numbers_of(ours / name)
+        shared = [key for key in old if key in new]
+        worst, where = 0.0, ""
+        for key in shared:
+            scale = max(abs(old[key]), abs(new[key]), 1e-12)
+            if abs(old[key] - new[key]) / scale > max(worst, 1e-6):
+                worst, where = abs(old[key] - new[key]) / scale, key
+        gone = len(old) - len(shared)
+        if where or gone:
+            told = f"{where}: {old[where]:.9g} was, {new[where]:.9g} is" if where else "same where both have it"
+            yield f"{name}: {told}" + (f"; {gone} of {len(old)} keys are gone" if gone else "")
+
+
+def main() -> int:
+    """Run both, print what differs; status 1 where anything does."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("other", type=Path)
+    parser.add_argument("--keep", type=Path)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = given.keep or Path(scratch)
+        theirs, ours = run(given.other.resolve(), folder / "other"), run(HERE, folder / "this")
+        lines = [f"{c}: status {theirs[c]} was, {ours[c]} is" for c in theirs if theirs[c] or ours[c]]
+        lines += differences(folder / "this", folder / "other")
+    print("\n".join(lines) or f"the same numbers in {len(theirs)} commands")
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""Concealed recordings: drawn, sealed, diagnosed by another process, unsealed and scored."""

@@ -1,0 +1,104 @@
+"""Who answers: ltsim, what else a user would take, or any program; each is given the folder of a recording alone."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shlex
+import subprocess
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from .make import RECORDINGS
+
+STATUS = "status.json"
+LEVEL = 0.05
+LIMIT_S = 900.0
+HUBER, HUBER_ROUNDS = 1.5, 8
+
+
+def ltsim(recording: Path, out: Path) -> None:
+    """`ltsim diagnose` as a user calls it."""
+    from ltsim.cli.main import run
+
+    status = run(["diagnose", str(recording), "--out", str(out), "--quiet"])
+    if status not in (0, 1):
+        raise RuntimeError(f"exit status {status}")
+
+
+def plain(recording: Path, out: Path) -> None:
+    """The calibration of the instrument in a network adjustment, and its global test."""
+    _adjusted(recording, out, robust=False)
+
+
+def snooping(recording: Path, out: Path) -> None:
+    """The same with data snooping (Baarda 1968): readings that fail are left out, each tested again at the end."""
+    _adjusted(recording, out, robust=True)
+
+
+def huber(recording: Path, out: Path) -> None:
+    """The same by a robust estimator: Huber's function at 1.5 sigma (1964), by iterated weights of single readings."""
+    import numpy as np
+
+    import ltsim as lt
+    from ltsim.adjustment import adjust
+    from ltsim.model.construction import misalignment
+
+    read = lt.read(str(recording))
+    stated = found = None
+    for _ in range(HUBER_ROUNDS):
+        found = adjust(read, misalignment(), sigma=stated)
+        stated = read.sigma() * np.sqrt(np.maximum(np.abs(np.nan_to_num(found.residuals / read.sigma())) / HUBER, 1.0))
+    assert found is not None
+    names, points = read.targets, 1e3 * found.state.points
+    rows = [f"{name},{x:.6f},{y:.6f},{z:.6f}" for name, (x, y, z) in zip(names, points.tolist(), strict=True)]
+    (out / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *rows]) + "\n", encoding="utf-8")
+    _verdict(out, float(lt.calibrate(read, advise=False).fit.p_value))
+
+
+def _adjusted(recording: Path, out: Path, *, robust: bool) -> None:
+    import ltsim as lt
+
+    found = lt.calibrate(str(recording), advise=False, robust=robust)
+    found.to_pandas("targets").to_csv(out / "targets.csv", index=False)
+    _verdict(out, float((lt.calibrate(str(recording), advise=False) if robust else found).fit.p_value))
+
+
+def _verdict(out: Path, p: float) -> None:
+    """The global test of the adjustment before anything is left out; such programs tell no cause."""
+    verdict = "mismatch" if p < LEVEL else "consistent"
+    content = {"format": "ltsim-diagnosis/1", "verdict": verdict, "global_test": {"p_value": p}, "findings": []}
+    (out / "diagnosis.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+
+ENTRANTS: dict[str, Callable[[Path, Path], None]] = {f.__name__: f for f in (ltsim, plain, snooping, huber)}
+
+
+def answer(work: Path, name: str, command: str = "", jobs: int = 1) -> None:
+    """Let an entrant answer all recordings of a folder that it has not answered yet, into `answers/NAME`."""
+    folders = sorted(f for f in (work / RECORDINGS).iterdir() if f.is_dir())
+    left = [f for f in folders if not (work / "answers" / name / f.name / STATUS).is_file()]
+    with ProcessPoolExecutor(jobs) as pool:
+        list(pool.map(partial(_one, answers=work / "answers" / name, name=name, command=command), left))
+
+
+def _one(recording: Path, answers: Path, name: str, command: str) -> None:
+    out, start, note = answers / recording.name, time.perf_counter(), ""
+    out.mkdir(parents=True, exist_ok=True)
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        try:
+            if command:
+                words = [w.format(recording=recording, out=out) for w in shlex.split(command)]
+                subprocess.run(words, check=True, timeout=LIMIT_S, capture_output=True)
+            else:
+                ENTRANTS[name](recording, out)
+        except Exception as problem:  # an entrant that fails has not answered; the others go on
+            note = f"{type(problem).__name__}: {problem}"
+    content: dict[str, Any] = {"seconds": time.perf_counter() - start, "problem": note}
+    (out / STATUS).write_text(json.dumps(content) + "\n", encoding="utf-8")

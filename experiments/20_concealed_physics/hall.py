@@ -1,0 +1,353 @@
+"""A hall, its targets, its trackers and the order of the work, drawn at random; nothing here knows of laws.
+
+What a law may use is listed in RULES.md: time, order, distance, ... of each pointing, and a few things that are drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .tracker import ARCSECOND, GUARANTEED, Array, Index, Pointings, sphere, turned, within_a_turn
+
+WARMTH, LOAD = "hall_temperature_c", "press_load_kn"
+REST = 0.02
+"""Share of the guarantee that errors keep where two trackers work: both were corrected, or their difference is told."""
+LENGTH_SIGMA = 2e-6
+"""[m] Of each known length."""
+LOOK = {"wall": (1.0, 0.0, 0.0), "floor": (0.0, 0.0, 1.0), "gallery": (0.0, -1.0, 0.0), "table": (0.0, 0.0, 1.0)}
+"""Where the nests of each group look, in the room; those of the known lengths, which belong to no group, look up."""
+Draw = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Size:
+    """What kind of hall: lengths in metres."""
+
+    room: tuple[float, float, float]
+    targets: tuple[int, int, int, int]
+    """On wall, floor, gallery and table."""
+    stations: tuple[int, int]
+    """Least and most."""
+    reach: float
+    """Farther targets are not measured, but each from three stations."""
+
+
+SIZES = {
+    "hall": Size((11.0, 7.0, 5.0), (7, 7, 6, 5), (4, 6), 99.0),
+    "large": Size((30.0, 18.0, 8.0), (36, 60, 34, 15), (12, 14), 14.0),
+}
+
+
+@dataclass(frozen=True)
+class Hall:
+    """Pointings with the truth they are made at, in the frame of the floor plan, and what a person knows of them."""
+
+    size: Size
+    pointings: Pointings
+    yaw: Array
+    """(S,) [rad] As the floor plan has it."""
+    groups: dict[str, Index]
+    """Targets of each group."""
+    normals: Array
+    """(T, 3) Where the nests look."""
+    columns: dict[str, Array]
+    noise: Array
+    """(3,) Range [m], range [1], angle across the beam [rad]."""
+    bars: Index
+    """(g, 2) Ends of the known lengths."""
+
+    # names
+
+    @property
+    def stations(self) -> tuple[str, ...]:
+        """Names of the set-ups."""
+        return tuple(f"S{s + 1}" for s in range(len(self.pointings.position)))
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets."""
+        return tuple(f"P{t + 1:02d}" for t in range(len(self.pointings.points)))
+
+    @property
+    def trackers(self) -> tuple[str, ...]:
+        """One tracker, or two that take turns."""
+        return ("A", "B")[: len(self.pointings.constants)]
+
+    # what a law may follow: one value a pointing, in the order of the work
+
+    @property
+    def n(self) -> int:
+        """Pointings."""
+        return len(self.pointings)
+
+    @property
+    def time(self) -> Array:
+        """[s]."""
+        return self.pointings.time
+
+    @cached_property
+    def starts(self) -> Index:
+        """Row at which the set-up of each row began."""
+        first = np.flatnonzero(np.diff(self.pointings.station, prepend=-1))
+        return np.repeat(first, np.diff(first, append=self.n))
+
+    @property
+    def order(self) -> Array:
+        """Pointings made before in this set-up."""
+        return np.asarray(np.arange(self.n) - self.starts, dtype=np.float64)
+
+    @property
+    def since_setup(self) -> Array:
+        """[s] Since the first pointing of this set-up."""
+        return np.asarray(self.time - self.time[self.starts])
+
+    @property
+    def gap(self) -> Array:
+        """[s] Since the pointing before, breaks between set-ups included."""
+        return np.diff(self.time, prepend=self.time[0])
+
+    @cached_property
+    def seen(self) -> Array:
+        """(n, 3) Distance [m], azimuth and elevation [rad] in the tracker's frame, on either face as on the front."""
+        return self.pointings.seen
+
+    @property
+    def distance(self) -> Array:
+        """[m]."""
+        return self.seen[:, 0]
+
+    @property
+    def azimuth(self) -> Array:
+        """[rad]."""
+        return self.seen[:, 1]
+
+    @property
+    def elevation(self) -> Array:
+        """[rad]."""
+        return self.seen[:, 2]
+
+    @property
+    def back(self) -> Array:
+        """1 on the back face, 0 on the front."""
+        return (self.pointings.face == 2).astype(np.float64)
+
+    @property
+    def circle(self) -> Array:
+        """[rad] Where the azimuth circle is read: half a turn on for the back face."""
+        return within_a_turn(self.azimuth + np.pi * self.back)
+
+    @property
+    def aim(self) -> Array:
+        """(n, 3) [m] The nest, in the room: x along the hall, z up."""
+        return np.asarray(self.pointings.points[self.pointings.target])
+
+    @property
+    def stand(self) -> Array:
+        """(n, 3) [m] The tracker, in the room."""
+        return np.asarray(self.pointings.position[self.pointings.station])
+
+    @property
+    def normal(self) -> Array:
+        """(n, 3) Where the nest looks."""
+        return np.asarray(self.normals[self.pointings.target])
+
+    @property
+    def incidence(self) -> Array:
+        """[rad] Between the beam and where the nest looks."""
+        beam = (self.stand - self.aim) / self.distance[:, None]
+        return np.arccos(np.clip((beam * self.normal).sum(axis=1), -1.0, 1.0))
+
+    @property
+    def warmth(self) -> Array:
+        """[K] Above the mean; LookupError where nobody wrote it down."""
+        return np.asarray(self.columns[WARMTH] - self.columns[WARMTH].mean())
+
+    @property
+    def load(self) -> Array:
+        """Of the press, 0 to about 1; LookupError where nobody wrote it down."""
+        return np.asarray(self.columns[LOAD] / 100.0)
+
+    # made of these
+
+    def change(self, values: Array) -> Array:
+        """Value less that of the pointing before; 0 at the first of a set-up."""
+        return np.where(self.order > 0, np.diff(values, prepend=values[0]), 0.0)
+
+    @property
+    def swing(self) -> Array:
+        """[rad] Turn of the head since the pointing before, the short way round; 0 at the first of a set-up."""
+        return within_a_turn(self.change(self.circle))
+
+    @property
+    def wound(self) -> Array:
+        """[rad] Sum of all turns of the head since the set-up."""
+        total = np.cumsum(self.swing)
+        return np.asarray(total - total[self.starts])
+
+    def fading(self, given: Array, memory: float) -> Array:
+        """What is left of all that was given up to each pointing, where it dies away with a memory [s]."""
+        kept, left, found = np.exp(-self.gap / memory), 0.0, np.empty(self.n)
+        for i, (share, more) in enumerate(zip(kept.tolist(), np.asarray(given, float).tolist(), strict=True)):
+            left = share * left + more
+            found[i] = left
+        return found
+
+    def lagging(self, values: Array, delay: float) -> Array:
+        """Values as a thing has them that follows with a delay [s]; it had the first of them when the work began."""
+        given = (1.0 - np.exp(-self.gap / delay)) * values
+        given[0] = values[0]
+        return self.fading(given, delay)
+
+    def latched(self, values: Array, low: float, high: float) -> Array:
+        """1 once values rose above the high mark, until they fall below the low one; 0 when a set-up begins."""
+        known = (values < low) | (values > high) | (self.order == 0)
+        last = np.maximum.accumulate(np.where(known, np.arange(self.n), 0))
+        return np.asarray(values[last] > high, dtype=np.float64)
+
+    def windows(self, rng: Draw) -> Array:
+        """1 while a machine runs that works for a part of every cycle."""
+        cycle, share = rng.uniform(900.0, 2400.0), rng.uniform(0.3, 0.6)
+        return (np.mod(self.time + rng.uniform(0.0, cycle), cycle) < share * cycle).astype(np.float64)
+
+    def walk(self, rng: Draw) -> Array:
+        """A random walk from pointing to pointing, with a variance of one at the end."""
+        return np.cumsum(rng.standard_normal(self.n)) / np.sqrt(self.n)
+
+    def one_station(self, rng: Draw) -> Array:
+        """1 where a station that is drawn is the one that measures."""
+        return (self.pointings.station == rng.integers(len(self.stations))).astype(np.float64)
+
+    def one_tracker(self, rng: Draw) -> Array:
+        """1 where one of two trackers measures; LookupError where there is one."""
+        if len(self.trackers) < 2:
+            raise LookupError("one tracker only")
+        return (self.pointings.tracker == rng.integers(2)).astype(np.float64)
+
+    def group(self, name: str) -> Array:
+        """1 where the target belongs to `wall`, `floor`, `gallery` or `table`."""
+        return np.isin(self.pointings.target, self.groups[name]).astype(np.float64)
+
+    # what the network is told
+
+    @cached_property
+    def sigma(self) -> Array:
+        """(n, 3) [m, rad, rad] Stated standard deviations."""
+        range_ = self.noise[0] + self.noise[1] * self.distance
+        across = np.full(self.n, self.noise[2])
+        return np.stack([range_, across / np.cos(self.elevation), across], axis=1)
+
+    @property
+    def lengths(self) -> Array:
+        """(g,) [m] True lengths of the bars."""
+        ends = self.pointings.points[self.bars]
+        return np.sqrt(((ends[:, 1] - ends[:, 0]) ** 2).sum(axis=1))
+
+
+def draw_hall(rng: Draw, kind: str = "hall") -> Hall:
+    """Everything but what is wrong."""
+    size = SIZES[kind]
+    points, groups, normals = _targets(rng, size)
+    position = _stations(rng, points, size)
+    count = len(position)
+    yaw = rng.uniform(-np.pi, np.pi, count)
+    lean = np.column_stack([rng.normal(0.0, 8e-4, (count, 2)), np.zeros(count)])
+    rotation = np.stack([_axes(yaw[s], lean[s]) for s in range(count)])
+    trackers = 2 if rng.random() < 0.4 else 1
+    station, target, face, repeat, time = _work(rng, _sights(points, position, size.reach), size is SIZES["hall"])
+    range_, angle = 3e-3 * rng.uniform(0.7, 1.5), 0.37 * rng.uniform(0.7, 1.5)
+    noise = np.array([round(range_, 5) * 1e-3, 0.3e-6, round(angle, 4) * ARCSECOND])
+    constants = (REST if trackers > 1 else 1.0) * GUARANTEED * rng.standard_normal((trackers, len(GUARANTEED)))
+    worker = (np.arange(count) % trackers)[station]
+    pointings = Pointings(station, target, worker, face, repeat, time, position, rotation, points, constants)
+    ends = len(points) - 4
+    bars = np.array([[ends, ends + 1], [ends + 2, ends + 3]])
+    return Hall(size, pointings, yaw, groups, normals, _columns(rng, time), noise, bars)
+
+
+def _axes(yaw: float, lean: Array) -> Array:
+    """(3, 3) Axes of a tracker in the room, as columns."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    upright = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turned(upright, np.tile(lean, (3, 1))).T)
+
+
+def _targets(rng: Draw, size: Size) -> tuple[Array, dict[str, Index], Array]:
+    """Points (T, 3) [m] in the room, members of each group, and where the nests look (T, 3); the bars come last."""
+    length, width, height = size.room
+    walls, floors, galleries, tables = size.targets
+    grid = np.array([[0.0, 0.0, 0.0], [1.8, 0.0, 0.0], [0.0, 1.4, 0.0], [1.8, 1.4, 0.0], [0.9, 0.7, 0.2]])
+    corner = np.array([length - 2.4, 0.5, 0.9])
+    further = np.arange(tables)[:, None] // 5 * np.array([-4.0, 0.0, 0.0])
+    places = {
+        "wall": np.column_stack([np.full(walls, 0.05), rng.uniform(0.4, width - 0.4, walls),
+                                 np.linspace(0.3, height - 0.8, walls)]),
+        "floor": np.column_stack([rng.uniform(0.5, length - 0.5, floors), rng.uniform(0.4, width - 0.4, floors),
+                                  np.full(floors, 0.06)]),
+        "gallery": np.column_stack([np.linspace(1.0, length - 1.0, galleries), np.full(galleries, width - 0.1),
+                                    np.full(galleries, height - 0.7)]),
+        "table": corner + grid[np.arange(tables) % 5] + further,
+    }  # fmt: skip
+    points = [group + rng.normal(0.0, [0.01, 0.1, 0.1] if name == "wall" else [0.1, 0.1, 0.02], group.shape)
+              for name, group in places.items()]  # fmt: skip
+    foot = rng.uniform([0.3 * length, 1.0, 0.3], [0.65 * length, width - 2.0, 0.5])
+    along = rng.uniform(-np.pi, np.pi)
+    bar = 1.2 * np.array([np.cos(along), np.sin(along), 0.0])
+    upright = np.array([0.3 * np.sin(along), -0.3 * np.cos(along), 1.1])
+    points.append(np.stack([foot, foot + bar, foot + 0.2 * bar, foot + 0.2 * bar + upright]))
+    sizes = [len(p) for p in points]
+    first = np.cumsum([0, *sizes])
+    members = {name: np.arange(first[i], first[i + 1]) for i, name in enumerate(places)}
+    return np.vstack(points), members, np.repeat(np.array([*LOOK.values(), (0.0, 0.0, 1.0)]), sizes, axis=0)
+
+
+def _stations(rng: Draw, points: Array, size: Size) -> Array:
+    """(S, 3) [m] in the room: apart from each other and from the targets, none of which is too steep."""
+    found: list[Array] = []
+    count = int(rng.integers(size.stations[0], size.stations[1] + 1))
+    while len(found) < count:
+        place = rng.uniform([1.2, 1.2, 1.3], [size.room[0] - 1.2, size.room[1] - 1.2, 2.1])
+        distance, _, steep = sphere(points - place).T
+        level = distance * np.cos(steep)
+        apart = all(((place - other) ** 2).sum() > 1.5 * size.room[0] / 11.0 for other in found)
+        if apart and level.min() > 0.7 and steep.min() > np.radians(-54) and steep.max() < np.radians(72):
+            found.append(place)
+    return np.array(found)
+
+
+def _sights(points: Array, position: Array, reach: float) -> list[Index]:
+    """Targets that each station measures: those within reach, and each target from the three nearest stations."""
+    gap = np.sqrt(((points - position[:, None]) ** 2).sum(axis=2))
+    nearest = np.argsort(np.argsort(gap, axis=0), axis=0) < 3
+    return [np.flatnonzero((gap[s] < reach) | nearest[s]) for s in range(len(position))]
+
+
+def _work(rng: Draw, sights: list[Index], small: bool) -> tuple[Index, Index, Index, Index, Array]:
+    """Station, target, face, repeat and time (n,) [s] of each pointing; a large hall is gone round once."""
+    faces, rounds = int(rng.choice([1, 2], p=[0.35, 0.65])), int(rng.integers(1, 3)) if small else 1
+    rows, times, clock = [], [], 0.0
+    for s, seen in enumerate(sights):
+        for k in range(rounds):
+            for t in rng.permutation(seen) if rng.random() < 0.7 else seen:
+                for face in (1, 2)[:faces]:
+                    rows.append((s, int(t), face, k + 1))
+                    times.append(round(clock, 1))
+                    clock += rng.uniform(9.0, 20.0)
+        clock += rng.uniform(700.0, 2700.0)
+    kept = rng.random(len(rows)) >= rng.choice([0.0, 0.06])
+    station, target, face, repeat = np.array(rows, dtype=np.int64)[kept].T
+    return station, target, face, repeat, np.array(times)[kept]
+
+
+def _columns(rng: Draw, time: Array) -> dict[str, Array]:
+    """Warmth of the hall and load of a press, where somebody wrote them down."""
+    hours, columns = time / 3600.0, {}
+    if rng.random() < 0.7:
+        wave = 0.3 * np.sin(2 * np.pi * (hours / rng.uniform(1.0, 2.5) + rng.random()))
+        columns[WARMTH] = np.round(rng.uniform(18.0, 24.0) + rng.uniform(-0.8, 0.8) * hours + wave, 2)
+    if rng.random() < 0.6:
+        phase = 2 * np.pi * (hours / rng.uniform(0.4, 1.1) + rng.random())
+        columns[LOAD] = np.round(100.0 * np.clip(0.5 + 0.8 * np.sin(phase), 0.0, 1.0), 1)
+    return columns

@@ -1,0 +1,167 @@
+"""Recordings with something hidden in them, and the truth, sealed apart from them with its sha256."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+import zlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from .hall import LENGTH_SIGMA, Draw, Hall, draw_hall
+from .known import KNOWN, Known
+from .law import Law, carriers, laws_of, place
+from .network import Network
+from .recording import write_recording
+from .tracker import Change
+
+RECORDINGS, TRUTH, SEAL = "recordings", "truth.json", "SEAL"
+TRIES = 40
+ABSURD = {"reading": 300e-6, "target": 600e-6, "station": 600e-6, "turn": 300e-6, "constants": 300e-6, "variance": 50.0,
+          "lengths": 2e-3}  # fmt: skip
+"""[m, rad] What is as large as this would be seen by eye, and is not drawn."""
+SMALLEST, LARGEST = -4.0, 4.0
+"""Decades of the size that are tried."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording of a plan: what it holds (`clean`, `catalogued`, `unknown`), in which hall, how strongly."""
+
+    seed: int
+    kind: str
+    hall: str
+    law: str
+    strength: int
+    number: int
+    laws: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """What tells its draws from all others."""
+        return f"{self.seed}/{self.kind}/{self.hall}/{self.law}/{self.strength}/{self.number}"
+
+    @property
+    def name(self) -> str:
+        """A name that tells nothing."""
+        return f"R{zlib.crc32(self.words.encode()):08x}"
+
+    def stream(self, what: str) -> Draw:
+        """Random numbers of its own for the hall with its law, and for the noise."""
+        return np.random.default_rng([self.seed, *f"{what}/{self.words}".encode()])
+
+
+def read_plan(path: Path) -> list[Case]:
+    """The recordings of a plan, in the order of their names, so that any part of them is a fair sample.
+
+    ``clean``, ``clean-large``: how many; the others: strength = recordings of each law.
+    """
+    with path.open("rb") as file:
+        plan = tomllib.load(file)
+    groups, cases = tuple(plan["laws"]), []
+    for key in (k for k in plan if k not in ("seed", "laws")):
+        kind, _, size = key.partition("-")
+        names = {"clean": [""], "catalogued": list(KNOWN), "unknown": list(laws_of(groups))}[kind]
+        counts = plan[key] if isinstance(plan[key], dict) else {"0": plan[key]}
+        for strength, count in counts.items():
+            cases += [Case(plan["seed"], kind, size or "hall", law, int(strength), k, groups)
+                      for law in names for k in range(count)]  # fmt: skip
+    return sorted(cases, key=lambda c: c.name)
+
+
+def make(cases: Sequence[Case], work: Path, jobs: int = 1) -> str:
+    """Write recordings, truth and seal into a folder; the seal, which is the sha256 of the truth."""
+    with ProcessPoolExecutor(jobs) as pool:
+        made = list(pool.map(make_one, cases, [work / RECORDINGS] * len(cases), chunksize=4))
+    truth = json.dumps({t["name"]: t for t in made}, indent=1) + "\n"
+    seal = hashlib.sha256(truth.encode()).hexdigest()
+    (work / TRUTH).write_text(truth, encoding="utf-8")
+    (work / SEAL).write_text(f"{seal}  {TRUTH}\n", encoding="utf-8")
+    return seal
+
+
+def make_one(case: Case, folder: Path) -> dict[str, Any]:
+    """Write one recording; its truth."""
+    excluded: Counter[str] = Counter()
+    hall, network, cause, change = drawn(case, excluded)
+    noise = network.noise(case.stream("noise"))
+    spread = hall.sigma if change.variance is None else hall.sigma * np.sqrt(1.0 + change.variance)
+    wrong = 0.0 if change.lengths is None else change.lengths
+    readings = hall.pointings.readings(change) + spread * noise[0]
+    write_recording(hall, readings, hall.lengths + LENGTH_SIGMA * noise[1] + wrong, folder / case.name)
+    told = cause.parts if isinstance(cause, Known) else (change,) if cause else ()
+    return {
+        "name": case.name,
+        **{key: getattr(case, key) for key in ("kind", "hall", "law", "strength", "number")},
+        "hidden": None if cause is None else _entry(hall, cause, change, network),
+        "stations": len(hall.stations),
+        "unknowns": network.design.shape[1],
+        "pointings": hall.n,
+        "told_um": network.target_error(noise, change, told),
+        "plain_um": network.target_error(noise, change),
+        "excluded": dict(excluded),
+        "targets_mm": dict(zip(hall.targets, (1e3 * hall.pointings.points).tolist(), strict=True)),
+    }
+
+
+def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Known | Law | None, Change]:
+    """A hall and a law of the wanted strength that acts in it; draws that cannot be seen are counted."""
+    law: Law | Callable[[Hall, Draw], Known]
+    rng = case.stream("hall")
+    for _ in range(TRIES):
+        hall = draw_hall(rng, case.hall)
+        if case.kind == "clean":
+            return hall, Network.of(hall), None, Change()
+        law = KNOWN[case.law] if case.kind == "catalogued" else laws_of(case.laws)[case.law]
+        try:
+            cause = law.draw(hall, rng) if isinstance(law, Law) else law(hall, rng)
+        except LookupError:
+            excluded["the hall lacks what the law needs"] += 1
+            continue
+        network, whole = Network.of(hall), cause.change() if isinstance(cause, Known) else cause
+        size = _size(network, whole, case.strength)
+        change = whole.scaled(size)
+        if size and all(np.abs(part).max() < ABSURD[k] for k, part in change.parts.items()):
+            return (
+                hall,
+                network,
+                replace(cause, values=size * cause.values) if isinstance(cause, Known) else law,
+                change,
+            )
+        excluded["absurdly large" if size else "the network hides it"] += 1
+    raise RuntimeError(f"no hall was found where '{case.law}' has a strength of {case.strength} at a sensible size")
+
+
+def _size(network: Network, change: Change, wanted: float) -> float:
+    """Factor at which a change has the wanted strength; 0 where none has."""
+
+    def miss(decade: float) -> float:
+        return float(np.log(max(network.strength(change.scaled(10**decade)), 1e-30) / wanted))
+
+    if miss(LARGEST) <= 0.0:
+        return 0.0
+    return float(10 ** brentq(miss, SMALLEST, LARGEST, xtol=1e-4))
+
+
+def _entry(hall: Hall, cause: Known | Law, change: Change, network: Network) -> dict[str, Any]:
+    """What was hidden, in the words of the examination."""
+    strengths = network.strengths(change).tolist()
+    largest = {name: float(np.abs(part).max()) for name, part in change.parts.items()}
+    entry: dict[str, Any] = {"strengths": strengths, "largest": largest, "carriers": carriers(change)}
+    if isinstance(cause, Law):
+        words = {"text": cause.text, "follows": cause.follows, "may": cause.optional, "group": cause.group}
+        return entry | words | place(hall, change)
+    units = cause.unit.split() if " " in cause.unit else [cause.unit] * len(cause.names)
+    listed = zip(cause.names, cause.values.tolist(), units, strict=True)
+    where = {"stations": list(cause.stations), "targets": list(cause.targets), "observables": list(cause.observables)}
+    return (
+        entry | where | {"parameters": [{"name": n, "value": v, "unit": u} for n, v, u in listed], "shape": cause.shape}
+    )

@@ -1,0 +1,192 @@
+"""The exact tracker: 16 constants, two faces, every pointing with a pose, a target and constants of its own.
+
+Raw readings (d, a, e) describe this point in the frame of the tracker, x forward at azimuth zero, z up:
+
+    a' = a + A1 cos a + B1 sin a + A2 cos 2a + B2 sin 2a
+    e' = e + index + C1 cos e + D1 sin e + C2 cos 2e + D2 sin 2e
+    d' = d (1 + scale) + zero
+    forward = d' cos(c) cos e' - b_v sin e'          beam tilt c to the left, vertical beam offset b_v
+    height  = d' cos(c) sin e' + b_v cos e'
+    left    = d' sin(c) + b_l                        lateral beam offset b_l
+    left, height turned by the transit tilt about the forward axis; transit offset added to forward;
+    forward, left turned by a' about the standing axis.
+
+Each constant is a correction: what is added to a reading, or to a zero of the tracker, to get the truth. On the back
+face the raw readings are (d, a + pi, pi - e), and the signs of the faces follow by themselves.
+Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35 (which errors); Loser and Kyle 1998 (beam and axes).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CONSTANTS = (
+    "range-offset",
+    "range-scale",
+    "transit-offset",
+    "beam-offset-lateral",
+    "beam-offset-vertical",
+    "beam-tilt",
+    "transit-tilt",
+    "vertical-index",
+    "azimuth-eccentricity-cos",
+    "azimuth-eccentricity-sin",
+    "azimuth-second-order-cos",
+    "azimuth-second-order-sin",
+    "elevation-eccentricity-cos",
+    "elevation-eccentricity-sin",
+    "elevation-second-order-cos",
+    "elevation-second-order-sin",
+)
+ARCSECOND = np.pi / 648_000
+GUARANTEED = np.array([10e-6, 2e-6, *[20e-6] * 3, *[3 * ARCSECOND] * 11])
+"""(16,) [m, 1, rad] One standard deviation of what a maker guarantees, as a recording without further words has it."""
+STEPS = 8
+
+
+def described(raw: Array, constants: Array) -> Array:
+    """Points (n, 3) [m] that raw readings (n, 3) describe, with constants (n, 16)."""
+    d, a, e = raw.T
+    zero, scale, transit, lateral, vertical, beam, tilt, index, a1, b1, a2, b2, c1, d1, c2, d2 = constants.T
+    azimuth = a + a1 * np.cos(a) + b1 * np.sin(a) + a2 * np.cos(2 * a) + b2 * np.sin(2 * a)
+    elevation = e + index + c1 * np.cos(e) + d1 * np.sin(e) + c2 * np.cos(2 * e) + d2 * np.sin(2 * e)
+    length = d * (1 + scale) + zero
+    along = length * np.cos(beam)
+    forward = along * np.cos(elevation) - vertical * np.sin(elevation) + transit
+    height = along * np.sin(elevation) + vertical * np.cos(elevation)
+    left = length * np.sin(beam) + lateral
+    left, height = left * np.cos(tilt) - height * np.sin(tilt), left * np.sin(tilt) + height * np.cos(tilt)
+    x = forward * np.cos(azimuth) - left * np.sin(azimuth)
+    y = forward * np.sin(azimuth) + left * np.cos(azimuth)
+    return np.stack([x, y, height], axis=1)
+
+
+def sphere(points: Array) -> Array:
+    """Distance [m], azimuth and elevation [rad] (n, 3) of points (n, 3) [m]."""
+    x, y, z = points.T
+    return np.stack([np.sqrt(x * x + y * y + z * z), np.arctan2(y, x), np.arctan2(z, np.sqrt(x * x + y * y))], axis=1)
+
+
+def within_a_turn(angle: Array) -> Array:
+    """Angle [rad] between -pi and pi."""
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
+
+
+def readings_of(local: Array, back: NDArray[np.bool_], constants: Array) -> Array:
+    """Raw readings (n, 3) of points (n, 3) [m] in the frame of the tracker; `back` (n,): on the back face.
+
+    The errors are small, so what a reading misses is added to it until nothing is missing.
+    """
+    true = sphere(local)
+    raw = true.copy()
+    raw[back, 1] += np.pi
+    raw[back, 2] = np.pi - raw[back, 2]
+    sign = np.where(back, -1.0, 1.0)
+    for _ in range(STEPS):
+        missing = true - sphere(described(raw, constants))
+        raw += np.stack([missing[:, 0], within_a_turn(missing[:, 1]), sign * missing[:, 2]], axis=1)
+    raw[:, 1] = within_a_turn(raw[:, 1])
+    return raw
+
+
+def turned(vectors: Array, about: Array) -> Array:
+    """Vectors (n, 3) turned by rotation vectors (n, 3) [rad], by Rodrigues' formula."""
+    angle = np.sqrt((about**2).sum(axis=1, keepdims=True))
+    axis = about / np.where(angle > 0, angle, 1.0)
+    across = np.cross(axis, vectors)
+    along = axis * (axis * vectors).sum(axis=1, keepdims=True)
+    return np.asarray(vectors * np.cos(angle) + across * np.sin(angle) + along * (1 - np.cos(angle)))
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a cause does to each pointing at size one: (n, 3) each, constants (n, 16); None: nothing."""
+
+    reading: Array | None = None
+    """Added to raw range, azimuth, elevation [m, rad, rad]."""
+    target: Array | None = None
+    """Displacement [m] of the target, network frame."""
+    station: Array | None = None
+    """Displacement [m] of the station, network frame."""
+    turn: Array | None = None
+    """Rotation vector [rad] of the station, network frame."""
+    constants: Array | None = None
+    variance: Array | None = None
+    """Added to the variance of the readings, in units of it."""
+    lengths: Array | None = None
+    """(g,) Added to the known lengths [m] that the certificate states."""
+
+    def scaled(self, factor: float) -> Change:
+        """The same at another size."""
+        return replace(self, **{name: factor * part for name, part in self.parts.items()})
+
+    @property
+    def parts(self) -> dict[str, Array]:
+        """What it has, by name."""
+        return {name: part for name, part in vars(self).items() if part is not None}
+
+    def __add__(self, other: Change) -> Change:
+        """Both."""
+        names = self.parts.keys() | other.parts.keys()
+        return Change(**{n: self.parts.get(n, 0.0) + other.parts.get(n, 0.0) for n in sorted(names)})
+
+
+NOTHING = Change()
+
+
+@dataclass(frozen=True)
+class Pointings:
+    """Who looks at whom, when, from where: n pointings, S stations, T targets, K trackers; SI units."""
+
+    station: Index
+    target: Index
+    tracker: Index
+    face: Index
+    repeat: Index
+    """(n,) each."""
+    time: Array
+    """(n,) [s], rising: the order of the work."""
+    position: Array
+    """(S, 3)."""
+    rotation: Array
+    """(S, 3, 3) tracker to network."""
+    points: Array
+    """(T, 3)."""
+    constants: Array
+    """(K, 16)."""
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    @property
+    def arm(self) -> Array:
+        """(n, 3) [m] from the station to the target, network frame."""
+        return np.asarray(self.points[self.target] - self.position[self.station])
+
+    def local(self, change: Change = NOTHING) -> Array:
+        """(n, 3) [m] The targets as the trackers have them."""
+        arm = self.arm
+        arm = arm if change.target is None else arm + change.target
+        arm = arm if change.station is None else arm - change.station
+        arm = arm if change.turn is None else turned(arm, -change.turn)
+        return np.asarray((arm[:, None, :] @ self.rotation[self.station])[:, 0])
+
+    @property
+    def seen(self) -> Array:
+        """(n, 3) Range [m], azimuth and elevation [rad] as an ideal tracker has them on the front face."""
+        return sphere(self.local())
+
+    def readings(self, change: Change = NOTHING) -> Array:
+        """(n, 3) Raw readings without noise."""
+        constants = self.constants[self.tracker]
+        constants = constants if change.constants is None else constants + change.constants
+        raw = readings_of(self.local(change), self.face == 2, constants)
+        raw = raw if change.reading is None else raw + change.reading
+        raw[:, 1] = within_a_turn(raw[:, 1])
+        return raw

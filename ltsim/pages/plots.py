@@ -1,0 +1,44 @@
+"""The picture of each result, for `plot()`."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+
+from matplotlib.figure import Figure
+
+from ltsim.calibration.calibration import Calibration
+from ltsim.errors import ModelError
+from ltsim.evaluation.criteria import Criteria
+from ltsim.fieldcheck.check import Check
+from ltsim.pages import figures
+from ltsim.results import Result
+
+
+@singledispatch
+def figure_of(result: Result) -> Figure:
+    """The picture of a result; raises ModelError for one that has none."""
+    raise ModelError(f"a {type(result).__name__} has no picture of its own; lt.report makes a page of its folder")
+
+
+@figure_of.register
+def _(result: Calibration) -> Figure:
+    if not result.names:
+        raise ModelError("an adjustment without instrument parameters has no picture; lt.report makes a page of it")
+    table = result.table("parameters")
+    rows = zip(*(table.column(name) for name in ("parameter", "value", "sigma", "unit", "prior_sigma")), strict=True)
+    return figures.parameters([figures.ParameterRow(*row) for row in rows])
+
+
+@figure_of.register
+def _(result: Criteria) -> Figure:
+    table = result.table()
+    if result.distance.after is None:
+        raise ModelError("criteria without a calibration have no before and after to draw")
+    names = ("criterion", "mean_um", "mean_after_um", "max_um", "max_after_um", "improvement_percent")
+    rows = zip(*(table.column(name) for name in names), strict=True)
+    return figures.criteria([figures.Criterion(*row) for row in rows])
+
+
+@figure_of.register
+def _(result: Check) -> Figure:
+    return figures.check_figure(result)

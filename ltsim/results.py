@@ -1,0 +1,400 @@
+"""One result model: a table's columns are declared once, and every form of the result is made from that declaration.
+
+A `Column` says name, meaning, unit and form; a `Table` of columns, filled with rows, is the CSV file (written and read
+back), the rows of JSON, the data frame, the text of a terminal, the table of a notebook and that of a page. A `Result`
+is what a verb gives: a few lines, tables, a picture; equal where its values are, copied, pickled, saved and loaded.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel
+
+from ltsim.arrays import Floats
+from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
+from ltsim.notation import NONE, number, with_sigma
+from ltsim.saved import Valued, save
+from ltsim.units import BY_ENDING, unit_of_key
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+FORMULA = ("=", "+", "-", "@", "'")
+MOST_SHOWN = 12
+"""Rows of a table that a notebook shows."""
+Kind = Literal["text", "number", "flag"]
+Columns = Mapping[str, Sequence[Any]]
+"""Columns of one length by their headers."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Parameters
+    ----------
+    name : str
+        In CSV, JSON and data frames; carries its unit at the end (`x_mm`).
+    meaning : str
+        What a cell holds, for definitions beside the table.
+    kind : str
+        `text`, `number` or `flag` (true or false).
+    form : str
+        How CSV writes a number, as of `format`; `r` in full.
+    shown : str
+        How a person reads it; by default four digits.
+    sigma : str
+        Name of the column with its standard deviation: a person reads both in one cell, `1.23 +- 0.10`.
+    unit : str
+        By default the one in the name.
+    title : str
+        What a person reads as its head; by default the name without its unit.
+    field : str
+        What an object of a row calls it, where that is not the name.
+    """
+
+    name: str
+    meaning: str = ""
+    kind: Kind = "number"
+    form: str = ""
+    shown: str = ""
+    sigma: str = ""
+    unit: str = ""
+    title: str = ""
+    field: str = ""
+
+    @property
+    def heading(self) -> str:
+        """`x [mm]`: the head of the column where a person reads it."""
+        unit = self.unit or unit_of_key(self.name)
+        ending = next((e for e, u in BY_ENDING.items() if u == unit and self.name.endswith(e)), "")
+        title = self.title or self.name.removesuffix(ending).replace("_", " ")
+        return f"{title} [{unit}]" if unit else title
+
+    def cell(self, value: Any) -> Any:
+        """A value as CSV has it: nothing for what does not exist."""
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return ""
+        if self.kind == "text":
+            return guarded(str(value))
+        if self.form:
+            return repr(float(value)) if self.form == "r" else format(value, self.form)
+        return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
+
+    def words(self, value: Any, sigma: Any = None) -> str:
+        """A value as a person reads it, with its standard deviation where that is given; a dash for none."""
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return NONE
+        if isinstance(value, bool | np.bool_):
+            return "yes" if value else ""
+        if isinstance(value, str) or self.kind == "text":
+            return str(value)
+        if self.sigma:
+            return with_sigma(float(value), sigma)
+        if self.shown:
+            return format(value, self.shown)
+        return str(value) if isinstance(value, int | np.integer) else number(float(value), 4)
+
+
+def texts(**columns: str) -> tuple[Column, ...]:
+    """Columns of text: name and what it means."""
+    return tuple(Column(name, about, "text") for name, about in columns.items())
+
+
+def numbers(form: str = "", shown: str = "", **columns: str) -> tuple[Column, ...]:
+    """Columns of numbers, all written in one form: name and what it means."""
+    return tuple(Column(name, about, form=form, shown=shown) for name, about in columns.items())
+
+
+def flags(**columns: str) -> tuple[Column, ...]:
+    """Columns of true and false: name and what true means."""
+    return tuple(Column(name, about, "flag") for name, about in columns.items())
+
+
+def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
+    """The columns of a model whose fields are numbers, texts and flags, with what the model says of them.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+    names : str
+        The fields in their order, with blanks between; default all.
+    **more
+        By a field's name what else its `Column` is to know: ``value={"sigma": "sigma"}``.
+    """
+    made = []
+    for name in names.split() or model.model_fields:
+        field = model.model_fields[name]
+        kind = "flag" if field.annotation is bool else "text" if field.annotation is str else "number"
+        how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **more.get(name, {})}
+        made.append(Column(meaning=(field.description or "").rstrip("."), **how))
+    return tuple(made)
+
+
+@dataclass(frozen=True)
+class Table(Valued):
+    """A table: what it is about and its columns, declared once; `filled` gives it rows.
+
+    A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. A text that begins so is
+    written to CSV with an apostrophe before it, as is one that begins with an apostrophe; the reader takes it away.
+    """
+
+    file: str
+    """Of the CSV file; without its ending the table's name."""
+    about: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Any, ...], ...] = ()
+
+    @classmethod
+    def of_columns(cls, name: str, columns: Columns, about: str = "") -> Table:
+        """A table whose columns only the data know, such as the further columns of a recording."""
+        made = tuple(Column(head, kind=_kind_of(column)) for head, column in columns.items())
+        return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
+
+    def filled(self, rows: Iterable[Any]) -> Table:
+        """The table with rows: sequences in the order of the columns, or objects or mappings that have their names."""
+        return replace(self, rows=tuple(self._row(row) for row in rows))
+
+    def _row(self, row: Any) -> tuple[Any, ...]:
+        if isinstance(row, Mapping):
+            return tuple(row[c.field or c.name] for c in self.columns)
+        if isinstance(row, Sequence):
+            if len(row) != len(self.columns):
+                raise ModelError(f"a row of {self.file} has {len(row)} cells for {len(self.columns)} columns")
+            return tuple(row)
+        return tuple(getattr(row, c.field or c.name) for c in self.columns)
+
+    @property
+    def name(self) -> str:
+        """What the table is called."""
+        return Path(self.file).stem
+
+    @property
+    def header(self) -> list[str]:
+        """Names of the columns."""
+        return [column.name for column in self.columns]
+
+    def column(self, name: str) -> list[Any]:
+        """All cells of one column; raises ModelError."""
+        if name not in self.header:
+            raise unknown_name(f"column of {self.name}", name, self.header)
+        at = self.header.index(name)
+        return [row[at] for row in self.rows]
+
+    def json(self) -> list[dict[str, Any]]:
+        """A mapping a row, values as they are."""
+        return [dict(zip(self.header, row, strict=True)) for row in self.rows]
+
+    def frame(self) -> pd.DataFrame:
+        """The table as a data frame; raises SetupError without pandas."""
+        try:
+            from pandas import DataFrame
+        except ImportError:
+            raise missing_extra("data frames", "pandas") from None
+        return DataFrame({name: self.column(name) for name in self.header})
+
+    def csv(self) -> str:
+        """The content of its file."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([guarded(name) for name in self.header])
+        for row in self.rows:
+            writer.writerow([column.cell(value) for column, value in zip(self.columns, row, strict=True)])
+        return stream.getvalue()
+
+    def parsed(self, text: str, file: object = None) -> Table:
+        """The table with the rows of a CSV text; an empty cell of numbers is NaN, further columns are left out.
+
+        Raises
+        ------
+        RecordError
+            When a column is missing or a cell holds no number where one should be.
+        """
+        reader = csv.DictReader(io.StringIO(text), restval="")
+        missing = [name for name in self.header if name not in (reader.fieldnames or ())]
+        if missing:
+            raise RecordError(f"there is no column {missing[0]}; expected {','.join(self.header)}", file=file)
+        try:
+            rows = list(reader)
+        except csv.Error as problem:
+            raise RecordError(f"is not CSV ({problem})", file=file) from None
+        return self.filled([_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(rows, 1))
+
+    def numbers(self, *names: str) -> Floats:
+        """Some columns of numbers as (rows, columns) float."""
+        columns = [np.array(self.column(name), dtype=np.float64) for name in names]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self.rows), 0))
+
+    @property
+    def _read(self) -> list[Column]:
+        """The columns that a person reads: a standard deviation stands beside its value, what no row has is gone."""
+        beside = {column.sigma for column in self.columns}
+        empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
+        return [column for column in self.columns if column.name not in beside | empty]
+
+    @property
+    def headings(self) -> list[str]:
+        """Heads of the columns for a person, with units."""
+        return [column.heading for column in self._read]
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What each column that a person reads holds, by its head; those that say nothing are left out."""
+        return {column.heading: column.meaning for column in self._read if column.meaning}
+
+    @property
+    def text_columns(self) -> int:
+        """How many columns at the front hold text."""
+        kinds = [column.kind == "text" for column in self._read]
+        return kinds.index(False) if False in kinds else len(kinds)
+
+    def cells(self) -> list[list[str]]:
+        """The rows as a person reads them, in the columns of `headings`."""
+        at = {name: i for i, name in enumerate(self.header)}
+        return [
+            [c.words(row[at[c.name]], row[at[c.sigma]] if c.sigma else None) for c in self._read] for row in self.rows
+        ]
+
+    def text(self) -> str:
+        """Aligned text for a terminal: text to the left, numbers to the right."""
+        return aligned(self.headings, self.cells(), self.text_columns)
+
+    def html(self) -> str:
+        """The first rows for a notebook; texts are escaped."""
+        if not self.columns:
+            return ""
+        head = "".join(
+            f'<th title="{escape(self.meanings.get(name, ""))}">{escape(name)}</th>' for name in self.headings
+        )
+        rows = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>"
+            for row in replace(self, rows=self.rows[:MOST_SHOWN]).cells()
+        )
+        more = len(self.rows) - MOST_SHOWN
+        rest = f"<p>and {more} more rows: to_dataframe()</p>" if more > 0 else ""
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
+
+
+class Result(Valued):
+    """What a verb gives: `_lines` and `_tables` are what each kind of result says; all else is here.
+
+    It is equal to another of its kind where all values are, arrays among them; it can be copied, pickled and saved.
+    """
+
+    def _lines(self) -> list[str]:
+        """The result in a few lines."""
+        raise NotImplementedError
+
+    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
+        """Its tables by name, the most wanted first; each is made when it is asked for."""
+        return {}
+
+    def __repr__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _repr_html_(self) -> str:
+        """The lines, and below them the beginning of the first table."""
+        head = "<br>".join(escape(line) for line in self._lines())
+        return f"<p>{head}</p>" + (self.table().html() if self._tables() else "")
+
+    def table(self, name: str | None = None) -> Table:
+        """One of the result's tables.
+
+        Parameters
+        ----------
+        name : str, optional
+            Which; default the first. A name that does not exist is answered with those that do.
+
+        Raises
+        ------
+        ModelError
+            When the result has no such table.
+        """
+        tables = self._tables()
+        chosen = next(iter(tables), "") if name is None else name
+        if chosen not in tables:
+            raise unknown_name(f"table of a {type(self).__name__}", chosen, tables)
+        made = tables[chosen]()
+        return made if isinstance(made, Table) else Table.of_columns(chosen, made)
+
+    def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
+        """One of the result's tables as a data frame; raises ModelError as `table`, SetupError without pandas."""
+        return self.table(table).frame()
+
+    def save(self, path: str | Path) -> None:
+        """Write the whole result to one file that `ltsim.read` gives back without loss; raises RecordError."""
+        save(self, Path(path))
+
+    def plot(self) -> Figure:
+        """The picture of the result, a matplotlib figure; raises ModelError for what has none."""
+        figure: Figure = import_module("ltsim.pages.plots").figure_of(self)  # by name: only the room above draws
+        return figure
+
+
+def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Rows as aligned text, the first `left` columns to the left, the others to the right.
+
+    Raises
+    ------
+    ModelError
+        When a row is not as long as the header.
+    """
+    if any(len(row) != len(header) for row in rows):
+        raise ModelError("a row of a table is not as long as its header")
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i < left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def guarded(text: str) -> str:
+    """A text that no spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(FORMULA) else text
+
+
+def plain(text: str) -> str:
+    """The text that was guarded."""
+    return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA) else text
+
+
+def _kind_of(column: Sequence[Any]) -> Kind:
+    first = next((value for value in column if value is not None), None)
+    return "flag" if isinstance(first, bool | np.bool_) else "text" if isinstance(first, str) else "number"
+
+
+def _value(column: Column, cell: str, file: object, row: int) -> Any:
+    """What a cell of a CSV file says."""
+    if column.kind == "text":
+        return plain(cell)
+    if column.kind == "flag":
+        return cell == "True"
+    try:
+        return float(cell or "nan")
+    except ValueError:
+        raise RecordError(f"'{cell[:40]}' is no number", file=file, row=row, column=column.name) from None
+
+
+def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
+    """Columns of rows that all have the same keys."""
+    return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}
+
+
+def by_entry(kind: type, entries: Sequence[object]) -> Columns:
+    """Columns of the fields of a dataclass, a row an entry."""
+    return {field.name: [getattr(entry, field.name) for entry in entries] for field in fields(kind)}

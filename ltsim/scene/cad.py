@@ -1,0 +1,160 @@
+"""CAD files as triangles in metres with z up, each format by its own convention.
+
+glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY state nothing and are taken in millimetres
+with z up. What a file was taken for is told, and a body of an unlikely size or place is a question, not a body.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from ltsim.arrays import Floats
+from ltsim.errors import SetupError
+from ltsim.units import FACTOR
+
+GLTF = (".glb", ".gltf")
+EXACT = (".step", ".stp", ".iges", ".igs")
+SUFFIXES = (".stl", ".obj", ".ply", *GLTF, *EXACT)
+WORDS = {"mm": "millimetres", "m": "metres"}
+MAX_BYTES = 512 * 1024 * 1024
+DEVIATION = 1.0
+"""[mm] that a triangle may lie off an exact surface: enough to know what hides what."""
+SMALL = 0.1
+"""[m]: nothing shorter is worth its place in a hall without a word."""
+BEYOND = 0.05
+"""[m] that a body may reach beyond the room or below its floor."""
+UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Turns y up to z up: x stays, y becomes z, z becomes -y."""
+
+
+@dataclass(frozen=True)
+class Cad:
+    """A CAD file as it was read."""
+
+    file: Path
+    triangles: Floats
+    """(m, 3, 3) [m], z up."""
+    unit: str
+    """`mm` or `m`; empty where the file states its own."""
+    up: str
+    """`y` or `z`."""
+    sure: bool
+    """The unit is stated, by the file or by who named it."""
+
+    @property
+    def read_as(self) -> str:
+        """What the file was taken for, in words."""
+        kind = self.file.suffix[1:].upper()
+        unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} states"
+        return f"{unit}, {self.up} up"
+
+    def of_other(self, *, unit: str = "", up: str = "") -> Floats:
+        """The triangles (m, 3, 3) as another unit or another axis that points up would have them."""
+        triangles = self.triangles * (FACTOR[unit] / FACTOR[self.unit] if unit else 1.0)
+        if up and up != self.up:
+            triangles = triangles @ (UPRIGHT.T if up == "y" else UPRIGHT)
+        return triangles
+
+
+def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:
+    """A CAD file; `unit` (`mm`, `m`) and `up` (`y`, `z`) where its format's convention does not hold; SetupError."""
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
+    if suffix in EXACT and unit is not None:
+        raise SetupError(f"{path}: {suffix[1:].upper()} states its own unit; leave out unit")
+    try:
+        found = path.stat()
+        if found.st_size > MAX_BYTES:
+            raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
+        triangles = _triangles(path, found.st_mtime_ns)
+    except OSError as problem:
+        raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
+    turned = up or ("y" if suffix in GLTF else "z")
+    own = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
+    triangles = triangles * FACTOR[own or "m"]
+    sure = suffix in EXACT or unit is not None
+    return Cad(path, triangles @ UPRIGHT.T if turned == "y" else triangles, own, turned, sure)
+
+
+@lru_cache(maxsize=8)
+def _triangles(path: Path, _changed: int) -> Floats:
+    """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]."""
+    suffix, content = path.suffix.lower(), path.read_bytes()
+    if suffix in EXACT:
+        content, suffix = _as_glb(path, content), ".glb"
+    try:
+        loaded: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
+        triangles: Floats = np.array(loaded.triangles, dtype=np.float64)
+    except Exception as problem:  # readers of all these formats raise whatever they meet
+        raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
+    if not len(triangles) or not np.all(np.isfinite(triangles)):
+        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+    triangles.flags.writeable = False
+    return triangles
+
+
+def _as_glb(path: Path, content: bytes) -> bytes:
+    """The GLB file, in metres and in the axes of the CAD, of a STEP or IGES file by OpenCASCADE; empty for none."""
+    try:
+        import cascadio
+    except ImportError:
+        raise SetupError(
+            f'{path}: holds exact surfaces, which needs the library cascadio: pip install "ltsim[step]", or export it '
+            "from the CAD system as STL, OBJ or GLB"
+        ) from None
+    kind = cascadio.FileType.STEP if path.suffix.lower() in EXACT[:2] else cascadio.FileType.IGES
+    with _unheard():
+        found: bytes = cascadio.to_glb_bytes(content, kind, tol_linear=DEVIATION)
+    return found
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """OpenCASCADE writes what it thinks of a file to the terminal, below Python; it goes nowhere."""
+    kept = [os.dup(1), os.dup(2)]
+    with tempfile.TemporaryFile() as nowhere:
+        try:
+            for number in (1, 2):
+                os.dup2(nowhere.fileno(), number)
+            yield
+        finally:
+            for number, own in zip((1, 2), kept, strict=True):
+                os.dup2(own, number)
+                os.close(own)
+
+
+def extent(triangles: Floats) -> str:
+    """Size and place of triangles (m, 3, 3) [m] in words."""
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    size = " x ".join(f"{v:.3g}" for v in high - low)
+    return f"{size} m, " + ", ".join(f"{k} {a:.2f} to {b:.2f}" for k, a, b in zip("xyz", low, high, strict=True)) + " m"
+
+
+def size_question(cad: Cad, room: Floats) -> str:
+    """What has to be asked about the size of a body in a room (3,) [m]; empty for nothing."""
+    length = np.ptp(cad.triangles, axis=(0, 1))
+    if cad.sure or SMALL <= length.max() <= 1.5 * room.max():
+        return ""
+    size, other = " x ".join(f"{v:.3g}" for v in length), "m" if cad.unit == "mm" else "mm"
+    return (
+        f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not say; "
+        f'state unit = "{other}", or unit = "{cad.unit}" if it is so'
+    )
+
+
+def inside(triangles: Floats, room: Floats) -> bool:
+    """Whether triangles (m, 3, 3) [m] stay in a room (3,) [m] whose corner is the origin."""
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    return bool(np.all(low >= -BEYOND) and np.all(high <= room + BEYOND))

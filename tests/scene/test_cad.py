@@ -1,0 +1,216 @@
+"""CAD by the convention of its format: the same body from each, and a question where it cannot be meant so."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import ltsim as lt
+from ltsim.errors import SetupError
+from ltsim.planning.spec import load_plan
+from ltsim.scene.cad import UPRIGHT, read_mesh
+from ltsim.simulation.workshop import bodies_of
+
+HEADER = """ISO-10303-21;
+HEADER;
+FILE_DESCRIPTION((''),'2;1');
+FILE_NAME('box','',(''),(''),'','','');
+FILE_SCHEMA(('AUTOMOTIVE_DESIGN'));
+ENDSEC;
+DATA;
+"""
+
+
+def step_of(mesh: trimesh.Trimesh, unit: str) -> str:
+    """A closed mesh as a faceted boundary representation in ISO 10303-21."""
+    lines: list[str] = []
+
+    def add(text: str) -> str:
+        lines.append(f"#{len(lines) + 1}={text};")
+        return f"#{len(lines)}"
+
+    def triple(values: np.ndarray) -> str:
+        return "(" + ",".join(f"{v:.6f}" for v in values) + ")"
+
+    places = mesh.vertices
+    corner = [add(f"CARTESIAN_POINT('',{triple(p)})") for p in places]
+    faces = []
+    for face in mesh.faces:
+        a, b, c = places[face]
+        across, out = (b - a) / np.linalg.norm(b - a), np.cross(b - a, c - b)
+        loop = add(f"POLY_LOOP('',({','.join(corner[i] for i in face)}))")
+        bound = add(f"FACE_OUTER_BOUND('',{loop},.T.)")
+        axes = [add(f"DIRECTION('',{triple(v)})") for v in (out / np.linalg.norm(out), across)]
+        where = add(f"AXIS2_PLACEMENT_3D('',{corner[face[0]]},{axes[0]},{axes[1]})")
+        plane = add(f"PLANE('',{where})")
+        faces.append(add(f"FACE_SURFACE('',({bound}),{plane},.T.)"))
+    shell = add(f"CLOSED_SHELL('',({','.join(faces)}))")
+    body = add(f"FACETED_BREP('box',{shell})")
+    metre = add(f"(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT({unit},.METRE.))")
+    radian = add("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
+    solid = add("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
+    context = add(
+        f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNIT_ASSIGNED_CONTEXT(({metre},{radian},{solid}))"
+        "REPRESENTATION_CONTEXT('',''))"
+    )
+    shape = add(f"FACETED_BREP_SHAPE_REPRESENTATION('',({body}),{context})")
+    use = add("APPLICATION_CONTEXT('automotive_design')")
+    field = add(f"PRODUCT_CONTEXT('',{use},'mechanical')")
+    product = add(f"PRODUCT('box','box','',({field}))")
+    formation = add(f"PRODUCT_DEFINITION_FORMATION('','',{product})")
+    stage = add(f"PRODUCT_DEFINITION_CONTEXT('part definition',{use},'design')")
+    made = add(f"PRODUCT_DEFINITION('','',{formation},{stage})")
+    form = add(f"PRODUCT_DEFINITION_SHAPE('','',{made})")
+    add(f"SHAPE_DEFINITION_REPRESENTATION({form},{shape})")
+    return HEADER + "\n".join(lines) + "\nENDSEC;\nEND-ISO-10303-21;\n"
+
+
+@pytest.mark.parametrize(("unit", "size"), [(".MILLI.", (2500, 1500, 2200)), ("$", (2.5, 1.5, 2.2))])
+def test_a_step_file_is_read_in_its_own_unit(unit: str, size: tuple[float, float, float], tmp_path: Path) -> None:
+    pytest.importorskip("cascadio", reason="the extra step is not installed")
+    file = tmp_path / "box.step"
+    file.write_text(step_of(trimesh.creation.box(bounds=[[0, 0, 0], size]), unit))
+    triangles = read_mesh(file).triangles
+    assert triangles.min(axis=(0, 1)) == pytest.approx([0, 0, 0], abs=1e-6)
+    assert triangles.max(axis=(0, 1)) == pytest.approx([2.5, 1.5, 2.2], abs=1e-6)
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert 0.5 * np.linalg.norm(cross, axis=1).sum() == pytest.approx(2 * (2.5 * 1.5 + 2.5 * 2.2 + 1.5 * 2.2), rel=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".step", ".stp", ".igs", ".iges"])
+def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: Path, capfd) -> None:
+    pytest.importorskip("cascadio", reason="the extra step is not installed")
+    file = tmp_path / f"bad{suffix}"
+    file.write_text(HEADER + "#1=NONSENSE(;\n")
+    with pytest.raises(SetupError, match=rf"bad\{suffix}: is not a whole"):
+        read_mesh(file)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_without_the_library_the_sentence_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "cascadio", None)
+    file = tmp_path / "machine.step"
+    file.write_text("ISO-10303-21;")
+    with pytest.raises(SetupError, match=r'machine.step: .*pip install "ltsim\[step\]", or export it .* as STL'):
+        read_mesh(file)
+
+
+HALL = """format = "ltsim-plan/1"
+points = "points.csv"
+[workshop]
+size_mm = [40000, 25000, 12000]
+[[workshop.obstacles]]
+name = "fuselage"
+file = "FILE"
+position_mm = [0, 0, 0]
+[instrument]
+preset = "modern"
+[instrument.limits]
+range_max_mm = 40000
+[stations]
+count = 3
+seen_from = 1
+[search]
+starts = 1
+grid_mm = 8000
+yaws = 1
+heights = 1
+"""
+POINTS = [
+    f"P{i}{k},{x},{y},{z}"
+    for i, x in enumerate((8000, 17000, 26000, 33000))
+    for k, (y, z) in enumerate(((10000, 4000), (15000, 4500), (12500, 6600)))
+]
+
+
+def fuselage() -> trimesh.Trimesh:
+    """A body of 30 m along x whose tail is raised, in a hall's metres, z up."""
+    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    ring = np.stack([np.zeros(12), 2 * np.cos(turn), 2 * np.sin(turn)], axis=1)
+    places = [ring + [-12, 0, 0], ring + [8, 0, 0], [[-15, 0, -1.0]], [[15, 0, 1.9]]]
+    return trimesh.convex.convex_hull(np.concatenate(places) + [20.0, 12.5, 4.0])
+
+
+def written(folder: Path, name: str, turn: np.ndarray = UPRIGHT.T, **keys: str) -> Path:
+    """A plan whose fuselage is the file `name`, in the convention of its format."""
+    mesh, file = fuselage(), folder / name
+    if file.suffix in (".glb", ".gltf"):
+        mesh = trimesh.Trimesh(mesh.vertices @ turn.T, mesh.faces)
+    else:
+        mesh.apply_scale(1000.0)
+    if file.suffix == ".step":
+        file.write_text(step_of(mesh, ".MILLI."))
+    elif file.suffix == ".gltf":
+        file.write_bytes(mesh.export(file_type="gltf", merge_buffers=True, embed_buffers=True)["model.gltf"])
+    else:
+        mesh.export(file)
+    own = "".join(f'{key} = "{value}"\n' for key, value in keys.items())
+    (folder / "points.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *POINTS]))
+    plan = folder / "plan.toml"
+    plan.write_text(HALL.replace('"FILE"\n', f'"{name}"\n{own}'))
+    return plan
+
+
+@pytest.fixture(scope="module")
+def layout(tmp_path_factory: pytest.TempPathFactory) -> lt.Plan:
+    """The plan with the fuselage as STL."""
+    return lt.plan(written(tmp_path_factory.mktemp("stl"), "fuselage.stl"))
+
+
+@pytest.mark.parametrize(
+    ("name", "turn", "keys"),
+    [
+        ("fuselage.obj", UPRIGHT.T, {}),
+        ("fuselage.glb", UPRIGHT.T, {}),
+        ("fuselage.gltf", UPRIGHT.T, {}),
+        ("fuselage.glb", np.eye(3), {"up": "z"}),
+        ("fuselage.step", UPRIGHT.T, {}),
+    ],
+)
+def test_each_format_gives_the_same_layout_and_sights(
+    name: str, turn: np.ndarray, keys: dict[str, str], layout: lt.Plan, tmp_path: Path
+) -> None:
+    if name.endswith("step"):
+        pytest.importorskip("cascadio", reason="the extra step is not installed")
+    made = lt.plan(written(tmp_path, name, turn, **keys))
+    assert made.chosen.survey.position == pytest.approx(layout.chosen.survey.position, abs=1e-6)
+    assert made.chosen.survey.seen.tolist() == layout.chosen.survey.seen.tolist()
+    assert not made.chosen.survey.seen.all()  # the fuselage hides some
+    (body,) = bodies_of(made.scenario)
+    assert "30 x 4 x 4 m, x 5.00 to 35.00" in body.words
+
+
+PLACE = "position_mm = [0, 0, 0]"
+
+
+@pytest.mark.parametrize(
+    ("name", "turn", "scale", "place", "sentence"),
+    [
+        ("fuselage.stl", None, 1e-3, PLACE, 'does not say; state unit = "m", or unit = "mm" if it is so'),
+        ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its numbers are millimetres"),
+        ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it would'),
+        ("fuselage.stl", None, 1.0, "position_mm = [0, 0, -3000]", "reaches below the floor of 40 x 25 x 12 m"),
+        ("fuselage.step", None, 1.0, "position_mm = [10000, 0, 0]", "reaches beyond the room of 40 x 25 x 12 m"),
+    ],
+)
+def test_a_body_that_cannot_be_meant_so_is_a_question(
+    name: str, turn: np.ndarray | None, scale: float, place: str, sentence: str, tmp_path: Path
+) -> None:
+    if name.endswith("step"):
+        pytest.importorskip("cascadio", reason="the extra step is not installed")
+    plan = written(tmp_path, name, UPRIGHT.T if turn is None else turn)
+    if scale != 1.0:
+        trimesh.load(tmp_path / name).apply_scale(scale).export(tmp_path / name)
+    plan.write_text(plan.read_text().replace(PLACE, place))
+    with pytest.raises(SetupError) as caught:
+        load_plan(plan)
+    assert str(caught.value).startswith(str(tmp_path / name))
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+    if "beyond_room" in str(caught.value):
+        plan.write_text(plan.read_text().replace("position_mm", "beyond_room = true\nposition_mm", 1))
+        load_plan(plan)

@@ -1,0 +1,207 @@
+"""One declaration of a table's columns feeds every form of it; results are values that can be kept."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import ltsim as lt
+from ltsim.errors import ModelError, RecordError
+from ltsim.results import Column, Result, Table, flags, numbers, texts
+from ltsim.saved import Valued, load, same, save
+
+POINTS = Table(
+    "points.csv",
+    "where points are",
+    (
+        *texts(target="name"),
+        Column("x_mm", "coordinate", form=".6f", sigma="sigma_x_mm"),
+        Column("sigma_x_mm", "its standard deviation", form=".6f"),
+        *numbers(".3g", ".2f", share_percent="of all"),
+        *flags(moved="it moved"),
+    ),
+)
+ROWS = [("=T1", 1000.12349, 0.0123, 12.5, True), ("T2", -1.0, None, float("nan"), False)]
+
+
+@dataclass(frozen=True)
+class Cloud(Result):
+    """A small result."""
+
+    points: np.ndarray
+    name: str = "cloud"
+    rows: Any = None
+
+    def _lines(self) -> list[str]:
+        return [f"{self.name}: {len(self.points)} points"]
+
+    def _tables(self) -> Any:
+        return {"points": lambda: POINTS.filled(ROWS), "plain": lambda: {"n": [1, 2], "what": ["a", "b"]}}
+
+
+def test_a_table_is_written_and_read_back():
+    text = POINTS.filled(ROWS).csv()
+    assert text.splitlines()[1] == "'=T1,1000.123490,0.012300,12.5,True"
+    again = POINTS.parsed(text)
+    assert again.column("target") == ["=T1", "T2"]
+    assert again.column("moved") == [True, False]
+    assert np.isnan(again.column("sigma_x_mm")[1])
+    assert again.csv() == text
+    with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is no number"):
+        POINTS.parsed(text.replace("1000.123490", "one"))
+    with pytest.raises(RecordError, match="there is no column moved"):
+        POINTS.parsed(text.replace("moved", "went"))
+
+
+def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():
+    table = POINTS.filled(ROWS)
+    assert table.headings == ["target", "x [mm]", "share [%]", "moved"]
+    assert table.cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
+    assert table.meanings["x [mm]"] == "coordinate"
+    assert table.text().splitlines()[1].startswith("=T1     1000.123 +- 0.012")
+
+
+def test_rows_come_from_sequences_mappings_and_objects():
+    @dataclass
+    class Row:
+        n: int
+        what: str
+
+    table = Table("rows.csv", "rows", (*numbers(n="number"), *texts(what="word")))
+    made = [table.filled(rows) for rows in ([(1, "a")], [{"what": "a", "n": 1}], [Row(1, "a")])]
+    assert made[0] == made[1] == made[2]
+    assert made[0].json() == [{"n": 1, "what": "a"}]
+    with pytest.raises(ModelError, match="has 1 cells for 2 columns"):
+        table.filled([(1,)])
+
+
+def test_a_result_gives_its_tables_by_name():
+    cloud = Cloud(np.zeros((2, 3)))
+    assert repr(cloud) == "cloud: 2 points"
+    assert cloud.table("plain").header == ["n", "what"]
+    assert "<td>1000.123 +- 0.012</td>" in cloud._repr_html_()
+    with pytest.raises(ModelError, match="no table of a Cloud called 'point'; did you mean points"):
+        cloud.table("point")
+    with pytest.raises(ModelError, match="a Cloud has no picture"):
+        cloud.plot()
+
+
+def test_results_are_equal_where_their_values_are():
+    one, other = Cloud(np.array([[1.0, np.nan]])), Cloud(np.array([[1.0, np.nan]]))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one != replace(other, points=np.array([[1.0, 2.0]]))
+    assert one != replace(other, points=other.points.astype(np.float32))
+    assert one != replace(other, name="fog")
+    assert same({"a": (1, np.arange(3))}, {"a": (1, np.arange(3))})
+    assert not same([1, 2], [1, 3])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"a": (1, 2.5, float("inf")), 3: [None, True]},
+        {frozenset({"x"}), frozenset({"y", "z"})},
+        Path("somewhere"),
+        np.arange(6, dtype=np.int32).reshape(2, 3),
+        np.float64(0.1),
+        sp.csr_array(np.eye(3)),
+        np.linalg.norm,
+    ],
+    ids=lambda content: type(content).__name__,
+)
+def test_saving_loses_nothing_and_takes_data_only(content: Any, tmp_path: Path):
+    file = tmp_path / "cloud.lt"
+    cloud = Cloud(np.random.default_rng(1).normal(size=(3, 3)), rows=(content, content))
+    if callable(content):
+        with pytest.raises(ModelError, match="cannot be saved"):
+            cloud.save(file)
+        assert not list(tmp_path.iterdir())
+        return
+    cloud.save(file)
+    again = load(file)
+    assert again == cloud
+    assert again.rows[0] is again.rows[1]
+
+
+def test_a_saved_file_names_no_code(tmp_path: Path):
+    file = tmp_path / "evil.lt"
+    for tree in (
+        {"is": "name", "no": 0, "of": "os:system"},
+        {"is": "made", "no": 0, "class": "subprocess:Popen", "of": [["true"]]},
+        {"is": "made", "no": 0, "class": "ltsim.workers:Processes", "of": []},
+        {"is": "object", "no": 0, "class": "threading:Thread", "of": {}},
+    ):
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("result.json", json.dumps({"format": "ltsim-result/1", "result": tree}))
+        with pytest.raises(RecordError, match="is no result that this version"):
+            load(file)
+    file.write_text("no archive")
+    with pytest.raises(RecordError):
+        load(file)
+
+
+def test_a_file_that_cannot_be_written_is_one_sentence(tmp_path: Path):
+    with pytest.raises(RecordError, match="cannot be written"):
+        save({}, tmp_path / "none" / "there.lt")
+
+
+def test_data_classes_below_keep_their_own_representation():
+    @dataclass(frozen=True)
+    class Pair(Valued):
+        both: np.ndarray
+
+    assert repr(Pair(np.ones(1))).endswith("Pair(both=array([1.]))")
+    assert Pair(np.ones(2)) == Pair(np.ones(2))
+
+
+@pytest.fixture(scope="module")
+def kept() -> dict[str, Any]:
+    recording = lt.simulate("paper-workshop", seed=7).recording
+    calibration = lt.calibrate(recording)
+    return {
+        "recording": recording,
+        "scenario": lt.scenario("paper-workshop"),
+        "truth": lt.simulate("paper-workshop").truth,
+        "calibration": calibration,
+        "dh": lt.calibrate(recording, construction="dh"),
+        "adjustment": calibration.adjustment,
+        "criteria": lt.evaluate(recording, calibration),
+        "history": lt.history([calibration, recording]),
+        "check": lt.check(recording),
+        "diagnosis": lt.diagnose(recording),
+        "comparison": lt.compare(recording, recording, same_instrument=True),
+        "catalogue": lt.catalogue("beam-tilt", "backlash"),
+    }
+
+
+NAMES = "recording scenario truth calibration dh adjustment criteria history check diagnosis comparison catalogue"
+
+
+@pytest.mark.parametrize("name", NAMES.split())
+def test_every_result_can_be_copied_pickled_saved_and_compared(name: str, kept, tmp_path: Path):
+    result, file = kept[name], tmp_path / "result.lt"
+    result.save(file)
+    for again in (copy.copy(result), copy.deepcopy(result), pickle.loads(pickle.dumps(result)), load(file)):
+        assert again == result
+        assert repr(again) == repr(result)
+    assert all(other is result or other != result for other in kept.values())
+
+
+@pytest.mark.parametrize("name", ["calibration", "criteria", "check"])
+def test_results_are_drawn(name: str, kept):
+    assert kept[name].plot().axes
+
+
+def test_what_has_no_picture_says_so(kept):
+    with pytest.raises(ModelError, match="has no picture"):
+        kept["catalogue"].plot()
