@@ -135,7 +135,7 @@ class Calibration(Result):
     @property
     def applied(self) -> Floats:
         """Parameters (I, p) [SI] to take out of readings."""
-        return self.values if self.weighed is None else self.weighed
+        return self.values if self.correction is None or self.weighed is None else self.weighed
 
     @property
     def noise_estimated(self) -> bool:

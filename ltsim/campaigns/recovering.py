@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ltsim.api.workshop import ScenarioSource, scenario
 from ltsim.campaigns.recovery import Errors, Recovery, errors_of, recover as trials_of
 from ltsim.errors import SetupError, unknown_name
 from ltsim.model.construction import construction as construction_called
 from ltsim.simulation.physics import construction_of
+from ltsim.simulation.verbs import ScenarioSource, scenario
 
 
 def recover(
