@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         plan as plan,
         without_station as without_station,
     )
-    from ltsim.api.recovering import recover as recover
+    from ltsim.api.recovering import recover as recover, recovery_checks as recovery_checks
     from ltsim.api.tasks import (
         accept as accept,
         bench as bench,
@@ -45,7 +45,7 @@ _ROOMS = {
     "network": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
     "diagnosing": ("diagnose",),
     "campaigns": ("campaign",),
-    "recovering": ("recover",),
+    "recovering": ("recover", "recovery_checks"),
     "planning": ("plan", "next_measurement", "without_station"),
     "pages": ("view", "report"),
     "catalogue": ("catalogue", "add_effect"),

@@ -8,6 +8,7 @@ from ltsim.api.network import wanted_effect
 from ltsim.api.workshop import ScenarioSource, scenario, simulate
 from ltsim.campaigns.foreign import Calibrator, checked_command
 from ltsim.campaigns.recovery import Errors, How, Recovery, errors_of, recover as trials_of, recovered
+from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
 from ltsim.errors import SetupError, unknown_name
 from ltsim.model.construction import construction as construction_called
 from ltsim.simulation.physics import construction_of

@@ -39,6 +39,7 @@ from ltsim.campaigns.recovery_checks import (
     parameter_checks,
     tolerance_check,
 )
+from ltsim.campaigns.schema import TRIALS
 from ltsim.campaigns.scoring import Trial, check_known, score, true_values
 from ltsim.errors import ConvergenceError, LtsimError, SetupError
 from ltsim.model.construction import Construction
@@ -92,7 +93,7 @@ class Recovery(Result):
         return {
             "checks": lambda: by_row([vars(check) | {"passed": check.passed} for check in self.checks()]),
             "parameters": self._parameters,
-            "trials": lambda: by_row(self.rows()),
+            "trials": lambda: TRIALS.filled(self.rows()),
         }
 
     @property

@@ -117,8 +117,7 @@ def recover(
     if out is not None:
         from ltsim.recording.result_file import write_result
 
-        rows = TRIALS.text(row.values() for row in result.rows())
-        content = write_result(out, content, {TRIALS.file: rows})
+        content = write_result(out, content, {TRIALS.file: result.table("trials").csv()})
     if junit is not None:
         junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())
