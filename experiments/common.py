@@ -30,6 +30,7 @@ from ltsim.simulation.draws import Normal
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "results"
 HELD_OUT = ROOT / "experiments" / "held_out.toml"
 """Another day in the same workshop: stations and reflectors that nobody calibrated with."""
 USED = ("ltsim", "numpy", "scipy", "numba")
@@ -225,6 +226,19 @@ def write_figure(path: Path, figure: Figure) -> None:
     path.write_text(svg(figure), encoding="utf-8")
 
 
+def refuse_changes(out: Path) -> None:
+    """Leave with a word where results are to be committed that no commit could have made."""
+    changed = changes()
+    if changed and RESULTS in (out, *out.parents):
+        files = ", ".join(line.split()[-1] for line in changed.splitlines()[:3])
+        sys.exit(f"the sources are not committed ({files}, ...): commit them first, or name another folder with --out")
+
+
+def changes() -> str | None:
+    """Sources that differ from the commit."""
+    return _git("status", "--porcelain", "--", "ltsim", "experiments", "benchmarks", "pyproject.toml")
+
+
 def write_manifest(here: Path, given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
     words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
@@ -233,15 +247,24 @@ def write_manifest(here: Path, given: Options, made: Made) -> None:
         "seed": made.seed,
         "trials": made.trials,
         "versions": {"python": platform.python_version()} | {name: version(name) for name in USED},
-        "commit": _git("rev-parse", "HEAD"),
-        "uncommitted_changes": bool(_git("status", "--porcelain", "--", "ltsim", "experiments")),
+        "commit": commit(),
+        "uncommitted_changes": bool(changes()),
         "settings": {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))},
     }
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(content | dict(made.more), indent=1) + "\n"
-    some = "-".join(["", *given.words]) if made.folder is None else ""  # steps of a whole have manifests of their own
-    (folder / f"manifest{some}.json").write_text(text, encoding="utf-8")
+    (folder / manifest_name(given.words if made.folder is None else ())).write_text(text, encoding="utf-8")
+
+
+def manifest_name(words: Sequence[str]) -> str:
+    """Steps of a whole have manifests of their own."""
+    return f"manifest{'-'.join(['', *words])}.json"
+
+
+def commit() -> str | None:
+    """The commit that is checked out."""
+    return _git("rev-parse", "HEAD")
 
 
 def _git(*words: str) -> str | None:

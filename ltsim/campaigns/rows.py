@@ -289,6 +289,8 @@ def z_scores(
 
 def _effect_z_scores(truth: Truth, block: Block, found: Calibrated, effects: Sequence[Effect]) -> Columns:
     """The same of fitted effects that are among the true ones."""
+    if not effects:
+        return {}
     both = [(law.effect, own) for law, own in zip(truth.effects, block.amounts, strict=True) if law.effect in effects]
     columns: Columns = {}
     parts = np.split(np.arange(len(found.extra)), np.cumsum([len(e.parameters) for e in effects])[:-1])

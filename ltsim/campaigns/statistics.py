@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED
@@ -227,6 +229,15 @@ class Results(Result):
         variance = _number(by_gained) - 2 * value * _number(by_both) + value**2 * _number(by_correctable)
         half = self.half(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
         return Spread(cell, method, column, count, value, value - half, value + half)
+
+    def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
+        """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
+        name, word = self._known(column), method.replace("'", "''")
+        rows = self.query(
+            f"SELECT {name} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND isfinite({name}) "
+            f"AND trial < {int(most)} ORDER BY trial"
+        )
+        return np.array(rows, dtype=np.float64).reshape(-1)
 
     def z_scores(self) -> list[Scores]:
         """Mean, spread and coverage of the z-scores of every parameter."""

@@ -25,8 +25,8 @@ from ltsim.planning import schema as plan
 from ltsim.planning.spec import PlanFile
 from ltsim.recording.files import write_texts
 from ltsim.recording.result_file import ResultFile
-from ltsim.recording.result_table import ResultTable
 from ltsim.recording.setup import Setup
+from ltsim.results import Table
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.truth import TruthFile
 from ltsim.tasks import comparison, files as uncertainty
@@ -61,7 +61,7 @@ FILES: dict[str, type[BaseModel]] = {
 }
 """Every file with a model, those that people write among them."""
 
-TABLES: dict[str, tuple[ResultTable, ...]] = {
+TABLES: dict[str, tuple[Table, ...]] = {
     CalibrationFile.FILE: (TARGETS, RESIDUALS),
     BenchFile.FILE: (BENCH,),
     "truth.json": (NOMINAL,),

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
-from typing import Any, Literal, get_args, get_origin, get_type_hints
-
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects import BASELINE, find_effect
+from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
+from ltsim.effects.made import effect_from as effect_from, shape_of as shape_of
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
@@ -18,11 +15,7 @@ from ltsim.model.construction import Construction, construction, dh, misalignmen
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
 from ltsim.simulation.sections import EffectEntry, Instrument, Smr
-from ltsim.units import ARCSECOND, DEGREE, FACTOR, MICROMETRE
-
-PLACES = ("stations", "targets")
-WIDER = 100.0
-"""Times beyond the bounds of a search that a length or a time constant may be simulated."""
+from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 
 
 def construction_of(scenario: Scenario) -> Construction:
@@ -84,68 +77,6 @@ def resolution_of(scenario: Scenario) -> Floats:
     steps = [tracker.resolution for tracker in scenario.trackers.values()]
     units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
-
-
-def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> Effect:
-    """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
-
-    Raises
-    ------
-    ModelError
-        When there is no such effect or constant, or a value does not fit.
-    """
-    kind = find_effect(name)
-    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in PLACES}
-    units = {s.name: FACTOR[s.unit] for s in kind.shape}
-    constants: dict[str, Any] = {}
-    for key, value in shape.items():
-        if key not in fields:
-            known = ", ".join(sorted(fields)) or "none"
-            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
-        constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
-    effect = kind(**places, **constants)
-    _check_constants(effect)
-    return effect
-
-
-def _check_constants(effect: Effect) -> None:
-    """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
-
-    Raises
-    ------
-    ModelError
-        Naming the constant and what would do.
-    """
-    hints = get_type_hints(type(effect))
-    for field in dataclasses.fields(effect):
-        known, value = get_args(hints[field.name]), getattr(effect, field.name)
-        if get_origin(hints[field.name]) is Literal and value not in known:
-            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, known))}")
-    for shape in effect.shape:
-        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
-        low, high = shape.low / WIDER, shape.high * WIDER
-        if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
-            bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
-            raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
-
-
-def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
-    """A constant in SI, of the type its default has."""
-    if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
-        raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
-    if isinstance(default, int):
-        if float(value) != int(value):
-            raise ModelError(f"{key} is {value}, expected a whole number")
-        return int(value)
-    return value * unit if isinstance(default, float) else value
-
-
-def shape_of(effect: Effect) -> dict[str, Any]:
-    """The constants of an effect, as `effect_from` takes them."""
-    units = {s.name: FACTOR[s.unit] for s in effect.shape}
-    names = [f.name for f in dataclasses.fields(effect) if f.name not in PLACES]
-    values = {name: getattr(effect, name) for name in names}
-    return {name: value / units[name] if name in units else value for name, value in values.items()}
 
 
 def incidence_effect(smr: Smr) -> SmrIncidence:

@@ -25,6 +25,7 @@ SIZE = CONSTRUCTION.size
 PRIOR = np.array([p.prior_sigma for p in CONSTRUCTION.parameters])
 SILENT = 3
 """The first parameters of the synthetic calibrations are those their readings do not touch."""
+FIT = Fit(chi2=1, dof=1, sigma0=1, p_value=0.5, iterations=1, status="")
 
 
 def estimate(truth, design, rng, prior=PRIOR):
@@ -32,7 +33,7 @@ def estimate(truth, design, rng, prior=PRIOR):
     told = design.T @ (design @ truth + rng.standard_normal(len(design)))
     covariance = np.linalg.inv(design.T @ design + np.diag(prior**-2))
     return Calibration(
-        "network", CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance, Fit(1, 1, 1, 0.5, 1, ""),
+        "network", CONSTRUCTION, ("",), (covariance @ told)[None], prior[None], covariance, FIT,
         (), "", (),
     )  # fmt: skip
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.report import samples
 
 from ltsim.adjustment import adjust
 from ltsim.calibration.calibration import targets_table
@@ -20,6 +19,7 @@ from ltsim.pages.schemas import RESULTS, main, schemas, tables
 from ltsim.recording import write
 from ltsim.recording.result_file import digest_of, read_result
 from ltsim.recording.setup import Setup
+from tests.pages import samples
 
 FOLDERS = {
     "calibration.json": samples.calibration_folder,
