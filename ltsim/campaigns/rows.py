@@ -147,8 +147,9 @@ class Prepared:
         for trial in trials:
             with suppress(SetupError):
                 key = place_key(trial, self.campaign.geometry)
-                like = {"like": self.shared.truth, "plan": self._plan}
-                found[trial] = truth_of(self.scenario, self.campaign.seed, *key, **like)
+                found[trial] = truth_of(
+                    self.scenario, self.campaign.seed, *key, like=self.shared.truth, plan=self._plan
+                )
         return found
 
 

@@ -167,8 +167,13 @@ def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
     checks = result.checks()
     failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
-    counts = {"tests": str(len(checks)), "failures": failed, "errors": "0", "time": f"{result.seconds:.3f}"}
-    root = Element("testsuite", name=f"ltsim recover {suite}", **counts)
+    counts: dict[str, str] = {
+        "tests": str(len(checks)),
+        "failures": failed,
+        "errors": "0",
+        "time": f"{result.seconds:.3f}",
+    }
+    root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
         case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
         inside = SubElement(case, "properties")
