@@ -102,23 +102,10 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     hints : Hints, optional
         What an ambiguous file means: `ltsim.recording.Hints`.
 
-    Returns
-    -------
-    Recording
-        Its `notes` say what was decided about ambiguous conventions, skipped or left out.
-
     Raises
     ------
     RecordError
         One sentence: what is wrong and where, or which hint is wanted.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.write(recording, "my-recording")
-    >>> lt.read("my-recording")
-    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
     path = Path(path)
     hints = hints or NO_HINTS
@@ -129,6 +116,15 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
     return found.replace(notes=(*found.notes, *contradictions(found)))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file or folder is in one of the formats known here."""
+    try:
+        recognised(path)
+    except RecordError:
+        return False
+    return True
 
 
 def recording_of(source: RecordingSource) -> Recording:
