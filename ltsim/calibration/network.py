@@ -98,8 +98,8 @@ def calibrate_network(
     informed = chosen.prior is not None
     if weigh:
         wider = WIDE if chosen.free else None
-        worth = correction_of(found, calibration.names, informed=informed, wider=wider)
-        calibration = replace(calibration, correction=worth)
+        worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
+        calibration = replace(calibration, correction=worth, weighed=weighed)
         calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
     return replace(calibration, notes=(*calibration.notes, *disagreement(calibration)), informed=informed)
 

@@ -67,7 +67,13 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state = adjustment.state
     return tuple(
-        StationPose(name, state.position[i], quaternion(state.rotation[i]), sigma[i, :3], sigma[i, 3:])
+        StationPose(
+            name=name,
+            position_mm=(state.position[i] / MILLIMETRE).tolist(),
+            rotation_quaternion=quaternion(state.rotation[i]).tolist(),
+            sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
+            sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
+        )
         for i, name in enumerate(adjustment.recording.stations)
     )
 
@@ -81,7 +87,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = observable_name(column)
-        return OutlierRow(i + 1, station, target, observable, size / factor, unit, w, gross, left_out)
+        named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
+        return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
 
     found = []
     for i in np.flatnonzero(adjustment.gross).tolist():
@@ -121,7 +128,17 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
             sigmas = problem.sigma[own & problem.use[:, column], column]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
-            rows.append(NoiseRow(c.observable, c.instrument, c.factor, c.sigma, c.redundancy, typical, unit))
+            rows.append(
+                NoiseRow(
+                    observable=c.observable,
+                    instrument=c.instrument,
+                    factor=c.factor,
+                    factor_sigma=c.sigma,
+                    redundancy=c.redundancy,
+                    typical=typical,
+                    unit=unit,
+                )
+            )
     return tuple(rows)
 
 
@@ -184,7 +201,7 @@ def undetermined_of(
     for i, own in enumerate(directions):
         names = construction.names_of(instruments)[i * construction.size :]
         for direction, cure in zip(own, sentences[i], strict=True):
-            found.append(Combination(direction.coefficients(names), direction.gain, cure))
+            found.append(Combination(combination=direction.coefficients(names), gain=direction.gain, cure=cure))
     return tuple(found)
 
 
@@ -207,7 +224,9 @@ def criteria_of(
         if not construction.size:
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
-        return evaluate(recording, construction, applied, use=use)
+        model, state = adjustment.problem.model, adjustment.state
+        shift = model.linearised(state).by_extra @ state.extra if len(state.extra) else None
+        return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None
 

@@ -106,7 +106,7 @@ def diagnosed(out: Path, seed: int) -> str:
     entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
     folder = out / "concealed"
-    found = lt.diagnose(recording, seed=seed)
+    found = lt.diagnose(recording, seed=seed, held_out=True)
     lt.write(found, folder, recording=recording)
     lt.write(truth, folder / "truth.json")
     place = ", ".join(entry.get("stations", ())) or "everywhere"

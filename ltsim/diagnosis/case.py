@@ -13,7 +13,9 @@ from ltsim.adjustment.refit import Refit, refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import WIDE
+from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
+from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.search import Searcher
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import Recording
@@ -27,12 +29,13 @@ class Case:
     """A recording with its mistakes mended, the changes of its noise found so far, and a search beside them.
 
     `baseline` is its ordinary adjustment, where all others begin, `use` (n, 3) the readings that they take, `sigma`
-    (n, 3) their standard deviations.
+    (n, 3) their standard deviations, `trials` the simulated recordings by which the search is judged.
     """
 
     baseline: Adjustment
     use: Bools
     seed: int
+    trials: int = TRIALS
     sigma: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
     searcher: Searcher = field(init=False)
@@ -59,14 +62,19 @@ class Case:
 
     def search(self, adjustment: Adjustment) -> None:
         """Score everything beside an adjustment; what was scored before is let go."""
-        space, cards = ResidualSpace.of(adjustment), None
+        space, cards, trials = ResidualSpace.of(adjustment), None, self.trials
         if hasattr(self, "searcher"):
-            cards = self.searcher.cards.reweighted(self.searcher.space, space)
+            cards, trials = self.searcher.cards.reweighted(self.searcher.space, space), 0
             del self.searcher
-        self.searcher = Searcher(space, self.seed, cards=cards)
+        self.searcher = Searcher(space, self.seed, trials, cards=cards)
         quieter = not any(getattr(one.effect, "repeating", "") for one in self.noise)
         tried = noise_hypotheses(space.sightings, self.recording.instruments, quieter=quieter)
         self.bank = NoiseBank.of(space, tried)
+
+    def noises(self, found: Found) -> list[tuple[float, NoiseHypothesis]]:
+        """Every change of the noise beside a set, the likeliest of each family first, with its evidence."""
+        redundancy = self.searcher.space.redundancy - np.sum(found.extension**2, axis=1)
+        return self.bank.ranked(found.residual, redundancy, found.extension)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
         """Take in a further change of the noise; one of the same kind at the same place is made larger."""

@@ -17,8 +17,8 @@ from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
-COUNTED = 15
-"""Simulated recordings above the statistic from which their share is the p-value; beyond, the tail is extended."""
+ROUNDING = 1e-3
+"""Log evidence that single precision, in which simulated recordings are scored, may lack."""
 
 
 @dataclass(frozen=True)
@@ -49,16 +49,12 @@ class Detection:
         return float(np.quantile(self.null, 1.0 - level))
 
     def chance(self, statistic: float) -> float:
-        """Probability that a clean recording reaches a statistic.
+        """Chance that the whole search reaches a statistic in a clean recording: (k + 1) / (n + 1) of n simulated ones.
 
-        A likelihood ratio exceeds x with a chance that falls at least as fast as exp(-x) (Ville); this extends the
-        simulated distribution beyond its last `COUNTED` values.
+        A recording without any effect is one more of them, so that the chance of a value up to p is p at most. It is
+        never less than 1 / (n + 1): what none of n recordings reached is told as that.
         """
-        above = int(np.sum(self.null >= statistic))
-        if above >= COUNTED:
-            return (above + 1) / (len(self.null) + 1)
-        edge = float(np.sort(self.null)[-COUNTED])
-        return float((COUNTED + 1) / (len(self.null) + 1) * np.exp(min(edge - statistic, 0.0)))
+        return (int(np.sum(self.null >= statistic - ROUNDING)) + 1) / (len(self.null) + 1)
 
 
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:

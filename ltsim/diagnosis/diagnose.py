@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 
@@ -16,18 +17,20 @@ from ltsim.calibration.known import Known
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
 from ltsim.diagnosis.case import Case
-from ltsim.diagnosis.detect import Detection, detect
+from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, noise_finding
-from ltsim.diagnosis.held_out import held_out_rms
+from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
+from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
-from ltsim.diagnosis.words import summarise
+from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.signature import Tunable
+from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
 from ltsim.model.construction import stated_construction
@@ -36,6 +39,8 @@ from ltsim.solve.threads import in_one_thread
 
 MOST_ROUNDS = 3
 """Times that a change of the noise is looked for beside what was found."""
+LEAST_LEVEL = 1e-3
+"""Smallest false-alarm rate: it takes one over it simulated recordings to say that none is like the one at hand."""
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
 ABSORBED = 10.0
@@ -45,7 +50,14 @@ LEAST_GAIN = 2.0
 
 
 @in_one_thread
-def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, history: Known | None = None) -> Diagnosis:
+def diagnose(
+    recording: Recording,
+    *,
+    seed: int = 0,
+    level: float = 0.05,
+    history: Known | None = None,
+    held_out: bool | None = False,
+) -> Diagnosis:
     """Diagnose a recording.
 
     Parameters
@@ -54,9 +66,12 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, histor
     seed : int
         Root seed of the simulated null distribution.
     level : float
-        False-alarm rate of the whole search.
+        False-alarm rate of the whole search, `LEAST_LEVEL` at least.
     history : Known, optional
         Earlier calibrations that each constant of the instruments is compared with.
+    held_out : bool, optional
+        Whether the search is repeated without each fold of the readings, which are then predicted: five more searches
+        where something was found. None: in networks with up to `probe.MOST_UNKNOWNS` unknowns.
 
     Returns
     -------
@@ -66,8 +81,10 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, histor
     Raises
     ------
     RecordError
-        When the history is of other instruments or another construction.
+        When the history is of other instruments or another construction, or the level is none.
     """
+    if not LEAST_LEVEL <= level < 1.0:
+        raise RecordError(f"level: found {level:g}, expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
     construction = stated_construction(recording)
     compared = contradictions if history is None else History.of(history, recording, construction).contradictions
     converted, wrong = mend_stations(recording)
@@ -77,34 +94,37 @@ def diagnose(recording: Recording, *, seed: int = 0, level: float = 0.05, histor
     gross = [*wrong, *confused, *stray]
     if gross:
         baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    case = Case(baseline, use if gross else baseline.problem.use, seed)
+    case = Case(baseline, use if gross else baseline.problem.use, seed, max(TRIALS, ceil(1.0 / level)))
     sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
-    found, fitted = _refitted(case, _explain(case, detection) if mismatch else case.searcher.empty)
+    threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
+    found, fitted = _refitted(case, _explain(case, threshold) if mismatch else case.searcher.empty)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
     apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)]
-    return _told(Explained(case, detection, found, fitted), sight, [*mistaken, *odd], settled, mismatch=mismatch)
+    explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
+    repeated = not case.searcher.large if held_out is None else held_out
+    errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
+    return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     """Whether a constant of an instrument is what an effect varies: then it has no value to contradict another."""
     laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
     drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
-    return any(constant in varied for varied in (*laws, *drifts))
+    own = ([p.name for p in e.parameters] for e in effects)
+    return any(constant in varied for varied in (*laws, *drifts, *own))
 
 
-def _explain(case: Case, detection: Detection) -> Found:
+def _explain(case: Case, threshold: float) -> Found:
     """Mean shifts, and changes of the noise beside them, or in place of one or all, until nothing gains."""
-    threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
     found = case.searcher.search(threshold, something=True)
     for _ in range(MOST_ROUNDS):
         searcher, members = case.searcher, found.members
         kept = [found, *(searcher.without(found, i) for i in range(len(members)))]
         kept += [searcher.empty] if len(members) > 1 else []
-        spaces = [searcher.space.beside(one.effects) for one in kept]
-        ranked = [case.bank.best(s.residual, s.redundancy) for s in spaces]
+        ranked = [case.noises(one) for one in kept]
         least = threshold + found.misfit
         rest = [min(searcher.rank(found).total, least), *(searcher.rank(one).total for one in kept[1:])]
         lost = [0.0, *rest[1 : len(members) + 1], *(found.score - one.score for one in kept[len(members) + 1 :])]
@@ -113,7 +133,8 @@ def _explain(case: Case, detection: Detection) -> Found:
         if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
         likeliest = _with_probability(ranked[most], rest[most])
-        case.add_noise(most_likely(spaces[most], searcher.space.sigma, likeliest))
+        beside = searcher.space.beside(kept[most].effects)
+        case.add_noise(most_likely(beside, searcher.space.sigma, likeliest))
         case.search(case.settle_noise(kept[most].effects))
         found = case.searcher.search(threshold, something=False)
     return found
@@ -126,9 +147,9 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
     named: dict[str, float] = {}
     for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
-    best = ranked[0][1]
-    probability, rivals = among(named, best.effect.name, doubted=sum(best.values) > 0.0)  # no law makes noise less
-    return replace(best, probability=probability, equivalents=rivals)
+    value, best = ranked[0]
+    probability, rivals = among(named, best.effect.name)
+    return replace(best, evidence=value, probability=probability, equivalents=rivals)
 
 
 def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
@@ -151,8 +172,27 @@ def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
     return found, fitted
 
 
+def _likely(explained: Explained, besides: bool) -> Explained:
+    """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`."""
+    case, found, told = explained.case, explained.found, explained
+    while len(found.members) + besides > 1:
+        chances = [told.ranking(i).probabilities().get(h.name, 0.0) for i, h in enumerate(found.members)]
+        least = int(np.argmin(chances)) if chances else 0
+        if not chances or chances[least] >= LIKELY:
+            break
+        found = case.searcher.without(found, least)
+        told = replace(explained, found=found, refit=case.refit(found.effects, case.sigma))
+    return told
+
+
 def _told(
-    explained: Explained, sight: Sight, certain: Sequence[Finding], settled: Adjustment, *, mismatch: bool
+    explained: Explained,
+    sight: Sight,
+    certain: Sequence[Finding],
+    settled: Adjustment,
+    errors: HeldOut,
+    *,
+    mismatch: bool,
 ) -> Diagnosis:
     """The verdict, put together from what the search explains, and findings that are `certain` without it."""
     case, found, detection = explained.case, explained.found, explained.detection
@@ -164,9 +204,10 @@ def _told(
         *(noise_finding(one, baseline.sightings, detection) for one in case.noise),
     ]
     findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
-    before = after = _fit(baseline, baseline.dof)
+    before = after = Fit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if found.members or case.noise:
-        after = _fit(adjusted, baseline.dof - found.extension.shape[1], _in_stated_noise(explained))
+        dof = baseline.dof - found.extension.shape[1]
+        after = Fit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
     verdict = "mismatch" if mismatch or certain else "consistent"
     detectable, undetectable = sight
     return Diagnosis(
@@ -188,18 +229,19 @@ def _told(
     )
 
 
-def _in_stated_noise(explained: Explained) -> Adjustment:
-    """The refit with noise no quieter than stated: errors are told in that, or in what was found above it."""
+def _held_out(explained: Explained, threshold: float, repeated: bool) -> HeldOut:
+    """Errors on held-out readings, in the noise as stated, or as found where that is larger.
+
+    The second one where the search is `repeated`, or nothing shifts readings.
+    """
     case, stated = explained.case, explained.case.recording.sigma()
-    if not (case.sigma < stated).any():
-        return explained.refit.adjustment
-    return case.refit(explained.found.effects, np.maximum(case.sigma, stated)).adjustment
-
-
-def _fit(adjustment: Adjustment, dof: int, predicting: Adjustment | None = None) -> Fit:
-    """Chi2 and held-out error; the latter of another adjustment where one is given."""
-    space = ResidualSpace.of(predicting or adjustment)
-    return Fit(chi2=adjustment.chi2, dof=dof, held_out_rms=held_out_rms(space))
+    space, seed = case.searcher.space, case.seed
+    if (case.sigma < stated).any():
+        space = ResidualSpace.of(case.refit((), np.maximum(case.sigma, stated)).adjustment)
+    if not explained.found.members:
+        before = left_out(space, seed).before
+        return HeldOut(before, before)
+    return left_out(space, seed, case.searcher, threshold) if repeated else left_out(space, seed)
 
 
 __all__ = ["diagnose"]

@@ -1,4 +1,4 @@
-"""The one evidence of a diagnosis: log marginal likelihoods, and the prior that every hypothesis starts with.
+"""The one evidence of a diagnosis: log marginal likelihoods.
 
 In the residual space (whitened residuals r, projector P off all that the ordinary adjustment estimates) a hypothesis
 with signature g and coefficients b ~ N(0, t^2 L), L the squares of plausible sizes, has the marginal likelihood ratio
@@ -23,44 +23,13 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ltsim.arrays import Bools, Floats, Ints, Singles
-from ltsim.effects import CATALOGUE
-from ltsim.effects.effect import NoiseEffect
+from ltsim.diagnosis import prior
 from ltsim.effects.signature import Tunable
-from ltsim.laws.names import INVENTED, RESEMBLED
 from ltsim.recording.recording import OBSERVABLES
 
-SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0])
-"""Sizes t tried, over a plausible one: two and a half decades in steps of half a decade."""
-LOG_WEIGHTS = np.log(np.array([0.15, 0.2, 0.25, 0.22, 0.13, 0.05]))
-"""Their prior: a size ten times a plausible one is rare, a tenth of it is common."""
-
-PRIOR = {
-    "named": 0.55,  # an effect of the catalogue, all of them alike: rather one of them than not
-    "law": 0.345,  # a carrier that follows a driver, no card for it
-    "noise": 0.10,  # a catalogued change of the noise
-    "scatter": 0.005,  # noise that no card describes
-}
-"""What is missing where something is missing; shared among all that is tried."""
-_NOISES = [kind.name for kind in CATALOGUE if issubclass(kind, NoiseEffect)]
-_MEANS = [kind.name for kind in CATALOGUE if not issubclass(kind, NoiseEffect)]
-CARDS = dict.fromkeys(_MEANS, PRIOR["named"] / len(_MEANS)) | dict.fromkeys(_NOISES, PRIOR["noise"] / len(_NOISES))
-"""Prior of each card."""
-SECOND_ALIKE = np.log(0.03)
-"""Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
-other second effect."""
-
-
-def less_lookalikes(probability: float, name: str) -> float:
-    """The probability of a name less that of a law without a card that looks like it.
-
-    Half a law more is counted for each card, for nobody has seen all laws.
-    """
-    if name not in CARDS:
-        return probability
-    alike = PRIOR["law"] * (RESEMBLED.get(name, 0) + 0.5) / INVENTED
-    return probability / (1.0 + alike / CARDS[name])
-
-
+SIZES = np.array(list(prior.SIZES))
+LOG_WEIGHTS = np.log(np.array(list(prior.SIZES.values())))
+"""Sizes t tried, over a plausible one, and their log prior."""
 FEW = 100
 """Values up to which a sum is slower by several fast calls than by a slow one."""
 

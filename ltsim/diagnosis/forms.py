@@ -12,17 +12,12 @@ import numpy as np
 from ltsim.diagnosis.evidence import evidence_with, log_average
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import Found, Hypothesis
+from ltsim.diagnosis.prior import FORMS, OWN_WAY, PIECES
 from ltsim.laws.law import Law
 from ltsim.laws.names import name_of
 
-FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
-"""Prior shares of what a curve turns out to be: mostly itself, or a short formula; rarely much finer."""
-PIECES = 0.1
-"""Prior share of curves that are made of a few steps and ramps."""
 MOST_PIECES, PATIENCE = 10, 3
 """Steps and ramps at most, and those that are tried beyond the best."""
-OWN_WAY = 0.1
-"""Prior share of laws that every set-up follows in its own way, among those of one or of all alike."""
 
 
 def in_all_forms(exact: Exact, law: Law, log_prior: float, base: Found, *, pieces: bool) -> list[Hypothesis]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
 from ltsim.adjustment.residual_space import VISIBLE, orthonormal
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import LOG_WEIGHTS, SECOND_ALIKE, SIZES, log_average
+from ltsim.diagnosis.evidence import LOG_WEIGHTS, SIZES, log_average
+from ltsim.diagnosis.prior import SECOND_ALIKE
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
 
@@ -108,12 +110,12 @@ class Found:
 
     @cached_property
     def score(self) -> float:
-        """Log evidence of the set with each member's size at its best, priors, sizes and misfit counted."""
+        """Log evidence of the set, the sizes of all members averaged, priors and misfit counted."""
         if not self.members:
             return 0.0
         likeness = sum(alike(h, self.members[:i]) for i, h in enumerate(self.members))
         doubt = self.misfit * (len(self.members) - 1)
-        return _at_best_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
+        return _over_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
 
 
 MISFIT = 0.05
@@ -146,34 +148,60 @@ class Ranking:
         unknown = named.pop("unknown", 0.0)
         return "unknown" if unknown > sum(named.values()) else max(named, key=lambda name: named[name])
 
-    def probabilities(self) -> dict[str, float]:
-        """Posterior probability of each name among everything that was tried, nothing at all included."""
+    @cached_property
+    def weights(self) -> Floats:
+        """Posterior probability (k,) of each among everything that was tried, nothing at all included."""
         logs = np.array([h.value for h in self.entries])
-        weight = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
-        found: dict[str, float] = {}
-        for hypothesis, w in zip(self.entries, weight, strict=True):
-            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + float(w), 1.0)
+        found: Floats = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
         return found
 
+    def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
+        """Posterior probability of some of them together."""
+        return min(sum(w for h, w in zip(self.entries, self.weights.tolist(), strict=True) if chosen(h)), 1.0)
 
-def _at_best_sizes(found: Found) -> float:
-    """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, at the sizes t that explain most."""
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of each name."""
+        return {name: self.share(lambda h, n=name: h.name == n) for name in dict.fromkeys(h.name for h in self.entries)}
+
+
+NEGLIGIBLE = 6.0
+"""Log evidence that a size of one member is behind the best, the others at theirs, from which it is left out."""
+
+
+def _over_sizes(found: Found) -> float:
+    """Log evidence of coefficients with prior N(0, (t spread)^2) of each member, averaged over all sizes t.
+
+    Only sizes that count are summed: those which are near the best of a member while the others are at their best.
+    """
     gram, score = found.products
-    spreads = [h.spread for h in found.members]
+    spread, owner = _spreads(found.members)
+    count = len(found.members)
 
-    def evidence(sizes: Ints) -> float:
-        spread = np.concatenate([SIZES[t] * one for t, one in zip(sizes, spreads, strict=True)])
-        inner = gram * np.outer(spread, spread) + np.eye(len(spread))
-        scaled = spread * score
-        fit = float(scaled @ np.linalg.solve(inner, scaled))
-        return 0.5 * (fit - float(np.linalg.slogdet(inner)[1])) + float(LOG_WEIGHTS[sizes].sum())
+    def evidence(sizes: Ints) -> Floats:
+        """Log evidence with prior (b,) at sizes (b, members)."""
+        scale = SIZES[sizes][:, owner] * spread
+        inner = gram * scale[:, :, None] * scale[:, None, :] + np.eye(len(score))
+        told = scale * score
+        fit = np.sum(told * np.linalg.solve(inner, told[..., None])[..., 0], axis=1)
+        value: Floats = 0.5 * (fit - np.linalg.slogdet(inner)[1]) + LOG_WEIGHTS[sizes].sum(axis=1)
+        return value
 
-    sizes = np.full(len(spreads), int(np.flatnonzero(SIZES == 1.0)[0]))
-    for _ in range(2):
-        for i in range(len(sizes)):
-            tried = [evidence(np.where(np.arange(len(sizes)) == i, t, sizes)) for t in range(len(SIZES))]
-            sizes[i] = int(np.argmax(tried))
-    return evidence(sizes)
+    best, every = np.full(count, int(np.flatnonzero(SIZES == 1.0)[0])), np.arange(len(SIZES))
+    near = [every] * count
+    for _ in range(2 if count > 1 else 0):
+        for i in range(count):
+            tried = np.tile(best, (len(SIZES), 1))
+            tried[:, i] = every
+            values = evidence(tried)
+            best[i] = int(np.argmax(values))
+            near[i] = every[values > values.max() - NEGLIGIBLE]
+    return float(log_average(evidence(np.array(list(product(*near))))))
+
+
+def _spreads(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
+    """Plausible sizes (k,) of all coefficients, and which member each belongs to."""
+    each = [h.spread for h in members]
+    return np.concatenate(each), np.repeat(np.arange(len(each)), [len(one) for one in each])
 
 
 def alike(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:

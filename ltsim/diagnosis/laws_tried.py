@@ -10,6 +10,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.diagnosis.panel import Cells, Panel
+from ltsim.diagnosis.prior import AT_INSTRUMENTS, AT_SET_UPS, AT_TARGETS, KINDS, LAWS, PRIOR
 from ltsim.laws.carriers import Carrier, carrier_designs
 from ltsim.laws.columns import LOW, MODES
 from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, simple, smooth
@@ -24,34 +25,17 @@ ROOM = 4
 """Pointings of a visit for each coefficient of a fine curve; with fewer a coarse one is tried."""
 FEW_RATES = 18
 """Rates of waves, the slowest ones, that a group of targets is tried with."""
-KINDS = {
-    "reading": 0.5,
-    "instrument": 0.17,
-    "circle": 0.03,
-    "stand": 0.2,
-    "target": 0.04,
-    "reflector": 0.02,
-    "air": 0.04,
-}
-"""Prior shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all
-targets seem to move alike it is the stands."""
-AT_SET_UPS = {"reading": 0.4, "instrument": 0.09, "circle": 0.01, "stand": 0.46, "air": 0.04}
-"""The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
-AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.25, "circle": 0.05, "stand": 0.15, "air": 0.05}
-"""The same for what happens to one of several instruments."""
-AT_TARGETS = {"reading": 0.2, "target": 0.8}
-"""The same for what happens at some targets: an instrument does not know where it looks."""
-Request = tuple[float, Sequence[Driver], tuple[Place, ...], Mapping[str, float]]
-"""A share of the prior, and the drivers, places, and kinds or names of carriers, among which it is shared."""
+Request = tuple[str, Sequence[Driver], tuple[Place, ...], Mapping[str, float]]
+"""A share of `LAWS`, and the drivers, places, and kinds or names of carriers, among which it is shared."""
 
 
-def panels(space: ResidualSpace, mass: float) -> list[Panel]:
-    """All panels of a recording; their priors sum to `mass`."""
+def panels(space: ResidualSpace) -> list[Panel]:
+    """All panels of a recording; their priors sum to that of laws without a card."""
     asked = [request for request in _requests(space) if request[1] and request[2]]
-    whole = sum(share for share, *_ in asked)
+    whole = sum(LAWS[share] for share, *_ in asked)
     made = _Maker(space)
     for share, drivers, where, kinds in asked:
-        made.ask(drivers, where, kinds, mass * share / whole)
+        made.ask(drivers, where, kinds, PRIOR["law"] * LAWS[share] / whole)
     return made.panels()
 
 
@@ -77,20 +61,20 @@ def _requests(space: ResidualSpace) -> list[Request]:
     tilting = across_the_room([*plain, *clock, *visits(s)], 1)
     reading = {"reading": 1.0}
     return [
-        (0.35, general, everywhere, KINDS),  # any carrier, any driver, the whole recording
-        (0.15, there, stations, AT_SET_UPS),  # the same at one set-up
-        (0.10, general, instruments, AT_INSTRUMENTS),  # the same at all set-ups of one instrument
-        (0.12, list(products(s)), everywhere, reading),  # a reading that follows two drivers
-        (0.03, list(sights(s)), everywhere, reading),  # that errs on the way to the target, or a list one row late
-        (0.08, swinging, everywhere, {"reading": 0.8, "vertical index": 0.2}),  # a reading that swings
-        (0.02, of_visits, stations, {"stand": 0.5, "reading": 0.5}),  # one set-up that swings in time
-        (0.02, swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),  # targets that belong together that do
-        (0.02, swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),  # anything else that swings in time
-        (0.04, bent, everywhere, {"target": 1.0}),  # targets that move together, more the farther across the room
-        (0.04, local, targets, AT_TARGETS),  # one target
-        (0.02, [*local, *visits(s)], groups, AT_TARGETS),  # targets that belong together
-        (0.04, tilting, groups, {"target": 1.0}),  # the same, more the farther across the group
-        (0.02, local, corners, AT_TARGETS),  # a target and those around it
+        ("everywhere", general, everywhere, KINDS),
+        ("set-up", there, stations, AT_SET_UPS),
+        ("instrument", general, instruments, AT_INSTRUMENTS),
+        ("two drivers", list(products(s)), everywhere, reading),
+        ("on the way", list(sights(s)), everywhere, reading),
+        ("reading that swings", swinging, everywhere, {"reading": 0.8, "vertical index": 0.2}),
+        ("set-up that swings", of_visits, stations, {"stand": 0.5, "reading": 0.5}),
+        ("group that swings", swings[:FEW_RATES], groups, {"target": 0.5, "reading": 0.5}),
+        ("anything else that swings", swings, everywhere, {"stand": 0.5, "target": 0.4, "air": 0.1}),
+        ("across the room", bent, everywhere, {"target": 1.0}),
+        ("target", local, targets, AT_TARGETS),
+        ("group", [*local, *visits(s)], groups, AT_TARGETS),
+        ("group that tilts", tilting, groups, {"target": 1.0}),
+        ("corner", local, corners, AT_TARGETS),
     ]
 
 

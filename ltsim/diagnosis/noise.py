@@ -1,9 +1,11 @@
 """Hypotheses about the noise: some readings scatter more (or less) than stated.
 
-With r a whitened residual of redundancy k, a variance factor s raises the log likelihood by
-    (r^2 (1 - 1/s) - k log s) / 2,
-summed over readings: the diagonal form of the restricted likelihood (residuals' correlations are second order here).
-Sizes are averaged over a grid, so these hypotheses compete with mean shifts by the same evidence.
+With r the whitened residuals, Q an orthonormal basis of what is estimated and W = 1 - 1/s of the variance factors s,
+the restricted likelihood ratio is exactly
+    log L = [ r' W r + c' N^-1 c - log|N| - sum log s ] / 2,   N = 1 - Q' W Q,   c = Q' W r.
+Everything is scored by its diagonal form, (r^2 W - k log s) / 2 summed over readings of redundancy k, the recording and
+what it is judged by alike; what stands out is computed exactly where there is a basis. Sizes are averaged over a grid,
+so these hypotheses compete with mean shifts by the same evidence.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import PRIOR, log_means, shares
-from ltsim.diagnosis.hypotheses import Hypothesis
+from ltsim.diagnosis.evidence import log_means, shares
+from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
@@ -28,14 +30,15 @@ from ltsim.laws.places import Place, branches, trackers_of
 from ltsim.laws.scatter import EACH_FACE, REPEATS, NoisePattern
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.projection import BasisProjection
 
 EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0), (3.0, 15.0)
 """Added variances that are tried, over the stated: of all readings, where a pattern is largest, of some targets. The
 fewer readings have them, the larger they must be to be seen."""
 MOST_TARGETS = 60
 """Targets up to whose number each is tried on its own, and those that belong together."""
-COMPARED = 6
-"""Families, the likeliest among them, that are compared."""
+COMPARED, BEHIND = 6, 20.0
+"""Families that are computed exactly, the likeliest among them, and how much log evidence they may be behind."""
 LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
 LARGEST = 400.0
@@ -55,6 +58,7 @@ class NoiseHypothesis:
     values: tuple[float, ...]
     sigma: tuple[float, ...] = ()
     drop: float = 0.0
+    evidence: float = 0.0
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
 
@@ -104,6 +108,8 @@ class NoiseBank:
         1 - 1/s and log s of each row; of each mean for what repeats.
     means : (g, m) csr float
         What adds up repeats, in each face and then in both.
+    basis : (m, u) float, or None
+        Orthonormal, of what is estimated, where there is one.
     """
 
     hypotheses: list[NoiseHypothesis]
@@ -112,6 +118,7 @@ class NoiseBank:
     gain: sp.csr_array
     logs: sp.csr_array
     means: sp.csr_array
+    basis: Floats | None
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
@@ -139,7 +146,8 @@ class NoiseBank:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        return cls(list(hypotheses), names, family, gain, logs, means)
+        basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
+        return cls(list(hypotheses), names, family, gain, logs, means, basis)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
@@ -149,27 +157,40 @@ class NoiseBank:
         return ratio
 
     def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors."""
+        """Log evidence (families, trials) with priors, in its diagonal form."""
+        return self._by_family(self.log_likelihood_ratio(residual, redundancy))
+
+    def _by_family(self, ratio: Floats) -> Floats:
         known = np.array([not f.startswith("unknown") for f in self.families])
-        share = np.where(known, PRIOR["noise"] / max(known.sum(), 1), PRIOR["scatter"] / max((~known).sum(), 1))
-        ratio = self.log_likelihood_ratio(residual, redundancy)
-        return log_means(ratio, self.family, len(self.families)) + np.log(share)[:, None]
+        each = np.where(known, log_share("noise", int(known.sum())), log_share("scatter", int((~known).sum())))
+        return log_means(ratio, self.family, len(self.families)) + each[:, None]
 
-    def rivals(self, residual: Floats, redundancy: Floats) -> list[Hypothesis]:
-        """The first hypothesis of each family in a search's terms, with the evidence of all."""
-        values = self.family_evidence(residual[:, None], redundancy)[:, 0]
-        firsts = (self.hypotheses[int(np.argmax(self.family == f))].effect for f in range(len(self.families)))
-        return [Hypothesis(effect, 0.0, float(v), effect.name) for effect, v in zip(firsts, values, strict=True)]
+    def exact(self, i: int, residual: Floats, extension: Floats) -> float:
+        """Log restricted likelihood ratio of a hypothesis for residuals (m,) beside further columns (m, e)."""
+        assert self.basis is not None
+        rows, logs = self.gain[[i]], self.logs[[i]]
+        weight, at, size = rows.data.astype(np.float64), rows.indices, len(residual)
+        estimated = np.hstack([self.basis, extension])
+        inside = np.vstack([estimated[at[at < size]], self.means[at[at >= size] - size] @ estimated])
+        own = np.concatenate([residual[at[at < size]], self.means[at[at >= size] - size] @ residual])
+        normal = np.eye(inside.shape[1]) - inside.T @ (weight[:, None] * inside)
+        turned = inside.T @ (weight * own)
+        fit = float(weight @ own**2 + turned @ np.linalg.solve(normal, turned))
+        return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.data.sum(dtype=np.float64)))
 
-    def best(self, residual: Floats, redundancy: Floats) -> list[tuple[float, NoiseHypothesis]]:
-        """Families in the order of their evidence, each with its likeliest hypothesis."""
-        evidence = self.family_evidence(residual[:, None], redundancy)[:, 0]
-        ratio = self.log_likelihood_ratio(residual[:, None], redundancy)[:, 0]
+    def ranked(self, residual: Floats, redundancy: Floats, extension: Floats) -> list[tuple[float, NoiseHypothesis]]:
+        """Every family in the order of its evidence with prior, exact for the first; each with its likeliest member."""
+        ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
+        evidence = self._by_family(ratio)[:, 0]
         found = []
-        for family in np.argsort(-evidence)[:COMPARED]:
+        for rank, family in enumerate(np.argsort(-evidence)):
             members = np.flatnonzero(self.family == family)
-            found.append((float(evidence[family]), self.hypotheses[members[int(np.argmax(ratio[members]))]]))
-        return found
+            likeliest = int(members[int(np.argmax(ratio[members, 0]))])
+            value = float(evidence[family])
+            if rank < COMPARED and value > evidence.max() - BEHIND and self.basis is not None:
+                value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
+            found.append((value, self.hypotheses[likeliest]))
+        return sorted(found, key=lambda one: -one[0])
 
 
 def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:

@@ -138,11 +138,11 @@ class Panel:
         """
         scores = self._sums(probe, some)
         score, trials, _ = probe.split(scores)
-        null = np.full((1, probe.scored), -np.inf)
+        null = np.full((1, probe.trials.shape[1]), -np.inf)
         if probe.fresh:
             turned = self._turned(probe.gram(scores, self._own(some)), some)
             self._forms[some.start] = [(forms_of(strength), turn) for strength, turn in turned]
-            if probe.scored:
+            if probe.trials.shape[1]:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [

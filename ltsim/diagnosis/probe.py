@@ -1,8 +1,9 @@
 """Vectors by which signatures are judged: what the adjustment leaves of them, and what chance would make of them.
 
 For columns g the Gram matrix g' P g is g' g less the products of g with an orthonormal basis of what is estimated; in a
-large network it is the mean product with simulated residuals, whose covariance is P. Both, and the scores of the
-recording's own residuals, are sums over the pointings of g times a few vectors.
+large network it is the mean product with simulated residuals, whose covariance is P. These residuals judge nothing:
+given them, the recording's and those of simulated recordings are scored by one and the same function, and without any
+effect all of them are exchangeable. Grams and scores are sums over the pointings of g times a few vectors.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from ltsim.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
 TRIALS = 300
-"""Simulated recordings without any effect, by which a search is judged."""
+"""Simulated recordings without any effect, by which a search is judged, at least."""
+GAUGES = 200
+"""Further simulated residuals, for Gram matrices without a basis: lengths are known to 10 %."""
 MOST_UNKNOWNS = 500
 """Unknowns up to which what an adjustment absorbs is computed with its basis."""
 
@@ -36,53 +39,48 @@ class Probe:
     extension : (m, e) float
         Orthonormal columns of that.
     trials : (m, t) float32
-        Simulated residuals.
-    basis : (m, u) float32, or None
+        Residuals of simulated recordings, by which a search is judged; none where it is not.
+    basis : (m, u) float32
+        Orthonormal basis of what is estimated; where it is `sampled`, simulated residuals, none of the `trials`.
     fresh : bool
         Whether nothing was found yet.
     sampled : bool
         Whether Gram matrices are means over simulated residuals, for want of a basis.
-    judged : bool
-        Whether the simulated residuals are scored too, to judge a search by.
     """
 
     space: ResidualSpace
     residual: Floats
     extension: Floats
     trials: Singles
-    basis: Singles | None
+    basis: Singles
     fresh: bool
     sampled: bool
-    judged: bool
 
     @classmethod
-    def of(cls, space: ResidualSpace, seed: int, *, judged: bool) -> Probe:
-        """The probe of a residual space; with simulated residuals where a search is `judged`, or there is no basis."""
-        basis = None
-        if isinstance(space.projection, BasisProjection) and space.projection.basis.shape[1] <= MOST_UNKNOWNS:
-            basis = space.projection.basis.astype(np.float32)
-        white = stream(seed, "diagnose", "null").standard_normal((space.size, TRIALS if judged or basis is None else 0))
-        trials = space.project(white).astype(np.float32)
+    def of(cls, space: ResidualSpace, seed: int, trials: int) -> Probe:
+        """The probe of a residual space, with so many simulated recordings."""
+        projection = space.projection
+        sampled = not (isinstance(projection, BasisProjection) and projection.basis.shape[1] <= MOST_UNKNOWNS)
+        null = _simulated(space, stream(seed, "diagnose", "null"), trials)
+        basis = _simulated(space, stream(seed, "diagnose", "gauges"), GAUGES) if sampled else None
+        if isinstance(projection, BasisProjection) and basis is None:
+            basis = projection.basis.astype(np.float32)
+        assert basis is not None
         nothing = np.zeros((space.size, 0))
-        return cls(space, space.residual, nothing, trials, basis, fresh=True, sampled=basis is None, judged=judged)
+        return cls(space, space.residual, nothing, null, basis, fresh=True, sampled=sampled)
 
     def beside(self, residual: Floats, extension: Floats) -> Probe:
         """The same beside what was found: its residual (m,) and orthonormal columns (m, e).
 
         What the adjustment leaves of every signature, and what chance makes of it, is known by then.
         """
-        return replace(self, residual=residual, extension=extension, trials=self.trials[:, :0], basis=None, fresh=False)
-
-    @property
-    def scored(self) -> int:
-        """Number of simulated recordings that are scored too."""
-        return self.trials.shape[1] if self.judged else 0
+        none = self.trials[:, :0]
+        return replace(self, residual=residual, extension=extension, trials=none, basis=none, fresh=False)
 
     @cached_property
     def vectors(self) -> Singles:
         """Vectors (m, v): residual, trials, basis."""
-        basis = self.trials[:, :0] if self.basis is None else self.basis
-        return np.hstack([part.astype(np.float32) for part in (self.residual[:, None], self.trials, basis)])
+        return np.hstack([part.astype(np.float32) for part in (self.residual[:, None], self.trials, self.basis)])
 
     @cached_property
     def pointings(self) -> Singles:
@@ -107,8 +105,14 @@ class Probe:
         own : (..., k, k) float
             Products of the columns with each other.
         """
-        _, trials, basis = self.split(scores)
-        return own - square(basis) if self.basis is not None else square(trials) / trials.shape[-1]
+        squares = square(self.split(scores)[2])
+        return squares / self.basis.shape[1] if self.sampled else own - squares
+
+
+def _simulated(space: ResidualSpace, rng: np.random.Generator, count: int) -> Singles:
+    """Residuals (m, count) of simulated recordings."""
+    white = rng.standard_normal((space.size, count))
+    return (space.project(white) if count else white).astype(np.float32)
 
 
 def square(rows: Any) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
@@ -19,12 +20,13 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnosis.cards import Cards, card_hypotheses
-from ltsim.diagnosis.evidence import PRIOR, log_average, posterior
+from ltsim.diagnosis.evidence import log_average, posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike
 from ltsim.diagnosis.laws_tried import panels
 from ltsim.diagnosis.panel import Hit, Panel
+from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.schema import Estimate
 from ltsim.diagnosis.shapes import apart, between, shape_posterior
@@ -69,19 +71,36 @@ class Screen(NamedTuple):
 class Searcher:
     """Search over cards and laws in one residual space."""
 
-    def __init__(self, space: ResidualSpace, seed: int, *, cards: Cards | None = None) -> None:
-        """A search; with `cards` of one on the same readings with other weights, which is judged already."""
+    def __init__(self, space: ResidualSpace, seed: int, trials: int = 0, *, cards: Cards | None = None) -> None:
+        """A search, judged by so many simulated recordings; with `cards` of one on the same readings, if there are."""
         self.space = space
-        self.probe = Probe.of(space, seed, judged=cards is None)
+        self.probe = Probe.of(space, seed, trials)
         self.large = self.probe.sampled
         self._most = FEW if self.large else REFINED
-        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
-        self.panels: list[Panel] = panels(space, PRIOR["law"])
+        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings, space.adjustment.recording.instruments))
+        self.panels: list[Panel] = panels(space)
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.exact = Exact(space)
         self.first = self._screened(self.empty)
+
+    def without_rows(self, rows: Ints) -> Searcher:
+        """The search without some rows (f,), each of which has an error of its own; as short as in a large network.
+
+        What the adjustment leaves of everything is taken from the whole network where it is scored at once, and
+        computed exactly where it stands out; neither depends on any reading.
+        """
+        unit = np.zeros((self.space.size, len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        rest = copy(self)
+        rest.space, rest.large, rest._most = self.space.extended(unit), True, FEW
+        rest.probe = self.probe.beside(rest.space.residual, self.empty.extension)
+        rest.empty = Found((), (), (), rest.space.residual)
+        rest._ranked, rest._left = {}, OrderedDict()
+        rest.exact = Exact(rest.space)
+        rest.first = rest._screened(rest.empty)
+        return rest
 
     def rank(self, base: Found) -> Ranking:
         """Everything beside a set: scored at once, the best computed exactly."""
@@ -106,7 +125,7 @@ class Searcher:
     @property
     def _of_a_card(self) -> float:
         """Log prior of each family of cards."""
-        return float(np.log(PRIOR["named"] / max(len(self.cards.families), 1)))
+        return log_share("named", len(self.cards.families))
 
     def _rank(self, base: Found) -> Ranking:
         values, families, hits, _, _ = self._screened(base) if base.members else self.first
@@ -121,7 +140,7 @@ class Searcher:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
         members = np.flatnonzero(self.cards.family == family)
         members = members[np.argsort(-values[members])]
-        prior = float(np.log(PRIOR["named"] / len(self.cards.families) / len(members)))
+        prior = self._of_a_card - float(np.log(len(members)))
         best = Hypothesis(self.cards.effects[members[0]], prior, total, self.cards.families[family])
         if not refine:
             return best
@@ -172,8 +191,8 @@ class Searcher:
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
         best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[np.argmax(logs)]))})
-        share = np.exp(logs - logs.max())
-        return best, float(logs.max() + np.log(max(np.trapezoid(share, u), 1e-300)))
+        height = np.exp(logs - logs.max())
+        return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""

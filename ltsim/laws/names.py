@@ -16,23 +16,6 @@ CIRCLES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")
 """Carriers that a wave of a circle's graduation has."""
 GRADUATED = 20.0
 """Periods a turn from which a wave of a circle is one of its graduation, and no harmonic of its eccentricity."""
-INVENTED = 675
-RESEMBLED = {
-    "turbulence": 10,
-    "timing-lag": 9,
-    "azimuth-drift": 7,
-    "station-bump": 5,
-    "noise-level": 5,
-    "station-settling": 3,
-    "station-noise": 3,
-    "nest-lift": 2,
-    "station-weather": 2,
-    "range-step": 1,
-    "target-moved": 1,
-}
-"""How many invented laws without a card there are in the concealed samples seven to sixteen, and how many of them look
-like which card (experiments/20_concealed_physics; a test counts them): one that shifts readings explains 85 % of what
-they leave, or a search that found nothing else called them that change of the noise."""
 
 
 def name_of(law: Law) -> str:

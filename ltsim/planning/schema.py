@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from ltsim.calibration.schema import CombinationEntry
+from ltsim.calibration.schema import Combination
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
 from ltsim.recording.result_table import ResultTable, numbers, texts
 
@@ -185,7 +185,7 @@ class LayoutEntry(Entry):
     """The mesh."""
     parameters: tuple[ParameterEntry, ...] = ()
     """Of the instrument."""
-    undetermined: tuple[CombinationEntry, ...] = ()
+    undetermined: tuple[Combination, ...] = ()
     """What it would not tell."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """By the paper's criteria."""

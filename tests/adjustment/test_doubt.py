@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.campaign.workshop import workshop
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.curvature import BENT, curvature
@@ -19,6 +18,7 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Noise, Station, Target
+from tests.campaigns.workshop import workshop
 
 
 def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:

@@ -21,12 +21,10 @@ from ltsim.pages.style import (
     GREY,
     INK,
     ORANGE,
-    PHONE,
     PURPLE,
     RED,
     SKY,
     new_figure,
-    on_phone,
     quiet_axis,
     shorten,
     styled,
@@ -41,8 +39,8 @@ MOST_LABELS, MOST_ON_PHONE = 60, 30
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
 MOST_PLACES = 16
-WIDE, HEIGHTS = 4.6, (3.6, 5.4)
-"""Inches: width of the axes beside the legend, and the figure's least and greatest height."""
+WIDE, HEIGHTS = 4.8, (3.6, 6.6)
+"""Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
 
@@ -65,8 +63,7 @@ def floor_plan(
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
-    wide, beside = (PHONE - 0.5, 1.4) if on_phone() else (WIDE, 0.7)  # the legend stands below on a phone
-    figure = new_figure(float(np.clip(wide * tall + beside, *HEIGHTS)), layout="compressed")
+    figure = new_figure(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
     ax = figure.subplots()
     ax.set_aspect("equal")
     quiet_axis(ax, grid="both")
@@ -100,7 +97,7 @@ def floor_plan(
     if coordinates and len(workshop.stations) <= MOST_PLACES and not on_phone():
         blank, places = _places(workshop)
         handles, labels = [*handles, *blank], [*labels, *places]
-    figure.legend(handles, labels, loc="outside right upper")
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
     place_labels(figure, ax, labels_of, np.concatenate([workshop.position[:, :2], workshop.points[:, :2]]))
     return figure
 

@@ -161,7 +161,7 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
     floor = figures.floor_plan(workshop, reference=places, coordinates=True, ground=ground)
     blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
-        blocks.append(scene(workshop, interactive=detail == "turn"))
+        blocks += [scene(workshop)] if detail == "turn" else []
     layout = planned(scenario)
     table = visibility_of(scenario, layout)
     figure = figures.visibility(layout.stations, layout.targets, table.words())

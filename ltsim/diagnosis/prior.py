@@ -1,0 +1,83 @@
+"""The prior of a diagnosis: one table of shares, normalised over everything that is looked for.
+
+That something is missing, and that nothing is, start alike. What is missing is shared among kinds of explanations; each
+share evenly among all of its kind that a recording offers: effects of the catalogue, their places and shapes, carriers,
+drivers and places of laws. `rows` is the table as the theory page prints it. None of the numbers is fitted to anything:
+they say what a service engineer would bet before seeing residuals, and a factor of two in one of them is 0.7 of log
+evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": 0.04}
+"""What is missing where something is missing."""
+ABOUT = {
+    "named": "an effect of the catalogue that shifts readings, all effects alike",
+    "law": "a carrier that follows a driver, without a card",
+    "noise": "a change of the noise that the catalogue names",
+    "scatter": "noise that no card describes",
+    "constant": "a constant of an instrument that is not what the others, its history or a stated correction say",
+}
+"""The same in words."""
+LAWS = {
+    "everywhere": 0.33,  # any carrier, any driver, the whole recording
+    "set-up": 0.14,  # the same at one set-up
+    "instrument": 0.09,  # the same at all set-ups of one instrument
+    "two drivers": 0.11,  # a reading that follows two drivers
+    "on the way": 0.03,  # a reading that errs on the way to the target, or a list one row late
+    "reading that swings": 0.08,
+    "set-up that swings": 0.02,
+    "group that swings": 0.02,  # targets that belong together
+    "anything else that swings": 0.02,
+    "across the room": 0.04,  # targets that move together, more the farther across the room
+    "target": 0.04,
+    "group": 0.02,
+    "group that tilts": 0.04,
+    "corner": 0.02,  # a target and those around it
+}
+"""How the share of laws without a card is shared; what a recording does not offer leaves its share to the others."""
+KINDS = {
+    "reading": 0.5,
+    "instrument": 0.17,
+    "circle": 0.03,
+    "stand": 0.2,
+    "target": 0.04,
+    "reflector": 0.02,
+    "air": 0.04,
+}
+"""Shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all targets seem to
+move alike it is the stands."""
+AT_SET_UPS = {"reading": 0.4, "instrument": 0.09, "circle": 0.01, "stand": 0.46, "air": 0.04}
+"""The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
+AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.25, "circle": 0.05, "stand": 0.15, "air": 0.05}
+"""The same for what happens to one of several instruments."""
+AT_TARGETS = {"reading": 0.2, "target": 0.8}
+"""The same for what happens at some targets: an instrument does not know where it looks."""
+FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
+"""Weights of what a curve turns out to be, among those that there are: mostly itself, or a short formula."""
+PIECES, OWN_WAY = 0.1, 0.1
+"""Shares of curves that are made of a few steps and ramps; of laws that every set-up follows in its own way."""
+SIZES = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
+"""Sizes over a plausible one: ten times as large is rare, a tenth is common."""
+SECOND_ALIKE = float(np.log(0.03))
+"""Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
+other second effect."""
+
+
+def log_share(kind: str, among: int) -> float:
+    """Log prior of each of `among` explanations of a kind of `PRIOR`."""
+    return float(np.log(PRIOR[kind] / max(among, 1)))
+
+
+def rows() -> Iterator[tuple[str, float]]:
+    """Every kind of explanation in words and its share; the shares sum to one."""
+    for kind, part in PRIOR.items():
+        if kind != "law":
+            yield ABOUT[kind], part
+            continue
+        for where, of_laws in LAWS.items():
+            yield f"a law without a card: {where}", part * of_laws

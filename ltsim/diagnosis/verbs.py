@@ -1,0 +1,54 @@
+"""From a recording to the physics that was left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ltsim.calibration import Calibration
+from ltsim.calibration.history import History
+from ltsim.calibration.known import Known
+from ltsim.diagnosis import Diagnosis, diagnose as diagnosis_of
+from ltsim.recording.exchange import RecordingSource, recording_of
+
+
+def diagnose(
+    recording: RecordingSource,
+    *,
+    level: float = 0.05,
+    seed: int = 0,
+    history: Calibration | History | str | Path | None = None,
+    held_out: bool | None = False,
+) -> Diagnosis:
+    """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    level : float
+        False-alarm rate of the whole search on a clean recording, 0.001 at least.
+    seed : int
+        Of the draws that price the search.
+    history : Calibration, History, str or Path, optional
+        An earlier calibration of the instruments, or the history of one, or the file of either. A constant that
+        differs from it by more than its usual spread and both uncertainties is a finding.
+    held_out : bool, optional
+        Prove what is found: the whole search is repeated without each of five folds of pointings, which are then
+        predicted. It takes five more searches; with None only small networks are given them.
+
+    Raises
+    ------
+    RecordError
+        When the history cannot be read, or is of other instruments.
+    NetworkError
+        When the network cannot be solved.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> found = lt.diagnose(recording)
+    >>> found.verdict, len(found.findings)
+    ('consistent', 0)
+    """
+    known = None if history is None else Known.of(history)
+    return diagnosis_of(recording_of(recording), level=level, seed=seed, history=known, held_out=held_out)
