@@ -35,11 +35,11 @@ from ltsim.planning.outlines import distance
 from ltsim.units import DEGREE, MILLIMETRE
 
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
-MOST_LABELS, MOST_ON_PHONE = 60, 30
+MOST_LABELS = 60
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
 MOST_PLACES = 16
-WIDE, HEIGHTS = 4.8, (3.6, 6.6)
+WIDE, HEIGHTS = 6.0, (3.6, 6.6)
 """Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
@@ -91,10 +91,10 @@ def floor_plan(
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
     labels_of = [*_station_labels(workshop), *names]
-    if len(workshop.targets) <= (MOST_ON_PHONE if on_phone() else MOST_LABELS):
+    if len(workshop.targets) <= MOST_LABELS:
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
-    if coordinates and len(workshop.stations) <= MOST_PLACES and not on_phone():
+    if coordinates and len(workshop.stations) <= MOST_PLACES:
         blank, places = _places(workshop)
         handles, labels = [*handles, *blank], [*labels, *places]
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
@@ -185,7 +185,7 @@ def _seen(workshop: Workshop) -> Bools | None:
 def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
     """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
     x, y = workshop.points[:, :2].T
-    size = 62 if len(workshop.targets) <= MOST_LABELS and not on_phone() else 34
+    size = 62 if len(workshop.targets) <= MOST_LABELS else 34
     ax.scatter(x, y, s=size, facecolors="white", edgecolors=INK, linewidths=0.7, zorder=4, label="target: slices are "
                "the\nstations that see it")  # fmt: skip
     turn = 2 * np.pi / len(seen)
