@@ -13,7 +13,7 @@ from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.sensitivity import Index, sensitivity
+from experiments.sobol import Index, sensitivity
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE

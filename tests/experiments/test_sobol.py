@@ -8,7 +8,7 @@ import pytest
 from ltsim.errors import ModelError
 from ltsim.planning.improvement import Expected, Predictor
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.sensitivity import sensitivity
+from experiments.sobol import sensitivity
 from tests.planning.fixtures import survey
 
 
