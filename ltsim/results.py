@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from ltsim.arrays import Floats
+from ltsim.chances import p_text
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
 from ltsim.notation import NONE, number, with_sigma
 from ltsim.saved import Valued, save
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 FORMULA = ("=", "+", "-", "@", "'")
 MOST_SHOWN = 12
 """Rows of a table that a notebook shows."""
-Kind = Literal["text", "number", "flag"]
+Kind = Literal["text", "number", "flag", "chance"]
 Columns = Mapping[str, Sequence[Any]]
 """Columns of one length by their headers."""
 
@@ -49,7 +50,7 @@ class Column:
     meaning : str
         What a cell holds, for definitions beside the table.
     kind : str
-        `text`, `number` or `flag` (true or false).
+        `text`, `number`, `flag` (true or false) or `chance` (of a test).
     form : str
         How CSV writes a number, as of `format`; `r` in full.
     shown : str
@@ -100,6 +101,8 @@ class Column:
             return "yes" if value else ""
         if isinstance(value, str) or self.kind == "text":
             return str(value)
+        if self.kind == "chance":
+            return p_text(value)
         if self.sigma:
             return with_sigma(float(value), sigma)
         if self.shown:
@@ -184,6 +187,14 @@ class Table(Valued):
     def header(self) -> list[str]:
         """Names of the columns."""
         return [column.name for column in self.columns]
+
+    def only(self, names: str) -> Table:
+        """The table with some of its columns, named with blanks between, and the standard deviations of these."""
+        wanted = set(names.split())
+        wanted |= {column.sigma for column in self.columns if column.name in wanted}
+        at = [i for i, column in enumerate(self.columns) if column.name in wanted]
+        rows = tuple(tuple(row[i] for i in at) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
 
     def column(self, name: str) -> list[Any]:
         """All cells of one column; raises ModelError."""

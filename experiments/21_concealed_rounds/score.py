@@ -139,7 +139,10 @@ def totals(rows: Sequence[Row]) -> list[tuple[str, str]]:
         ("named first", f"{sum(r.first for r in rows)} of {sum(r.of for r in rows)}"),
         ("named or stated", f"{sum(r.named for r in rows)} of {sum(r.of for r in rows)}"),
         ("place of what was named", f"{sum(r.place for r in rows)} of {sum(r.named for r in rows)}"),
-        ("unknown, with one of its observables", f"{sum(r.unknown for r in rows)} of {sum(r.unknown_of for r in rows)}"),
+        (
+            "unknown, with one of its observables",
+            f"{sum(r.unknown for r in rows)} of {sum(r.unknown_of for r in rows)}",
+        ),
         ("unknown, exactly its observables", f"{sum(r.exact for r in rows)} of {sum(r.unknown_of for r in rows)}"),
         ("findings beyond the truth", str(sum(r.alarms for r in rows))),
         ("targets worse than plain by over 5 %", f"{worse} of {len(rows)}"),

@@ -290,7 +290,6 @@ class History(Result):
             covariance=covariance * np.outer(unit, unit),
             prior_sigma=known.spread[None],
             correction=None,
-            weighed=None,
         )
 
 
@@ -317,7 +316,6 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
         covariance=calibration.covariance[at, at],
         held=calibration.held[i : i + 1],
         correction=None,
-        weighed=None,
     )
 
 
@@ -344,7 +342,6 @@ def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
             covariance=c.covariance[np.ix_(keep, keep)],
             held=c.held[:, keep],
             correction=None,
-            weighed=None,
         )
         for c in calibrations
     )

@@ -18,7 +18,6 @@ from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
 from ltsim.tasks.congruence import Congruence
-from ltsim.units import MICROMETRE
 
 
 @singledispatch
@@ -64,8 +63,10 @@ def _(result: Diagnosis) -> Figure:
 
 @figure_of.register
 def _(result: Congruence) -> Figure:
-    shifts, axes = (
-        np.array(v) / MICROMETRE for v in zip(*((d.shift, d.semi_axes()) for d in result.displacements), strict=True)
+    table = result.table()
+    places, shifts, axes = (
+        table.numbers(*names)
+        for names in (("x_mm", "y_mm", "z_mm"), ("dx_um", "dy_um", "dz_um"), ("a_um", "b_um", "c_um"))
     )
-    moved = np.array([d.moved for d in result.displacements], dtype=bool)
-    return figures.shifts_by_point([d.target for d in result.displacements], shifts, axes, moved)
+    moved = np.array(table.column("moved"), dtype=bool)
+    return figures.displacements(places, shifts, axes, moved, table.column("target"))

@@ -202,11 +202,6 @@ def hidden_and_found() -> Figure:
     return figures.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
 
 
-def shifts_by_point() -> Figure:
-    draws = stream(3, "figure").standard_normal((6, 3))
-    return figures.shifts_by_point([MARKUP] * 6, draws, np.full((6, 3), 1.0), np.array([True] + [False] * 5))
-
-
 def whereabouts() -> Figure:
     state, made = samples.after().state, samples.recording()
     return figures.whereabouts(
@@ -219,7 +214,7 @@ DRAWINGS = {
     for f in (
         acceptance, budget, by_factor, by_setting, check, correlation, coverage_figure, criteria, displacements,
         distributions, driver_curve, floor_plan, hidden_and_found, history, parameters, reflector_changes,
-        residuals_by_covariate, residuals_by_station, shifts_by_point, sigmas, signature, trade_off, visibility,
+        residuals_by_covariate, residuals_by_station, sigmas, signature, trade_off, visibility,
         whereabouts,
     )
 }  # fmt: skip

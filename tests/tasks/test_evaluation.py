@@ -209,7 +209,7 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
 
 
 def test_results_against_themselves_differ_by_nothing() -> None:
-    content = told(evaluated(), "here")
+    content = told(evaluated())
     assert {value for _, value in compared(content, content)} == {0.0}
 
 

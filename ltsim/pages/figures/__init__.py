@@ -8,7 +8,6 @@ from ltsim.pages.figures.criteria import Criterion as Criterion, criteria as cri
 from ltsim.pages.figures.displacements import (
     displacements as displacements,
     enlargement as enlargement,
-    shifts_by_point as shifts_by_point,
 )
 from ltsim.pages.figures.distributions import Distribution as Distribution, distributions as distributions
 from ltsim.pages.figures.floor_plan import floor_plan as floor_plan

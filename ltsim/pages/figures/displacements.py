@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Bools, Floats
-from ltsim.pages.style import AFTER, GREY, RED, category_rows, legend_of, new_figure, styled
+from ltsim.pages.style import AFTER, GREY, RED, new_figure, styled
 
 VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
 
@@ -48,21 +46,4 @@ def displacements(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bool
         ax.set_title(title)
         ax.set_xlabel(f"{'xyz'[i]} [mm]")
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
-    return figure
-
-
-@styled
-def shifts_by_point(names: Sequence[str], shifts: Floats, semi_axes: Floats, moved: Bools) -> Figure:
-    """How far each point went, with the largest semi-axis of its 95 % ellipsoid (both (T, 3) [um])."""
-    figure = new_figure(0.9 + 0.2 * max(len(names), 3))
-    ax = figure.subplots()
-    places = category_rows(ax, names)
-    far, half = np.linalg.norm(shifts, axis=1), semi_axes.max(axis=1)
-    for chosen, colour, word in ((~moved, AFTER, "no motion shown"), (moved, RED, "moved")):
-        if chosen.any():
-            ax.hlines(places[chosen], np.maximum(far - half, 0)[chosen], (far + half)[chosen], color=colour, lw=1.6)
-            ax.plot(far[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
-    ax.set_xlim(left=0)
-    ax.set_xlabel("length of the shift ± largest semi-axis of its 95 % ellipsoid [µm]")
-    legend_of(figure, [ax])
     return figure

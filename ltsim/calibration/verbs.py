@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from ltsim.calibration.choice import Choice
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Known
 from ltsim.calibration.result import gross_rows
+from ltsim.effects.effect import Effect
+from ltsim.effects.made import effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
 from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law
@@ -37,7 +40,7 @@ def adjust(
     *,
     robust: bool = False,
     noise_from_data: bool = False,
-    datum: Sequence[str] | None = None,
+    datum: str | Sequence[str] | None = None,
 ) -> Calibration:
     """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
 
@@ -48,7 +51,7 @@ def adjust(
         Leave out readings that do not belong, each tested again at the end.
     noise_from_data : bool
         Estimate the noise of each observable and instrument from the residuals.
-    datum : sequence of str, optional
+    datum : str or sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up chose.
 
     Returns
@@ -68,7 +71,8 @@ def adjust(
     >>> lt.adjust(recording).to_dataframe("targets").shape
     (28, 7)
     """
-    return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=datum)
+    held = None if datum is None else names(datum)
+    return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=held)
 
 
 def calibrate(
@@ -78,15 +82,15 @@ def calibrate(
     construction: str | Construction | None = None,
     robust: bool = False,
     noise_from_data: bool = False,
-    datum: Sequence[str] | None = None,
-    parameters: Sequence[str] | None = None,
-    without: Sequence[str] = (),
+    datum: str | Sequence[str] | None = None,
+    parameters: str | Sequence[str] | None = None,
+    without: str | Sequence[str] = (),
     hold: Mapping[str, float] | None = None,
     prior: CalibrationSource | History | None = None,
     harmonics: int | None = None,
     degree: int | None = None,
     box: float | None = None,
-    with_effects: Sequence[str] = (),
+    with_effects: str | Effect | Sequence[str | Effect] = (),
     advise: bool = True,
 ) -> Calibration:
     """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
@@ -102,10 +106,10 @@ def calibrate(
         Denavit-Hartenberg chain, 78); by default what the set-up states.
     robust, noise_from_data, datum
         As of `adjust`; with method `network` only.
-    parameters : sequence of str, optional
+    parameters : str or sequence of str, optional
         The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`); with
         ``@NAME`` those of one instrument. The others are held at zero.
-    without : sequence of str
+    without : str or sequence of str
         Parameters to hold at zero.
     hold : mapping of str to float, optional
         Parameters to hold at a value, in the parameter's unit.
@@ -116,9 +120,10 @@ def calibrate(
         Orders of a D-H chain's error functions; 2 by default.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
-    with_effects : sequence of str
-        Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`: stations, targets, and constants as
-        `law=visit` in the effect's units; what is not said, the readings choose. Or laws in the words of a diagnosis,
+    with_effects : str, Effect or sequence of them
+        Effects to estimate too: objects (`lt.Effect(...)`, or of a class of your own), or in words, `NAME` or
+        `NAME:WHERE,...`, with stations, targets, and constants as `law=visit` in the effect's units. What is not said,
+        the readings choose. Or laws in the words of a diagnosis,
         `CARRIER ~ DRIVER` or `CARRIER ~ DRIVER:WHERE,...`. Method `network` only.
     advise : bool
         Say which further measurements would determine what is not determined.
@@ -140,7 +145,7 @@ def calibrate(
     >>> found.fit.dof, found.fit.status
     (318, 'converged')
     >>> found.to_dataframe("parameters").columns.tolist()
-    ['parameter', 'value', 'sigma', 'unit', 'prior_sigma']
+    ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
@@ -152,24 +157,33 @@ def calibrate(
         built = _named_construction(construction, harmonics, degree)
     free = isinstance(prior, str) and prior == NO_PRIOR
     known = None if prior is None or free else Known.of(prior)
-    choice = Choice(parameters, tuple(without), dict(hold or {}), known, free)
-    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum}
+    chosen = None if parameters is None else names(parameters)
+    choice = Choice(chosen, names(without), dict(hold or {}), known, free)
+    held = None if datum is None else names(datum)
+    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
+    effects = (with_effects,) if isinstance(with_effects, str | Effect) else tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
     if method == "network":
-        beside = [wanted(text, seen) for text in with_effects]
+        beside = [wanted(asked, seen) for asked in effects]
         return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
-    if any(options.values()) or prior is not None or with_effects:
+    if any(options.values()) or prior is not None or effects:
         listed = "robust, noise_from_data, datum, prior and with_effects"
         raise ModelError(f"{listed} go with the method network, not {method}")
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
-def wanted(text: str, recording: Recording) -> Wanted:
-    """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
-    from ltsim.simulation.physics import effect_from  # only this option needs it
+def wanted(asked: str | Effect, recording: Recording) -> Wanted:
+    """An effect, what it has by default being left to the readings, or one in words."""
+    if isinstance(asked, str):
+        return _in_words(asked, recording)
+    stated = {f.name for f in fields(asked) if getattr(asked, f.name) != f.default}
+    return Wanted(asked, frozenset(stated))
 
+
+def _in_words(text: str, recording: Recording) -> Wanted:
+    """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
     name, _, rest = text.partition(":")
     carrier, is_law, driver = name.partition("~")
     places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
@@ -288,7 +302,7 @@ def history(
     sources: Iterable[RecordingSource | Calibration],
     *,
     instrument: str | None = None,
-    dates: Sequence[str] | None = None,
+    dates: str | Sequence[str] | None = None,
     **options: Any,
 ) -> History:
     """Follow one instrument over calibrations in the order of time: course, spread, and what has changed.
@@ -316,7 +330,7 @@ def history(
     True
     """
     named = [_labelled(number, source, options) for number, source in enumerate(sources, start=1)]
-    return History.of(named, instrument, dates)
+    return History.of(named, instrument, None if dates is None else names(dates))
 
 
 def _labelled(number: int, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:

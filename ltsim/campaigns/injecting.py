@@ -10,11 +10,11 @@ import numpy as np
 from scipy.stats import binomtest
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.api.diagnosing import diagnose
-from ltsim.api.network import calibrate, wanted
 from ltsim.arrays import Floats
 from ltsim.calibration.beside import Wanted
+from ltsim.calibration.verbs import calibrate, wanted
 from ltsim.diagnosis import Diagnosis
+from ltsim.diagnosis.verbs import diagnose
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.signature import Tunable

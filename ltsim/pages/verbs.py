@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ltsim.api.files import read
-from ltsim.api.workshop import scenario
 from ltsim.pages import scene3d
 from ltsim.pages.page import report as write_report
 from ltsim.pages.planned import from_scenario, with_cad
 from ltsim.pages.scene_page import scene_page
 from ltsim.pages.workshop import Workshop, from_recording
 from ltsim.recording import Recording
+from ltsim.recording.exchange import read
 from ltsim.recording.files import write_text
 from ltsim.recording.setup import About
 from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.verbs import scenario
 
 
 @dataclass(frozen=True, repr=False)
