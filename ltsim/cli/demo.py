@@ -61,8 +61,12 @@ def demo(
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
+    from ltsim.campaigns.kernels import compiled_before  # the compiler takes a second to load
+
     claim_empty(out, force=force)
     said = []
+    if not compiled_before():
+        terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")
     for number, step in enumerate(STEPS, start=1):
         began = time.perf_counter()
         with terminal.busy(step.title):
