@@ -17,7 +17,6 @@ from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
-
 ROUNDING = 1e-3
 """Log evidence that single precision, in which simulated recordings are scored, may lack."""
 

@@ -80,7 +80,9 @@ def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
     if shown < LIKELY:
         likeliest = f"the {carrier}{at}{verb}{driver}{size}, is as good as others ({percent(shown)})"
-        return f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell; one, {likeliest}."
+        return (
+            f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell; one, {likeliest}."
+        )
     sure = f"probability that it follows this {percent(shown)}"
     return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
@@ -140,4 +142,4 @@ def _course(before: float | None, after: float | None) -> str:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"
     course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
-    return f" With what the search finds without them, the error on readings left out {course} times their noise."
+    return f" On readings that neither search nor fit has seen the error {course} times their noise."
