@@ -1,7 +1,7 @@
 """Simulate, calibrate, plan and diagnose laser-tracker networks.
 
 The front door: `import ltsim as lt`, then `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names
-of `__all__`, each loaded when it is first used. `lt.effects` is the room of the physical effects.
+of `__all__`, each loaded from its package when it is first used. `lt.effects` is the room of the physical effects.
 """
 
 from importlib import import_module
@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ltsim import effects as effects, errors as errors
-    from ltsim.api.campaigns import campaign as campaign
-    from ltsim.api.catalogue import catalogue as catalogue
-    from ltsim.api.diagnosing import diagnose as diagnose
-    from ltsim.api.files import convert as convert, read as read, write as write
-    from ltsim.api.network import (
+    from ltsim.acceptance.verbs import accept as accept
+    from ltsim.calibration.verbs import (
         adjust as adjust,
         calibrate as calibrate,
         correct as correct,
@@ -21,33 +18,44 @@ if TYPE_CHECKING:
         history as history,
         verify as verify,
     )
-    from ltsim.api.pages import report as report, view as view
-    from ltsim.api.planning import next_measurement as next_measurement, plan as plan
-    from ltsim.api.recovering import recover as recover
-    from ltsim.api.tasks import (
-        accept as accept,
-        bench as bench,
-        check as check,
-        compare as compare,
-        uncertainty as uncertainty,
+    from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
+    from ltsim.campaigns.recovering import recover as recover
+    from ltsim.campaigns.verbs import campaign as campaign
+    from ltsim.diagnosis.verbs import diagnose as diagnose
+    from ltsim.effects.made import Effect as Effect
+    from ltsim.effects.verbs import add_effect as add_effect, catalogue as catalogue
+    from ltsim.evaluation.verbs import bench as bench
+    from ltsim.fieldcheck.verbs import check as check
+    from ltsim.files import convert as convert, read as read, write as write
+    from ltsim.pages.verbs import report as report, view as view
+    from ltsim.planning.verbs import (
+        next_measurement as next_measurement,
+        plan as plan,
+        without_station as without_station,
     )
-    from ltsim.api.workshop import scenario as scenario, simulate as simulate
+    from ltsim.simulation.verbs import scenario as scenario, simulate as simulate
+    from ltsim.tasks.verbs import compare as compare, uncertainty as uncertainty
 
     __version__: str
 
 _ROOMS = {
     "files": ("read", "write", "convert"),
-    "workshop": ("scenario", "simulate"),
-    "network": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
-    "diagnosing": ("diagnose",),
-    "campaigns": ("campaign",),
-    "recovering": ("recover",),
-    "planning": ("plan", "next_measurement"),
-    "pages": ("view", "report"),
-    "catalogue": ("catalogue",),
-    "tasks": ("accept", "bench", "check", "compare", "uncertainty"),
+    "simulation.verbs": ("scenario", "simulate"),
+    "calibration.verbs": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
+    "diagnosis.verbs": ("diagnose",),
+    "campaigns.verbs": ("campaign",),
+    "campaigns.recovering": ("recover",),
+    "campaigns.injecting": ("inject", "injection_curve"),
+    "planning.verbs": ("plan", "next_measurement", "without_station"),
+    "pages.verbs": ("view", "report"),
+    "effects.made": ("Effect",),
+    "effects.verbs": ("add_effect", "catalogue"),
+    "tasks.verbs": ("compare", "uncertainty"),
+    "acceptance.verbs": ("accept",),
+    "evaluation.verbs": ("bench",),
+    "fieldcheck.verbs": ("check",),
 }
-"""The functions that each module of `ltsim.api` holds."""
+"""The module that holds each public function."""
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = sorted([*_HOME, "effects", "errors"])
@@ -56,7 +64,7 @@ __all__ = sorted([*_HOME, "effects", "errors"])
 def _load(name: str) -> Any:
     """Load a name of the front door when it is first asked for."""
     if name in _HOME:
-        return getattr(import_module(f"ltsim.api.{_HOME[name]}"), name)
+        return getattr(import_module(f"ltsim.{_HOME[name]}"), name)
     if name in ("effects", "errors"):
         return import_module(f"ltsim.{name}")
     if name == "__version__":

@@ -18,8 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel
 
 from ltsim.arrays import Floats
+from ltsim.chances import p_text
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
 from ltsim.notation import NONE, number, with_sigma
 from ltsim.saved import Valued, save
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 FORMULA = ("=", "+", "-", "@", "'")
 MOST_SHOWN = 12
 """Rows of a table that a notebook shows."""
-Kind = Literal["text", "number", "flag"]
+Kind = Literal["text", "number", "flag", "chance"]
 Columns = Mapping[str, Sequence[Any]]
 """Columns of one length by their headers."""
 
@@ -48,7 +50,7 @@ class Column:
     meaning : str
         What a cell holds, for definitions beside the table.
     kind : str
-        `text`, `number` or `flag` (true or false).
+        `text`, `number`, `flag` (true or false) or `chance` (of a test).
     form : str
         How CSV writes a number, as of `format`; `r` in full.
     shown : str
@@ -59,6 +61,8 @@ class Column:
         By default the one in the name.
     title : str
         What a person reads as its head; by default the name without its unit.
+    field : str
+        What an object of a row calls it, where that is not the name.
     """
 
     name: str
@@ -69,6 +73,7 @@ class Column:
     sigma: str = ""
     unit: str = ""
     title: str = ""
+    field: str = ""
 
     @property
     def heading(self) -> str:
@@ -96,6 +101,8 @@ class Column:
             return "yes" if value else ""
         if isinstance(value, str) or self.kind == "text":
             return str(value)
+        if self.kind == "chance":
+            return p_text(value)
         if self.sigma:
             return with_sigma(float(value), sigma)
         if self.shown:
@@ -116,6 +123,26 @@ def numbers(form: str = "", shown: str = "", **columns: str) -> tuple[Column, ..
 def flags(**columns: str) -> tuple[Column, ...]:
     """Columns of true and false: name and what true means."""
     return tuple(Column(name, about, "flag") for name, about in columns.items())
+
+
+def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
+    """The columns of a model whose fields are numbers, texts and flags, with what the model says of them.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+    names : str
+        The fields in their order, with blanks between; default all.
+    **more
+        By a field's name what else its `Column` is to know: ``value={"sigma": "sigma"}``.
+    """
+    made = []
+    for name in names.split() or model.model_fields:
+        field = model.model_fields[name]
+        kind = "flag" if field.annotation is bool else "text" if field.annotation is str else "number"
+        how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **more.get(name, {})}
+        made.append(Column(meaning=(field.description or "").rstrip("."), **how))
+    return tuple(made)
 
 
 @dataclass(frozen=True)
@@ -144,12 +171,12 @@ class Table(Valued):
 
     def _row(self, row: Any) -> tuple[Any, ...]:
         if isinstance(row, Mapping):
-            return tuple(row[name] for name in self.header)
+            return tuple(row[c.field or c.name] for c in self.columns)
         if isinstance(row, Sequence):
             if len(row) != len(self.columns):
                 raise ModelError(f"a row of {self.file} has {len(row)} cells for {len(self.columns)} columns")
             return tuple(row)
-        return tuple(getattr(row, name) for name in self.header)
+        return tuple(getattr(row, c.field or c.name) for c in self.columns)
 
     @property
     def name(self) -> str:
@@ -160,6 +187,14 @@ class Table(Valued):
     def header(self) -> list[str]:
         """Names of the columns."""
         return [column.name for column in self.columns]
+
+    def only(self, names: str) -> Table:
+        """The table with some of its columns, named with blanks between, and the standard deviations of these."""
+        wanted = set(names.split())
+        wanted |= {column.sigma for column in self.columns if column.name in wanted}
+        at = [i for i, column in enumerate(self.columns) if column.name in wanted]
+        rows = tuple(tuple(row[i] for i in at) for row in self.rows)
+        return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
 
     def column(self, name: str) -> list[Any]:
         """All cells of one column; raises ModelError."""
@@ -214,9 +249,10 @@ class Table(Valued):
 
     @property
     def _read(self) -> list[Column]:
-        """The columns that a person reads: a standard deviation stands beside its value."""
+        """The columns that a person reads: a standard deviation stands beside its value, what no row has is gone."""
         beside = {column.sigma for column in self.columns}
-        return [column for column in self.columns if column.name not in beside]
+        empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
+        return [column for column in self.columns if column.name not in beside | empty]
 
     @property
     def headings(self) -> list[str]:

@@ -6,7 +6,7 @@ from sphinx.application import Sphinx
 
 from from_code.keys import about, json_place, markdown, sections, unit
 from ltsim.pages import schemas
-from ltsim.recording.result_table import ResultTable
+from ltsim.results import Table
 from ltsim.simulation.truth import TruthFile
 
 
@@ -21,7 +21,7 @@ def files() -> str:
     return "\n".join(lines)
 
 
-def _columns(table: ResultTable) -> list[str]:
+def _columns(table: Table) -> list[str]:
     said = about(table.about)
     lines = ["", f"### {table.file}", "", f"{said[0].upper()}{said[1:]}.", ""]
     rows = [[f"`{c.name}`", c.kind, unit(c.name), about(c.meaning)] for c in table.columns]

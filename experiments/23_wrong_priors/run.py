@@ -63,7 +63,7 @@ def trials(cell: Cell, factor: float, seed: int, number: int, width: int) -> dic
         sentences = " ".join(correction.sentences)
         said["contradicts"][trial] = "contradict the stated priors" in sentences
         said["less"][trial] = any(word in sentences for word in ("not applied", "correction is applied", "too little"))
-        said["expected"][trial] = correction.corrected < correction.uncorrected
+        said["expected"][trial] = correction.corrected_um < correction.uncorrected_um
     empty = Calibrated(applied, np.zeros(applied.shape[:2]), np.zeros(0), np.zeros(width), np.zeros(width, dtype=int))
     columns = held_out(elsewhere, block.values, seed + 1, number, empty, truth.construction)
     whole = Calibrated(estimated, empty.sigma, empty.points, empty.chi2, empty.status)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.acceptance.tests import Test, number_of, rows_of
-from ltsim.adjustment import adjust
-from ltsim.arrays import Floats
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError, SetupError, unknown_name
 from ltsim.geometry.polar import across_beam, from_polar
 from ltsim.model.construction import stated_construction
@@ -90,16 +90,15 @@ def by_network(recording: Recording, specification: Specification) -> list[Found
     """
     if len(recording.stations) < 2:
         raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
-    found = adjust(recording, stated_construction(recording)).in_inner_datum()
+    found = adjust(recording, stated_construction(recording))
     found.solution.require_success()
-    points, covariance = found.state.points, found.target_covariance
     whole = recording.measured.all(axis=1) & ~found.gross
     errors: list[Found] = []
     for s, station in enumerate(recording.stations):
         front, back = (
             _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
         )
-        errors += _lengths(station, recording.targets, front or back, points, covariance, specification)
+        errors += _lengths(station, found, front or back, specification)
         both = sorted(front.keys() & back.keys())
         for t in both:
             error = float(np.linalg.norm(across_beam((front[t] - back[t])[None], front[t][None])))
@@ -117,24 +116,18 @@ def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
     return {int(t): seen[targets == t].mean(axis=0) for t in np.unique(targets)}
 
 
-def _lengths(
-    station: str,
-    names: Sequence[str],
-    seen: dict[int, Floats],
-    points: Floats,
-    covariance: Floats,
-    specification: Specification,
-) -> list[Found]:
-    pairs = np.array(list(combinations(sorted(seen), 2)), dtype=np.int64).reshape(-1, 2)
-    pairs = pairs[np.isfinite(points[pairs]).all(axis=(1, 2))]
+def _lengths(station: str, adjusted: Adjustment, seen: dict[int, Floats], specification: Specification) -> list[Found]:
+    """Every length between targets that a station has seen, against the network's, with the uncertainty of that."""
+    names, points = adjusted.recording.targets, adjusted.state.points
+    placed = [t for t in sorted(seen) if names[t] not in adjusted.lost_targets and np.isfinite(points[t]).all()]
+    pairs = np.array(list(combinations(placed, 2)), dtype=np.int64).reshape(-1, 2)
     if not len(pairs):
         return []
     first, second = (np.array([seen[int(t)] for t in ends]) for ends in pairs.T)
     way = points[pairs[:, 1]] - points[pairs[:, 0]]
     length = np.linalg.norm(way, axis=1)
     direction = way / length[:, None]
-    both = covariance[pairs[:, 0]] + covariance[pairs[:, 1]]
-    expanded = 2 * np.sqrt(np.einsum("ki,kij,kj->k", direction, both, direction))
+    expanded = 2 * np.sqrt(_length_variance(adjusted, placed, pairs, direction))
     error = np.linalg.norm(second - first, axis=1) - length
     limit = specification.of_lengths(first, second)
     named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
@@ -142,3 +135,19 @@ def _lengths(
         Found(name, f"lengths from {station}", float(e), float(m), float(u))
         for name, e, m, u in zip(named, error, limit, expanded, strict=True)
     ]
+
+
+def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, direction: Floats) -> Floats:
+    """Variances (k,) [m^2] of lengths along directions (k, 3) between pairs (k, 2) of the placed targets.
+
+    Both ends of a length have most of their errors in common (poses, constants), so their joint covariance is needed;
+    a length is the same in every datum.
+    """
+    unknowns, size = adjusted.problem.unknowns, len(placed)
+    columns = unknowns.target[placed].ravel()
+    unit = np.zeros((unknowns.size, len(columns)))
+    unit[columns, np.arange(len(columns))] = 1.0
+    joint = adjusted.factor.covariance_columns(unit)[columns].reshape(size, 3, size, 3)
+    a, b = np.searchsorted(placed, pairs).T
+    both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
+    return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))

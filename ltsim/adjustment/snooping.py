@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjustment.loose import without_loose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of, scale_of
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools
 from ltsim.model.measurement import State
 from ltsim.solve.blocks import Factor, SingularSystemError
 from ltsim.solve.design import as_dense

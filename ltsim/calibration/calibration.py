@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -12,124 +13,39 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.verdict import Verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.determined import determined
-from ltsim.calibration.schema import DeterminedEntry, FittedEffectEntry
+from ltsim.calibration.schema import (
+    KNOWN,
+    NOISE,
+    OUTLIERS,
+    PARAMETERS,
+    STATIONS,
+    TARGETS,
+    Combination as Combination,
+    Correction as Correction,
+    DeterminedEntry,
+    Fit as Fit,
+    FittedEffectEntry,
+    KnownEntry,
+    NoiseRow as NoiseRow,
+    OutlierRow as OutlierRow,
+    ParameterEntry,
+    StationPose as StationPose,
+)
 from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
-from ltsim.results import Columns, Result, by_entry
-from ltsim.units import MICROMETRE, MILLIMETRE
+from ltsim.results import Result, Table
+from ltsim.units import MILLIMETRE
 
 SHARPER = 0.975
 """Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
-ROUND = 20 * MICROMETRE
-"""Error of a point above which it is told in whole micrometres."""
+SAME = 1e-9
+"""Relative difference of what is applied from the estimate, below which it is the estimate."""
 MOSTLY = 0.9
 """Share of the redundancy whose noise was estimated, from which chi-square over redundancy is 1 by construction."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How the readings agree with the model; `p_value` and `sigma0` are None without redundancy.
-
-    `chi2_sigma` is the standard deviation of chi-square to expect where that is not the root of 2 dof.
-    """
-
-    chi2: float
-    dof: int
-    sigma0: float | None
-    p_value: float | None
-    iterations: int
-    status: str
-    sentence: str = ""
-    chi2_sigma: float | None = None
-
-
-@dataclass(frozen=True)
-class Combination:
-    """A combination of parameters that the recording tells little about."""
-
-    coefficients: Mapping[str, float]
-    """Of the parameters in units of their prior sigma, normalised; those above 0.1 only."""
-    gain: float
-    """Share of the prior's uncertainty that the recording removed in the variance: 0 for nothing, 1 for all."""
-    cure: str
-    """Which further measurement would determine it."""
-
-
-@dataclass(frozen=True)
-class StationPose:
-    """Where a station stood, network frame: SI, rotation from instrument to network."""
-
-    name: str
-    position: Floats
-    quaternion: Floats
-    sigma_position: Floats
-    sigma_rotation: Floats
-
-
-@dataclass(frozen=True)
-class OutlierRow:
-    """A reading that does not belong; `row` counts from 1 as in the table, `size` and `unit` as shown.
-
-    A `gross` one is the largest of a whole pointing that was left out; what was `left_out` had no say in the result.
-    """
-
-    row: int
-    station: str
-    target: str
-    observable: str
-    size: float
-    unit: str
-    w: float
-    gross: bool = False
-    left_out: bool = False
-
-
-@dataclass(frozen=True)
-class NoiseRow:
-    """Noise found from the readings of one observable of one instrument, or of the levels.
-
-    `factor` multiplies the stated standard deviation, `factor_sigma` is its own (infinite where the `redundancy` is
-    too small to estimate it); `typical` is the median standard deviation that results, in `unit`.
-    """
-
-    observable: str
-    instrument: str
-    factor: float
-    factor_sigma: float
-    redundancy: float
-    typical: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What is applied of a calibration, and what is expected of it."""
-
-    values: Floats
-    """(I, p) [SI]: parameters to take out of readings."""
-    prior_scale: float
-    """Most likely scale of the prior, in stated sigmas; `plausible_scale` from and to with 95 % on each side."""
-    plausible_scale: tuple[float, float]
-    uncorrected: float
-    corrected: float
-    """[m]: expected error (rms) of a new point as those measured, in one set-up's frame."""
-    left_out: tuple[str, ...] = ()
-    """Parameters that are not applied because targets that were held out are better without."""
-    sentences: tuple[str, ...] = ()
-    """What a person should know of it."""
-
-    @property
-    def line(self) -> str:
-        """The expected error of a new point without and with the correction."""
-        before, after = (
-            f"{x / MICROMETRE:.0f}" if x > ROUND else f"{x / MICROMETRE:.1f}"
-            for x in (self.uncorrected, self.corrected)
-        )
-        return f"expected error of a new point: {before} um as read, {after} um corrected"
 
 
 @dataclass(frozen=True, repr=False)
@@ -165,6 +81,8 @@ class Calibration(Result):
     """Whether readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()
     """The noise found, where it was estimated from the readings."""
+    known: tuple[KnownEntry, ...] = ()
+    """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Measured targets that the readings in use do not determine; they have no coordinates."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
@@ -174,7 +92,9 @@ class Calibration(Result):
     silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     """(k, I p): combinations, in prior sigmas, that a distance method left at zero."""
     correction: Correction | None = None
-    """What is taken out of readings and what that is expected to be worth; without one, the estimates themselves."""
+    """What of the estimates is worth applying, and what is expected of that; None where it was not asked."""
+    weighed: Floats | None = None
+    """(I, p) [SI]: what is taken out of readings where that is not the estimates themselves."""
     effects: tuple[FittedEffectEntry, ...] = ()
     """Effects of the catalogue that were estimated beside, on request."""
     notes: tuple[str, ...] = ()
@@ -215,13 +135,13 @@ class Calibration(Result):
     @property
     def applied(self) -> Floats:
         """Parameters (I, p) [SI] to take out of readings."""
-        return self.values if self.correction is None else self.correction.values
+        return self.values if self.correction is None or self.weighed is None else self.weighed
 
     @property
     def noise_estimated(self) -> bool:
         """Whether so much of the noise was estimated from the readings that the fit tests nothing any more."""
         whole = sum(n.redundancy for n in self.noise)
-        found = sum(n.redundancy for n in self.noise if np.isfinite(n.factor_sigma))
+        found = sum(n.redundancy for n in self.noise if n.factor_sigma is not None)
         return found > MOSTLY * whole
 
     def _lines(self) -> list[str]:
@@ -242,40 +162,50 @@ class Calibration(Result):
             lines.append(f"{len(self.outliers)} readings do not belong")
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.words}")
-        if self.correction is not None and self.correction.uncorrected > 0:
+        if self.correction is not None and self.correction.uncorrected_um > 0:
             lines += [self.correction.line, *self.correction.sentences]
         return [*lines, *self.notes]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        tables = {
-            "parameters": self._parameters,
-            "targets": self._targets,
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        tables: dict[str, Callable[[], Table]] = {
+            "parameters": lambda: PARAMETERS.filled(self.parameters),
+            "targets": lambda: targets_table(self.targets, self.points, self.target_covariance),
             "stations": self._stations,
-            "outliers": lambda: by_entry(OutlierRow, self.outliers),
-            "noise": lambda: by_entry(NoiseRow, self.noise),
+            "outliers": lambda: OUTLIERS.filled(self.outliers),
+            "noise": lambda: NOISE.filled(self.noise),
+            "known": lambda: KNOWN.filled(self.known),
         }
         return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
 
-    def _parameters(self) -> Columns:
-        parameters = self.construction.parameters * len(self.instruments)
-        factor = np.array([p.factor for p in parameters])
-        return {
-            "parameter": list(self.names),
-            "value": (self.values.ravel() / factor).tolist(),
-            "sigma": (self.sigma.ravel() / factor).tolist(),
-            "unit": [p.unit for p in parameters],
-            "prior_sigma": (self.prior_sigma.ravel() / factor).tolist(),
-            **({"held": self.held.ravel().tolist()} if self.held.any() else {}),
-        }
+    @cached_property
+    def parameters(self) -> tuple[ParameterEntry, ...]:
+        """The estimates in the units a person reads."""
+        several = len(self.instruments) > 1
+        named: list[dict[str, Any]] = [{"instrument": name} if several else {} for name in self.instruments]
+        return tuple(
+            ParameterEntry(
+                name=parameter.name,
+                value=float(self.values[i, k] / parameter.factor),
+                sigma=float(self.sigma[i, k] / parameter.factor),
+                unit=parameter.unit,
+                prior_sigma=float(self.prior_sigma[i, k] / parameter.factor),
+                held=bool(self.held[i, k]),
+                **self._applied(i, k),
+                **named[i],
+            )
+            for i in range(len(self.instruments))
+            for k, parameter in enumerate(self.construction.parameters)
+        )
 
-    def _targets(self) -> Columns:
-        sigma = np.sqrt(np.einsum("tii->ti", self.target_covariance))
-        return {"target": list(self.targets), **_axes("", self.points), **_axes("sigma_", sigma)}
+    def _applied(self, instrument: int, parameter: int) -> dict[str, Any]:
+        """The applied value in the parameter's unit where it is not the estimate."""
+        value, applied = self.values[instrument, parameter], self.applied[instrument, parameter]
+        factor = self.construction.parameters[parameter].factor
+        return {} if abs(applied - value) <= SAME * abs(value) else {"applied": float(applied / factor)}
 
-    def _stations(self) -> Columns:
-        position = np.array([s.position for s in self.stations]).reshape(-1, 3)
-        sigma = np.array([s.sigma_position for s in self.stations]).reshape(-1, 3)
-        return {"station": [s.name for s in self.stations], **_axes("", position), **_axes("sigma_", sigma)}
+    def _stations(self) -> Table:
+        sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]
+        return STATIONS.filled([s.name, *s.position_mm, *own] for s, own in zip(self.stations, sigma, strict=True))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -304,6 +234,8 @@ class Calibration(Result):
         return self.applied[at[recording.instrument]]
 
 
-def _axes(prefix: str, places: Floats) -> dict[str, list[float]]:
-    """Columns [mm] of places (k, 3) [m]."""
-    return {f"{prefix}{axis}_mm": column.tolist() for axis, column in zip("xyz", (places / MILLIMETRE).T, strict=True)}
+def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
+    """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row."""
+    sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
+    known = np.flatnonzero(np.isfinite(sigma).all(axis=1)).tolist()
+    return TARGETS.filled([names[i], *(points[i] / MILLIMETRE).tolist(), *sigma[i].tolist()] for i in known)

@@ -149,6 +149,6 @@ def _undetermined(
         return undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
     names = construction.names_of(instruments)
     return tuple(
-        Combination(d.coefficients(names), d.gain, "use the network method, which names a cure")
+        Combination(combination=d.coefficients(names), gain=d.gain, cure="use the network method, which names a cure")
         for d in estimate.left_out
     )

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibration.amplitude import Harmonic, harmonics
-from ltsim.calibration.calibration import Calibration, Combination, Correction, Fit, StationPose
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.events import Event, events
 from ltsim.calibration.history import Change, History
 from ltsim.calibration.history_schema import (
@@ -29,14 +27,9 @@ from ltsim.calibration.schema import (
     RESIDUALS,
     TARGETS,
     CalibrationFile,
-    CombinationEntry,
-    CorrectionEntry,
-    FitEntry,
+    Fit,
     HarmonicEntry,
-    NoiseEntry,
-    OutlierEntry,
     ParameterEntry,
-    StationEntry,
     VerdictEntry,
 )
 from ltsim.errors import ModelError, RecordError
@@ -44,10 +37,7 @@ from ltsim.model.construction import Construction, with_parameters
 from ltsim.recording.files import shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import read_result, write_result
-from ltsim.units import ARCSECOND, DEGREE, FACTOR, MICROMETRE, MILLIMETRE
-
-SAME = 1e-9
-"""Relative difference of what is applied from the estimate, below which it is the estimate."""
+from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile:
@@ -60,7 +50,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile
     RecordError
         When the folder cannot be written; nothing half-written stays behind.
     """
-    texts = {TARGETS.file: targets_csv(calibration.targets, calibration.points, calibration.target_covariance)}
+    texts = {TARGETS.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
         texts[RESIDUALS.file] = residuals_csv(calibration.adjustment)
     return write_result(folder, calibration_file(calibration), texts)
@@ -70,87 +60,43 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
     """The content of `calibration.json`; the covariance is in the units of the parameters."""
     factors = _factors(calibration)
     judged = calibration.verdict
+    same: tuple[str, ...] = (
+        "recording",
+        "method",
+        "fit",
+        "frame",
+        "parameters",
+        "undetermined",
+        "determined",
+        "stations",
+        "outliers",
+    )
+    same += (
+        "robust",
+        "known",
+        "noise",
+        "noise_estimated",
+        "lost_targets",
+        "informed",
+        "correction",
+        "effects",
+        "notes",
+    )
     return CalibrationFile(
-        recording=calibration.recording,
-        method=calibration.method,
         construction=calibration.construction.name,
-        fit=FitEntry(**vars(calibration.fit)),
-        frame=calibration.frame,
-        parameters=_parameters(calibration),
         covariance=(calibration.covariance / np.outer(factors, factors)).tolist(),
         harmonics=tuple(_harmonic(harmonic) for harmonic in harmonics(calibration)),
-        undetermined=tuple(
-            CombinationEntry(combination=dict(c.coefficients), gain=c.gain, cure=c.cure)
-            for c in calibration.undetermined
-        ),
-        determined=calibration.determined,
-        stations=tuple(_station(station) for station in calibration.stations),
         criteria=calibration.criteria.as_json() if calibration.criteria else {},
-        outliers=tuple(OutlierEntry(**vars(outlier)) for outlier in calibration.outliers),
-        robust=calibration.robust,
-        noise=tuple(NoiseEntry(**vars(noise)) for noise in calibration.noise),
-        noise_estimated=calibration.noise_estimated,
         verdict=VerdictEntry()
         if judged is None
         else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),
-        lost_targets=calibration.lost_targets,
-        informed=calibration.informed,
-        correction=_correction(calibration.correction),
-        effects=calibration.effects,
-        notes=calibration.notes,
+        **{name: getattr(calibration, name) for name in same},
     )
 
 
 def _factors(calibration: Calibration) -> Floats:
     own = [p.factor for p in calibration.construction.parameters]
     return np.tile(np.array(own, dtype=np.float64), len(calibration.instruments))
-
-
-def _parameters(calibration: Calibration) -> tuple[ParameterEntry, ...]:
-    several = len(calibration.instruments) > 1
-    instruments: list[dict[str, Any]] = [{"instrument": i} if several else {} for i in calibration.instruments]
-    return tuple(
-        ParameterEntry(
-            name=parameter.name,
-            value=float(calibration.values[i, k] / parameter.factor),
-            sigma=float(calibration.sigma[i, k] / parameter.factor),
-            unit=parameter.unit,
-            prior_sigma=float(calibration.prior_sigma[i, k] / parameter.factor),
-            held=bool(calibration.held[i, k]),
-            **_applied(calibration, i, k),
-            **named_instrument,
-        )
-        for i, named_instrument in enumerate(instruments)
-        for k, parameter in enumerate(calibration.construction.parameters)
-    )
-
-
-def _applied(calibration: Calibration, instrument: int, parameter: int) -> dict[str, Any]:
-    """The applied value in the parameter's unit where it is not the estimate."""
-    value, applied = calibration.values[instrument, parameter], calibration.applied[instrument, parameter]
-    factor = calibration.construction.parameters[parameter].factor
-    return {} if abs(applied - value) <= SAME * abs(value) else {"applied": float(applied / factor)}
-
-
-def _correction(correction: Correction | None) -> CorrectionEntry | None:
-    if correction is None:
-        return None
-    return CorrectionEntry(
-        prior_scale=correction.prior_scale,
-        plausible_scale=correction.plausible_scale,
-        uncorrected_um=correction.uncorrected / MICROMETRE,
-        corrected_um=correction.corrected / MICROMETRE,
-        left_out=correction.left_out,
-        sentences=correction.sentences,
-    )
-
-
-def _read_correction(entry: CorrectionEntry | None, applied: Floats) -> Correction | None:
-    if entry is None:
-        return None
-    before, after = entry.uncorrected_um * MICROMETRE, entry.corrected_um * MICROMETRE
-    scale = entry.prior_scale, entry.plausible_scale
-    return Correction(applied, *scale, before, after, entry.left_out, entry.sentences)
 
 
 def _harmonic(harmonic: Harmonic) -> HarmonicEntry:
@@ -164,23 +110,6 @@ def _harmonic(harmonic: Harmonic) -> HarmonicEntry:
         sigma_phase_deg=None if harmonic.phase_sigma is None else harmonic.phase_sigma / DEGREE,
         **({"instrument": harmonic.instrument} if harmonic.instrument else {}),
     )
-
-
-def _station(station: StationPose) -> StationEntry:
-    return StationEntry(
-        name=station.name,
-        position_mm=(station.position / MILLIMETRE).tolist(),
-        rotation_quaternion=station.quaternion.tolist(),
-        sigma_position_mm=(station.sigma_position / MILLIMETRE).tolist(),
-        sigma_rotation_arcsec=(station.sigma_rotation / ARCSECOND).tolist(),
-    )
-
-
-def targets_csv(names: Sequence[str], points: Floats, covariance: Floats) -> str:
-    """The content of `targets.csv` for points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row."""
-    sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
-    known = np.flatnonzero(np.isfinite(sigma).all(axis=1)).tolist()
-    return TARGETS.text([names[i], *(points[i] / MILLIMETRE), *sigma[i]] for i in known)
 
 
 def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
@@ -256,9 +185,10 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         held=held.reshape(shape),
         informed=content.informed,
         effects=content.effects,
-        correction=_read_correction(content.correction, applied.reshape(shape)),
-        fit=Fit(**content.fit.model_dump()),
-        undetermined=tuple(Combination(c.combination, c.gain or 0.0, c.cure) for c in content.undetermined),
+        correction=content.correction,
+        weighed=None if np.array_equal(applied, values) else applied.reshape(shape),
+        fit=content.fit,
+        undetermined=content.undetermined,
         frame=content.frame,
         stations=(),
         recording=content.recording,
@@ -302,7 +232,7 @@ def history_file(history: History) -> HistoryFile:
     return HistoryFile(
         construction=history.construction.name,
         calibrations=tuple(
-            CalibrationOf(label=label, fit=FitEntry(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+            CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
             for label, c in zip(history.labels, history.calibrations, strict=True)
         ),
         parameters=tuple(_course(history, k) for k in range(history.construction.size)),

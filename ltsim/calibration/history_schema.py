@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ltsim.calibration.schema import FitEntry, NotNegative
+from ltsim.calibration.schema import Fit, NotNegative
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 
 
@@ -96,7 +96,7 @@ class CalibrationOf(Entry):
 
     label: str
     """What the report calls it."""
-    fit: FitEntry
+    fit: Fit
     """Agreement of readings and model."""
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy import special
 
+from ltsim.arrays import Floats
 from ltsim.chances import p_is
 from ltsim.evaluation.schema import CriterionEntry
-from ltsim.notation import with_sigma
+from ltsim.notation import number, with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
-from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.recording.result_table import ResultTable
+from ltsim.results import Column, Table, columns_of, numbers, texts
+from ltsim.units import ARCSECOND, MILLIMETRE
 
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
@@ -41,7 +46,7 @@ RESIDUALS = ResultTable(
 )
 
 
-class FitEntry(Entry):
+class Fit(Entry):
     """Agreement of readings and model; the test is null without redundancy."""
 
     chi2: Finite = 0.0
@@ -104,7 +109,7 @@ class HarmonicEntry(Entry):
     """Where there are several."""
 
 
-class CombinationEntry(Entry):
+class Combination(Entry):
     """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
 
     combination: dict[str, Finite]
@@ -135,7 +140,7 @@ class DeterminedEntry(Entry):
         return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
 
 
-class StationEntry(Entry):
+class StationPose(Entry):
     """Pose of a station: mm, quaternion x y z w from instrument to network."""
 
     name: str
@@ -149,8 +154,28 @@ class StationEntry(Entry):
     sigma_rotation_arcsec: tuple[Known, Known, Known] | None = None
     """About each axis."""
 
+    @property
+    def position(self) -> Floats:
+        """(3,) [m]."""
+        return np.array(self.position_mm) * MILLIMETRE
 
-class OutlierEntry(Entry):
+    @property
+    def quaternion(self) -> Floats:
+        """(4,) x, y, z, w from instrument to network."""
+        return np.array(self.rotation_quaternion)
+
+    @property
+    def sigma_position(self) -> Floats:
+        """(3,) [m]; NaN where a file does not say."""
+        return np.array(self.sigma_position_mm or [np.nan] * 3, dtype=np.float64) * MILLIMETRE
+
+    @property
+    def sigma_rotation(self) -> Floats:
+        """(3,) [rad]; NaN where a file does not say."""
+        return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
+
+
+class OutlierRow(Entry):
     """A reading that does not belong; `gross`: the largest of a whole pointing that was left out."""
 
     row: int
@@ -173,7 +198,7 @@ class OutlierEntry(Entry):
     """It did not take part in the adjustment."""
 
 
-class NoiseEntry(Entry):
+class NoiseRow(Entry):
     """Noise that was found from the readings; no `factor_sigma`: too little redundancy, the factor is as stated."""
 
     observable: str
@@ -203,7 +228,7 @@ class VerdictEntry(Entry):
     """Whether to scale standard deviations by sigma0."""
 
 
-class CorrectionEntry(Entry):
+class Correction(Entry):
     """What of the estimates is applied, and what is expected of it."""
 
     prior_scale: Positive
@@ -211,13 +236,24 @@ class CorrectionEntry(Entry):
     plausible_scale: tuple[Positive, Positive]
     """The same from and to, each with 95 %."""
     uncorrected_um: NotNegative
-    """Expected error (rms) of a new point as it is read."""
+    """Expected error of a new point as it is read: rms of its distance from the truth in one set-up's frame, by the
+    instrument's constants alone, without the noise of its own reading.
+    """
     corrected_um: NotNegative
     """The same after the correction."""
+    noise_um: NotNegative = 0.0
+    """Rms of the distance that the noise of one reading of such a point makes."""
     left_out: tuple[str, ...] = ()
     """Parameters that are not applied: targets that were held out are predicted better without them."""
     sentences: tuple[str, ...] = ()
     """The same for a person."""
+
+    @property
+    def line(self) -> str:
+        """The error of a new point without and with the correction."""
+        before, after = (number(math.hypot(x, self.noise_um), 3) for x in (self.uncorrected_um, self.corrected_um))
+        noise = f"{number(self.noise_um, 3)} um by the noise of its own reading among it"
+        return f"expected error of a new point: {before} um as read, {after} um corrected (rms in 3D, {noise})"
 
 
 class FittedParameterEntry(Entry):
@@ -268,6 +304,51 @@ class FittedEffectEntry(Entry):
         return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
 
 
+PARAMETERS = Table(
+    "parameters.csv",
+    "estimates of the instrument's parameters, each in its unit",
+    columns_of(
+        ParameterEntry,
+        "name instrument value sigma unit prior_sigma held applied",
+        value={"sigma": "sigma"},
+        name={"name": "parameter"},
+    ),
+)
+
+
+class KnownEntry(Entry):
+    """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
+
+    kind: Literal["point", "length", "level", "mark", "axes"]
+    """What is known."""
+    name: str
+    """Target, both ends of a length, or station."""
+    component: str = ""
+    """x, y or z of a point; the two tilts of a level are x and y."""
+    residual: Finite
+    """Stated less adjusted."""
+    error: Finite
+    """By how much it is wrong by what the rest says."""
+    sigma_error: Sigma = None
+    """Standard deviation of the error; null where the rest says nothing."""
+    minimal_detectable: Known = None
+    """Smallest error that the test finds with 80 %."""
+    unit: str
+    """Of residual, error and what follows them."""
+    redundancy: Finite
+    """Share of an error that the residual shows."""
+    w: Finite
+    """Root of the fall of chi-square without the whole known value."""
+    left_out: bool = False
+    """It contradicts the rest and had no say."""
+
+
+KNOWN = Table("known.csv", "known values, each tested by the rest", columns_of(KnownEntry))
+OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
+NOISE = Table("noise.csv", "noise found from the readings", columns_of(NoiseRow, factor={"sigma": "factor_sigma"}))
+STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
+
+
 class CalibrationFile(ResultFile):
     """`calibration.json`: from `calibrate` and `adjust`; name, value and unit of parameters are enough to apply it."""
 
@@ -278,7 +359,7 @@ class CalibrationFile(ResultFile):
     """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`."""
     construction: str
     """Which model of the instrument: `misalignment`, `dh` or `ideal`."""
-    fit: FitEntry = FitEntry()
+    fit: Fit = Fit()
     """Agreement of readings and model."""
     frame: str = ""
     """The frame of all coordinates."""
@@ -288,27 +369,29 @@ class CalibrationFile(ResultFile):
     """Of the parameters in their order and units."""
     harmonics: tuple[HarmonicEntry, ...] = ()
     """Cosines and sines as amplitude and phase."""
-    undetermined: tuple[CombinationEntry, ...] = ()
+    undetermined: tuple[Combination, ...] = ()
     """What the recording does not tell."""
     determined: tuple[DeterminedEntry, ...] = ()
     """What it tells of several parameters together far better than of each."""
-    stations: tuple[StationEntry, ...] = ()
+    stations: tuple[StationPose, ...] = ()
     """Poses."""
     criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
     """The paper's criteria before and after."""
-    outliers: tuple[OutlierEntry, ...] = ()
+    outliers: tuple[OutlierRow, ...] = ()
     """Readings that do not belong."""
     robust: bool = False
     """Readings that do not belong were left out."""
-    noise: tuple[NoiseEntry, ...] = ()
+    noise: tuple[NoiseRow, ...] = ()
     """What was found about the noise."""
     noise_estimated: bool = False
     """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()
     """Which test to trust."""
+    known: tuple[KnownEntry, ...] = ()
+    """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
-    correction: CorrectionEntry | None = None
+    correction: Correction | None = None
     """What of the estimates is worth applying; null where that was not asked."""
     effects: tuple[FittedEffectEntry, ...] = ()
     """Effects that were estimated beside the parameters (`--with`)."""

@@ -27,6 +27,8 @@ from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Correction
 from ltsim.calibration.held_out import unheld
 from ltsim.geometry.rigid import less_rigid
+from ltsim.recording.recording import Recording
+from ltsim.units import MICROMETRE
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
 CONTRADICTS = 3.32
@@ -39,8 +41,8 @@ NOTHING = 0.02
 
 def correction_of(
     adjustment: Adjustment, names: Sequence[str], *, informed: bool = False, wider: float | None = None
-) -> Correction:
-    """The correction that an adjustment's parameters are worth; `names` (I p) of the parameters.
+) -> tuple[Correction, Floats]:
+    """The correction that an adjustment's parameters are worth, and its values (I, p) [SI]; `names` (I p) of them.
 
     Priors that were made so many times `wider` than stated stand for none: the scale is found in any case. With a
     prior from earlier calibrations (`informed`) no term is left out, since this recording's targets are not all
@@ -54,13 +56,13 @@ def correction_of(
     root = block_diag(*prior.roots)[np.ix_(free, free)]
     at = adjustment.problem.unknowns.instrument.ravel()[free]
     known = np.linalg.inv(root @ adjustment.kept_covariance[np.ix_(at, at)] @ root.T)
-    told = known @ root @ (adjustment.state.instrument.ravel() - mean)[free]
+    heard = known @ root @ (adjustment.state.instrument.ravel() - mean)[free]
     within = np.searchsorted(free, used)
     unit = wider or 1.0
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
     information = (known[np.ix_(within, within)] - np.eye(len(used))) / unit**2
     least, unstated = (1.0 if informed else 0.0), wider is not None
-    evidence = ScaledPrior(information, told[within] / unit, least=least, unstated=unstated)
+    evidence = ScaledPrior(information, heard[within] / unit, least=least, unstated=unstated)
     by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
     applied, note = evidence.harmless(by_unit, middle)
@@ -71,8 +73,16 @@ def correction_of(
         notes.append(f"not applied, targets that were held out are predicted better without: {', '.join(left_out)}")
     values = mean * held
     values[used] = spread @ applied
-    scale, plausible = evidence.scale, evidence.plausible
-    return Correction(values.reshape(prior.mean.shape), scale, plausible, before, after, left_out, tuple(notes))
+    told = Correction(
+        prior_scale=evidence.scale,
+        plausible_scale=evidence.plausible,
+        uncorrected_um=before / MICROMETRE,
+        corrected_um=after / MICROMETRE,
+        noise_um=reading_noise(adjustment.recording) / MICROMETRE,
+        left_out=left_out,
+        sentences=tuple(notes),
+    )
+    return told, values.reshape(prior.mean.shape)
 
 
 class ScaledPrior:
@@ -154,13 +164,23 @@ class ScaledPrior:
         return cautious, f"{100 * share:.0f} % of the correction is applied: more may well make new points worse"
 
     def errors(self, by_unit: Floats, applied: Floats, middle: Floats | float = 0.0) -> tuple[float, float]:
-        """Expected error (rms) [m] of a new point without a correction, and with what is applied."""
+        """Expected error (rms) [m] of a new point by the constants, without a correction and with what is applied."""
         scale = self.followed
         mean = middle + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
         rest = float(np.sum(spread * by_unit))
         missed = mean - applied
         return float(np.sqrt(mean @ by_unit @ mean + rest)), float(np.sqrt(missed @ by_unit @ missed + rest))
+
+
+def reading_noise(recording: Recording) -> float:
+    """Rms [m] of the distance by which the stated noise of one reading shifts a point, over all whole pointings."""
+    whole = recording.measured.all(axis=1)
+    if not whole.any():
+        return 0.0
+    (range_, _, elevation), sigma = recording.readings[whole].T, recording.sigma()[whole].T
+    across = range_ * np.cos(elevation) * sigma[1]
+    return float(np.sqrt(np.mean(sigma[0] ** 2 + across**2 + (range_ * sigma[2]) ** 2)))
 
 
 def point_errors(adjustment: Adjustment) -> Floats:

@@ -24,14 +24,12 @@ def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal:
 
     Example: ltsim accept my-tracker.toml --out acceptance
     """
-    from ltsim.acceptance.accept import accept as accepted
+    import ltsim as lt
     from ltsim.acceptance.files import TESTS, AcceptanceFile, write_acceptance
-    from ltsim.acceptance.spec import load_acceptance
 
     claim(out, AcceptanceFile, (TESTS.file,), force=force)
-    acceptance = load_acceptance(file)
     with terminal.busy("looking at the tests"):
-        content = accepted(acceptance, file.parent)
+        content = lt.accept(file)
     if out is not None:
         content = write_acceptance(content, out)
     terminal.answer(content.content())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import FramedReading, Out, PointsFile, Source, Treatment, names_of
+from ltsim.cli.options import FramedReading, Out, PointsFile, Source, Treatment, in_flags, names_of
 from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.summary import show_calibration
 from ltsim.cli.terminal import Terminal
@@ -124,16 +124,13 @@ def calibrate(
     Example: ltsim calibrate my-recording --out my-calibration
     """
     options = treatment.as_options()
-    if method is not Method.NETWORK and any([*options.values(), prior, with_effects]):
-        message = "--robust, --noise-from-data, --datum, --prior and --with go with --method network"
-        raise SetupError(f"{message}, not {method.value}")
     options |= {"parameters": names_of(parameters), "without": names_of(without) or (), "hold": held_values(hold)}
     options |= {"prior": prior, "harmonics": harmonics, "degree": degree, "box": box}
     options["with_effects"] = with_effects or ()
     claim_results(out, points, adjusted=False, force=force)
     recording = reading.open(source, terminal)
     built = construction.value if construction else None
-    with terminal.busy("calibrating"):
+    with in_flags(), terminal.busy("calibrating"):
         found = lt.calibrate(recording, method=method.value, construction=built, **options)
     finish(terminal, found, out, points)
 

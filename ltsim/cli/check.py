@@ -15,11 +15,9 @@ from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import NetworkError, RecordError
 from ltsim.recording.files import is_number
-from ltsim.units import MICROMETRE
 
 if TYPE_CHECKING:
     from ltsim.fieldcheck import Check, Item
-    from ltsim.fieldcheck.faces import Mpe
 
 LEVEL = 0.01
 Level = Annotated[
@@ -57,29 +55,27 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    from ltsim.fieldcheck import check as check_of, check_file, write_check
+    import ltsim as lt
+    from ltsim.fieldcheck import check_file, write_check
     from ltsim.fieldcheck.files import TWO_FACE, CheckFile
 
-    claim(out, CheckFile, (TWO_FACE.file, "check.svg", "check-narrow.svg"), force=force)
+    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
     limit = mpe_of(mpe)
 
     def look() -> Check:
-        return check_of(reading.of(source, growing=True), level=level, mpe=limit)
+        return lt.check(reading.of(source, growing=True), level=level, mpe=limit)
 
     if watch:
         follow(terminal, look, changes(source))
         return 0
     recording = reading.open(source, terminal)
     with terminal.busy("checking"):
-        found = check_of(recording, level=level, mpe=limit)
+        found = lt.check(recording, level=level, mpe=limit)
     content = check_file(found)
     if out is not None:
-        from ltsim.pages.figures.check import check_figure  # most checks draw nothing
-        from ltsim.pages.style import narrow, svg
+        from ltsim.pages.style import svg  # most checks draw nothing
 
-        figure = check_figure(found)
-        pictures = {"check.svg": svg(figure), "check-narrow.svg": svg(narrow(figure) or figure)}
-        content = write_check(found, out, pictures)
+        content = write_check(found, out, {"check.svg": svg(found.plot())})
     terminal.answer(content.content())
     for item in found.items:
         terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
@@ -89,16 +85,14 @@ def check(
     return 0 if found.passed else 1
 
 
-def mpe_of(text: str | None) -> Mpe | None:
+def mpe_of(text: str | None) -> tuple[float, float] | None:
     """The limit that `A,B` states, um and um/m; raises RecordError when it is no two numbers above or equal to 0."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
         raise RecordError(f"--mpe {text}: expected A,B in um and um/m, for instance 20,6")
-    from ltsim.fieldcheck.faces import Mpe
-
-    return Mpe(float(parts[0]) * MICROMETRE, float(parts[1]) * MICROMETRE)
+    return float(parts[0]), float(parts[1])
 
 
 def changes(source: Path) -> Iterator[None]:

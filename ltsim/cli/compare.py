@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.chances import p_is, p_text
-from ltsim.cli.options import Out, Reading, Robust, Source, names_of
+import ltsim as lt
+from ltsim.chances import p_is
+from ltsim.cli.options import Out, Reading, Robust, Source, in_flags, names_of
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
-from ltsim.errors import SetupError
+from ltsim.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from ltsim.adjustment import Adjustment
-    from ltsim.recording.recording import Recording
-    from ltsim.tasks.comparison import ComparisonFile
+    from ltsim.recording.coordinates import Coordinates
     from ltsim.tasks.congruence import Congruence
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
@@ -64,90 +62,40 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.recording.coordinates import holds_coordinates
-    from ltsim.tasks.comparison import DISPLACEMENTS, ComparisonFile, write_comparison
+    from ltsim.tasks.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
 
     claim(out, ComparisonFile, (DISPLACEMENTS.file,), force=force)
-    named = names_of(stable)
-    if holds_coordinates(source) or holds_coordinates(second):
-        if same_instrument or robust or not calibrate:
-            raise SetupError(
-                "lists of coordinates hold no readings: --same-instrument, --robust and --no-calibrate say nothing"
-            )
-        found, content = _lists((source, second), terminal, named, free, scale, level)
-    else:
-        if free:
-            raise SetupError("--free is for lists of coordinates: what a recording leaves open of its frame is known")
-        epochs: list[Adjustment] = []
-        for path in (source, second):
-            recording = reading.open(path, terminal)
-            epochs.append(_adjusted(recording, calibrate, robust))
-        found, content = _recordings(epochs, named, scale, same_instrument, level)
-    if out is not None:
-        content = write_comparison(content, out)
+    lists = holds_coordinates(source) or holds_coordinates(second)
+    one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
+    how: dict[str, Any] = {"free": free, "same_instrument": same_instrument, "calibrate": calibrate, "robust": robust}
+    with in_flags(), terminal.busy("comparing"):
+        found = lt.compare(one, other, stable=names_of(stable), scaled=scale, level=level, **how)
+    content = comparison_file(found) if out is None else write_comparison(found, out)
     terminal.answer(content.content())
-    show(terminal, content)
+    show(terminal, found)
     terminal.written(out)
     return int(bool(found.moved))
 
 
-def _adjusted(recording: Recording, calibrate: bool, robust: bool) -> Adjustment:
-    from ltsim.adjustment import adjust
-    from ltsim.model.construction import ideal, stated_construction
+def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
+    """A list of coordinates, with what its reader decided and its size said."""
+    from ltsim.recording.coordinates import holds_coordinates, read_coordinates
 
-    made = adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust)
-    made.solution.require_success()
-    return made
-
-
-def _recordings(
-    epochs: list[Adjustment], stable: tuple[str, ...] | None, scaled: bool, same_instrument: bool, level: float
-) -> tuple[Congruence, ComparisonFile]:
-    from ltsim.recording.result_file import SourceEntry
-    from ltsim.tasks.comparison import comparison_file
-    from ltsim.tasks.epochs import compare as compared
-
-    first, later = epochs
-    found = compared(first, later, stable=stable, scaled=scaled, same_instrument=same_instrument, level=level)
-    at = [first.recording.targets.index(d.target) for d in found.displacements]
-    one, other = (SourceEntry.of(epoch.recording) for epoch in epochs)
-    return found, comparison_file(found, one, other, first.state.points[at])
+    if not holds_coordinates(path):
+        return path
+    found = read_coordinates(path)
+    terminal.notes(found.notes)
+    terminal.say(f"{found.title}: {len(found.names)} points along {', '.join(found.axes)}")
+    return found
 
 
-def _lists(
-    paths: tuple[Path, Path], terminal: Terminal, stable: tuple[str, ...] | None, free: bool, scaled: bool, level: float
-) -> tuple[Congruence, ComparisonFile]:
-    from ltsim.recording.coordinates import read_coordinates
-    from ltsim.recording.result_file import SourceEntry
-    from ltsim.tasks.comparison import comparison_file
-    from ltsim.tasks.epochs import compare_coordinates
-
-    first, later = (read_coordinates(path) for path in paths)
-    for one in (first, later):
-        terminal.notes(one.notes)
-        terminal.say(f"{one.title}: {len(one.names)} points along {', '.join(one.axes)}")
-    found = compare_coordinates(first, later, stable=stable, free=free, scaled=scaled, level=level)
-    at = [first.names.index(d.target) for d in found.displacements]
-    return found, comparison_file(found, SourceEntry.listed(first), SourceEntry.listed(later), first.points[at])
-
-
-def show(terminal: Terminal, content: ComparisonFile) -> None:
+def show(terminal: Terminal, found: Congruence) -> None:
     """The verdict, then a line a point."""
-    terminal.say("\n" + content.sentence)
+    terminal.say("\n" + found.sentence)
     terminal.say(
-        f"no motion at all has {p_is(content.p_value)} (chi-square {content.statistic:.1f}, {content.dof} degrees of "
-        f"freedom); without the points that moved {p_is(content.p_value_after)}"
+        f"no motion at all has {p_is(found.p_value)} (chi-square {found.statistic:.1f}, {found.dof} degrees of "
+        f"freedom); without the points that moved {p_is(found.after)}"
     )
-    rows = [
-        [
-            d.target,
-            "moved" if d.moved else "",
-            *(f"{v:.1f}" for v in d.shift_um),
-            *(f"{v:.1f}" for v in d.sigma_um),
-            f"{d.visible_um[1]:.0f}",
-            p_text(d.p_value),
-        ]
-        for d in content.displacements
-    ]
-    header = ["target", "", "dx [um]", "dy [um]", "dz [um]", "sigma x", "sigma y", "sigma z", "visible [um]", "p"]
-    terminal.say(table(header, rows, left=2))
-    terminal.say("visible: the smallest motion that is found in 4 of 5 cases, whatever its direction")
+    table = found.table().only("target moved dx_um dy_um dz_um visible_um p_value")
+    terminal.say(table.text())
+    terminal.say("a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases")

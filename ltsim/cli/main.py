@@ -38,6 +38,7 @@ VERBS = {
     "compare": "did points move between two recordings",
     "convert": "read a recording in one format, write it in another",
     "effects": "the catalogue of physical effects",
+    "inject": "put a cause into a recording: would it be seen?",
     "diagnose": "do recording and model agree; if not, where and why",
     "history": "follow an instrument's parameters over calibrations",
     "plan": "find a layout of stations and reflectors, or what to measure next",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import RecordError
+from ltsim.errors import ModelError, RecordError, SetupError
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -58,6 +60,15 @@ FrameFile = Annotated[
         'origin = "T01", x_axis = "T02", xy_plane = "T03".',
     ),
 ]
+ControlFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--control",
+        metavar="FILE",
+        help="Control points with weight: a table target, x_mm, y_mm, z_mm and sigma_mm (or sigma_x_mm, sigma_y_mm, "
+        "sigma_z_mm); an empty coordinate is not known. One that the readings contradict is named and left out.",
+    ),
+]
 Robust = Annotated[
     bool, typer.Option("--robust", help="Leave out readings that do not belong; each is tested again at the end.")
 ]
@@ -72,6 +83,35 @@ Datum = Annotated[
 PointsFile = Annotated[
     Path | None, typer.Option("--points", metavar="FILE", help="Write the adjusted points too: .csv, .ply or .glb.")
 ]
+
+
+FLAGS = {
+    "noise_from_data": "--noise-from-data",
+    "same_instrument": "--same-instrument",
+    "with_effects": "--with",
+    "robust": "--robust",
+    "datum": "--datum",
+    "prior": "--prior",
+    "harmonics": "--harmonics",
+    "degree": "--degree",
+    "box": "--box",
+    "free is": "--free is",
+    "and calibrate say": "and --no-calibrate say",
+}
+"""Options as functions name them, and as the command line spells them."""
+
+
+@contextmanager
+def in_flags() -> Iterator[None]:
+    """What a function says of its options, told of the flags."""
+    try:
+        yield
+    except ModelError as problem:
+        words = str(problem)
+        if "go with" in words or "say nothing" in words or "free is" in words:
+            for option, flag in FLAGS.items():
+                words = re.sub(rf"(?<![-\w]){option}\b", flag, words)
+        raise SetupError(words) from None
 
 
 def names_of(listed: str | None) -> tuple[str, ...] | None:
@@ -142,10 +182,15 @@ class FramedReading(Reading):
     """The same, with the axes of the results."""
 
     frame: FrameFile = None
+    control: ControlFile = None
 
     def of(self, path: Path, *, growing: bool = False) -> Recording:
-        """The recording, in the axes of `frame` if given; raises RecordError."""
+        """The recording, in the axes of `frame` or with the points of `control` if given; raises RecordError."""
         found = super().of(path, growing=growing)
+        if self.control is not None:
+            from ltsim.adjustment.axes import with_control
+
+            found = with_control(found, self.control)
         return found if self.frame is None else in_axes(found, self.frame)
 
 

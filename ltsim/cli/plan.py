@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from ltsim.effects.signature import Signature
     from ltsim.planning.planner import Plan
     from ltsim.planning.schema import PlanResult
+    from ltsim.planning.survey import Survey
+    from ltsim.planning.whatif import Alternative
     from ltsim.recording import Recording
     from ltsim.remedies.next_measurement import NextMeasurement
 
@@ -39,7 +43,17 @@ Between = Annotated[
         "--between", metavar="A,B", help="With --after: effects to decide between; default what a diagnosis left open."
     ),
 ]
+Without = Annotated[
+    str | None, typer.Option("--without", metavar="STATION", help="Other places for a station, the others as they are.")
+]
+Move = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--move", metavar="STATION=X,Y[,Z]", help="Judge the layout with a station elsewhere [mm]; no search."
+    ),
+]
 MOST_SHOWN = 6
+SO_FAR = "best-so-far.toml"
 PICTURES = ("floor.png", "tradeoff.png")
 PAGE = "work-order.html"
 
@@ -53,6 +67,8 @@ def plan(
     show: Show = False,
     after: After = None,
     between: Between = None,
+    without: Without = None,
+    move: Move = None,
     *,
     reading: Reading,
     force: Force = False,
@@ -62,7 +78,9 @@ def plan(
 
     Writes plan.json, stations.csv (where the tripod goes), reflectors.csv, tradeoff.csv, scenario.toml for
     `ltsim simulate`, work-order.html for the shop floor, nominals.csv and work-order.csv for the tracker's software,
-    and the pictures floor.png and tradeoff.png.
+    and the pictures floor.png and tradeoff.png. Ctrl-C ends the search and keeps the best layout so far, which stands
+    in best-so-far.toml while it goes on. FILE may be the folder of a plan: --without and --move ask what its layout is
+    worth with one station elsewhere.
 
     Example: ltsim plan paper-workshop --out my-plan
     """
@@ -81,18 +99,72 @@ def plan(
     if show:
         print(plan_text(source), end="")
         return None
-    folder = out if out is not None or terminal.as_json else Path(f"plan-{Path(source).stem}")
+    changes = _moves(move or [])
+    if without is not None and (changes or out is not None):
+        raise SetupError("--without lists places for a station; judge one of them with --move, which takes --out")
+    if without is not None:
+        return _show_places(terminal, lt.without_station(source, without))
+    nowhere = terminal.as_json or bool(changes)
+    folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", *PICTURES, PAGE), force=force)
-    return _search(terminal, source, folder, seed, starts, jobs)
+    if changes:
+        with terminal.busy("judging the layout"):
+            made = lt.plan(source, move=changes)
+    else:
+        made = _searched(terminal, source, folder, {"starts": starts, "seed": seed, "jobs": jobs})
+    return _write(terminal, made, folder)
 
 
-def _search(
-    terminal: Terminal, source: str, folder: Path | None, seed: int | None, starts: int | None, jobs: int
-) -> None:
-    from ltsim.planning.files import write_plan
+def _moves(given: list[str]) -> dict[str, tuple[float, ...]]:
+    """Places by station of `--move STATION=X,Y[,Z]`."""
+    found = {}
+    for text in given:
+        name, _, place = text.partition("=")
+        try:
+            found[name] = tuple(float(v) for v in place.split(","))
+        except ValueError:
+            found[name] = ()
+        if len(found[name]) not in (2, 3) or not all(isfinite(v) for v in found[name]):
+            raise SetupError(f"--move {text}: expected STATION=X,Y or STATION=X,Y,Z in mm, such as S2=5000,3000")
+    return found
+
+
+def _show_places(terminal: Terminal, found: Sequence[Alternative]) -> None:
+    """What a layout is worth without a station, and with it elsewhere."""
+    terminal.answer([{"what": one.words, "verdict": one.verdict} for one in found])
+    for one in found:
+        terminal.say(f"- {one.words}: {one.verdict}.")
+    if len(found) == 1:
+        terminal.say("No other place on the floor is allowed for it; widen the floor, or search with one station less.")
+
+
+def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
+    """The plan that a search finds; the best layout so far is told and kept on the way."""
+    from ltsim.planning.files import opened, with_cad_beside, with_layout
+    from ltsim.planning.making import Follower
+    from ltsim.recording.files import write_texts
+    from ltsim.simulation.scenario import scenario_to_toml
+    from ltsim.simulation.workshop import bodies_of
+
+    _, scenario = opened(source)
+    for body in bodies_of(scenario):
+        terminal.say(body.words)
+
+    def keep(survey: Survey) -> None:
+        if folder is not None:
+            beside, cad = with_cad_beside(with_layout(scenario, survey))
+            write_texts(folder, {**cad, SO_FAR: scenario_to_toml(beside)})
 
     with terminal.progress("searching layouts", 100) as advance:
-        made = lt.plan(source, starts=starts, seed=seed, jobs=jobs, progress=_percent(advance))
+        made = lt.plan(source, **how, follower=Follower(_percent(advance), terminal.at_once, keep))
+    if folder is not None:
+        (folder / SO_FAR).unlink(missing_ok=True)
+    return made
+
+
+def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
+    from ltsim.planning.files import write_plan
+
     with terminal.busy("writing tables, pictures and the work order"):
         content = write_plan(made, folder, {} if folder is None else pictures_of(made) | page_of(made))
     terminal.answer(content.content())
@@ -142,6 +214,8 @@ def show_plan(terminal: Terminal, content: PlanResult) -> None:
         for o in content.tradeoff
         if o.efficient
     ]
+    if not rows:
+        return
     terminal.say("\nCost against quality (each the best for its time; smaller is better):")
     terminal.say(
         table(["stations", "faces", "rounds", "hours", f"quality [{unit}]" if unit else "quality"], rows, left=0)
@@ -172,9 +246,9 @@ def pictures_of(made: Plan) -> dict[str, bytes]:
         if len(made.reference.qualities) == 1:
             layouts.append(Layout("the scenario's own", own.seconds / 60, value, "reference"))
     drawn = floor_plan(from_scenario(planned_scenario(made)), coordinates=True, ground=made.file.floor)
-    figures = drawn, trade_off(layouts)
+    figures = [drawn, trade_off(layouts)] if made.options else [drawn]
     found = {}
-    for name, figure in zip(PICTURES, figures, strict=True):
+    for name, figure in zip(PICTURES, figures, strict=False):
         buffer = BytesIO()
         figure.savefig(buffer, format="png", dpi=150)
         found[name] = buffer.getvalue()

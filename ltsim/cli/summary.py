@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
-from ltsim.cli.terminal import Terminal, digits, table
-from ltsim.notation import with_sigma
+from ltsim.cli.terminal import Terminal, table
+from ltsim.notation import number, with_sigma
 from ltsim.units import MICROMETRE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ltsim.calibration import Calibration
+    from ltsim.calibration.schema import KnownEntry
     from ltsim.evaluation import Comparison, Criteria
 
 METHODS = {
@@ -24,6 +27,9 @@ METHODS = {
     "equation-9-l1": "distances, the minimum of the paper's eq. 9, least absolute deviations",
 }
 MOST_SHOWN = 12
+MOST_KNOWN = 12
+CONSPICUOUS = 3.0
+"""w from which a level is shown among the known values."""
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
@@ -57,6 +63,9 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     if calibration.undetermined:
         terminal.say()
         show_undetermined(terminal, calibration)
+    if calibration.known:
+        terminal.say()
+        show_known(terminal, calibration.known)
     if calibration.outliers:
         terminal.say()
         show_outliers(terminal, calibration)
@@ -96,17 +105,8 @@ def show_treatment(terminal: Terminal, calibration: Calibration) -> None:
         if judged.outliers and not calibration.robust:
             terminal.say("--robust would leave out the readings that do not belong")
     if calibration.noise:
-        rows = [
-            [
-                f"{n.observable} {n.instrument}".strip(),
-                *(digits(n.factor, n.factor_sigma) if math.isfinite(n.factor_sigma) else ("as stated", "")),
-                f"{n.typical:.3g} {n.unit}",
-                f"{n.redundancy:.1f}",
-            ]
-            for n in calibration.noise
-        ]
         terminal.say("noise found from the readings (factor on the stated one; median sigma of a reading):")
-        terminal.say(table(["noise", "factor", "sigma", "reading", "redundancy"], rows))
+        terminal.say(calibration.table("noise").text())
     if calibration.robust:
         left = sum(outlier.left_out for outlier in calibration.outliers)
         terminal.say(f"robust: {left} of the readings left out" if left else "robust: no reading had to be left out")
@@ -117,17 +117,10 @@ def show_treatment(terminal: Terminal, calibration: Calibration) -> None:
 
 def parameter_table(calibration: Calibration) -> str:
     """Parameters that the data say something about; the others are counted."""
+    from ltsim.calibration.schema import PARAMETERS
+
     shown = [i for i in range(len(calibration.names)) if _informed(calibration, i)]
-    rows = []
-    parameters = calibration.construction.parameters * len(calibration.instruments)
-    for i in shown:
-        factor = parameters[i].factor
-        value, sigma = digits(
-            float(calibration.values.ravel()[i]) / factor, float(calibration.sigma.ravel()[i]) / factor
-        )
-        prior = f"{calibration.prior_sigma.ravel()[i] / factor:.3g}"
-        rows.append([calibration.names[i], value, sigma, prior, parameters[i].unit])
-    text = table(["parameter", "value", "sigma", "prior", "unit"], rows)
+    text = PARAMETERS.filled(calibration.parameters[i] for i in shown).text()
     held = [i for i, is_held in enumerate(calibration.held.ravel().tolist()) if is_held]
     silent = len(calibration.names) - len(shown) - len(held)
     if silent:
@@ -160,10 +153,10 @@ def show_undetermined(terminal: Terminal, calibration: Calibration) -> None:
     count = len(calibration.undetermined)
     terminal.say(f"not determined by this recording ({count}; coefficients in units of the prior sigmas):")
     # What the recording almost determines is of more use than what nothing would.
-    listed = sorted(calibration.undetermined, key=lambda c: -c.gain)[:MOST_SHOWN]
+    listed = sorted(calibration.undetermined, key=lambda c: -(c.gain or 0.0))[:MOST_SHOWN]
     for combination in listed:
-        terms = " ".join(f"{value:+.2f} {name}" for name, value in combination.coefficients.items())
-        terminal.say(f"  gain {combination.gain:.2f}: {terms}")
+        terms = " ".join(f"{value:+.2f} {name}" for name, value in combination.combination.items())
+        terminal.say(f"  gain {combination.gain or 0.0:.2f}: {terms}")
         if combination.cure:
             terminal.say(f"    cure: {combination.cure}")
     if count > MOST_SHOWN:
@@ -186,6 +179,30 @@ def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
         )
     if len(calibration.outliers) > MOST_SHOWN:
         terminal.say(f"  and {len(calibration.outliers) - MOST_SHOWN} more")
+
+
+def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
+    """Known values by their tests, the worst first: how far each is from what the rest says."""
+    told = [entry for entry in known if entry.kind not in ("level", "mark") or entry.left_out or entry.w > CONSPICUOUS]
+    if not told:
+        return
+    worst = sorted(told, key=lambda entry: (not entry.left_out, -entry.w))
+    rows = [
+        [
+            f"{entry.kind} {entry.name} {entry.component}".rstrip(),
+            number(entry.residual),
+            with_sigma(entry.error if entry.sigma_error else None, entry.sigma_error),
+            entry.unit,
+            number(entry.redundancy, 2),
+            number(entry.w, 2),
+            "left out" if entry.left_out else "",
+        ]
+        for entry in worst[:MOST_KNOWN]
+    ]
+    terminal.say("known values (stated less adjusted; error by what the rest says):")
+    terminal.say(table(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
+    if len(known) > len(rows):
+        terminal.say(f"  and {len(known) - len(rows)} more in calibration.json")
 
 
 def criteria_table(criteria: Criteria) -> str:

@@ -46,22 +46,19 @@ def uncertainty(
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
-    from ltsim.calibration.result import frame_of
     from ltsim.recording.result_file import read_result
-    from ltsim.tasks.evaluation import evaluate_tasks
     from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
     from ltsim.tasks.spec import load_tasks
 
     claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
     tasks = load_tasks(file)
-    if seed is not None:
-        tasks = tasks.model_copy(update={"monte_carlo": tasks.monte_carlo.model_copy(update={"seed": seed})})
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
-    recording = _recording(terminal, tasks, file, beside=source is None)
+    drawn = tasks.monte_carlo.seed if seed is None else seed
+    recording = _recording(terminal, tasks, file, drawn, beside=source is None)
     with terminal.busy("drawing trials"):
-        evaluation = evaluate_tasks(recording, tasks)
-    content = told(evaluation, frame_of(evaluation.inputs.adjustment))
+        evaluation = lt.uncertainty(recording, tasks, seed=seed)
+    content = told(evaluation)
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
     if out is not None:
         content = write_uncertainty(content, out)
@@ -76,14 +73,14 @@ def uncertainty(
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 
-def _recording(terminal: Terminal, tasks: Tasks, file: Path, *, beside: bool) -> Recording:
+def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, beside: bool) -> Recording:
     """The recording of the tasks; a scenario is measured once, virtually."""
     name = tasks.source
     place = file.parent / name if beside else Path(name)
     if name in builtin_names() or place.suffix == ".toml":
         chosen = name if name in builtin_names() else place
-        recording, _ = lt.simulate(chosen, seed=tasks.monte_carlo.seed)
-        terminal.say(f"scenario {name}, measured once with seed {tasks.monte_carlo.seed}")
+        recording, _ = lt.simulate(chosen, seed=seed)
+        terminal.say(f"scenario {name}, measured once with seed {seed}")
         return recording
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")

@@ -79,10 +79,8 @@ def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law
     at = _at(where.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
     if shown < LIKELY:
-        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is as good as others ({percent(shown)})"
-        return (
-            f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell; one, {likeliest}."
-        )
+        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent(shown)})"
+        return f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell: {likeliest}."
     sure = f"probability that it follows this {percent(shown)}"
     return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 

@@ -37,7 +37,7 @@ class Air(Section):
         return longest > self.beyond_mm * MILLIMETRE
 
     def errors(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 2 S) of the raw readings by one sigma of the temperature and of the gradient of each station."""
+        """Change (n, 3, 2 S) of the raw readings by a sigma of the temperature and of the gradient of each station."""
         scale = bending() * self.temperature_k
         columns = []
         for name in sightings.station_names:

@@ -17,18 +17,12 @@ from ltsim.campaigns import require_packages
 from ltsim.errors import LtsimError, RecordError
 from ltsim.pages.actions import MOST, actions_of, headline
 from ltsim.pages.document import POLICY, Detail, Document, Section
-from ltsim.pages.sections.acceptance import acceptance_section
 from ltsim.pages.sections.calibration import calibration_section
-from ltsim.pages.sections.check import check_section
-from ltsim.pages.sections.comparison import comparison_section
 from ltsim.pages.sections.diagnosis import diagnosis_section
-from ltsim.pages.sections.further import next_section
-from ltsim.pages.sections.hidden import beside_truth
-from ltsim.pages.sections.history import history_section
+from ltsim.pages.sections.plain import PLAIN, plain_section
 from ltsim.pages.sections.plan import plan_section
 from ltsim.pages.sections.recording import recording_section
-from ltsim.pages.sections.uncertainty import uncertainty_section
-from ltsim.pages.words import natural
+from ltsim.pages.words import natural, typeset
 from ltsim.recording import Recording, read
 from ltsim.recording.files import write_text
 from ltsim.recording.native import OBSERVATIONS, SETUP
@@ -38,35 +32,6 @@ from ltsim.recording.setup import About
 
 NAME = "report.html"
 UNREADABLE = "Not readable"
-WEIGHT = {"Diagnosis": 0, UNREADABLE: 2}
-"""Whose answer stands first on a page of several parts: the diagnosis, else the first part's."""
-
-
-def _campaign_section(folder: Path) -> Section:
-    """The section of a campaign; what it is read with may be missing where nobody runs campaigns."""
-    require_packages()
-    from ltsim.pages.sections.campaign import campaign_section
-
-    return campaign_section(folder)
-
-
-Builder = Callable[["Part", Recording | None, Detail], Section]
-KINDS: dict[str, Builder] = {
-    OBSERVATIONS: lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
-    "calibration.json": lambda part, recording, detail: calibration_section(
-        part.folder, recording, detail=detail, brief=part.brief
-    ),
-    "diagnosis.json": lambda part, recording, _: beside_truth(diagnosis_section(part.folder, recording), part.folder),
-    "history.json": lambda part, _, __: history_section(part.folder),
-    "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
-    "uncertainty.json": lambda part, _, __: uncertainty_section(part.folder),
-    "check.json": lambda part, _, __: check_section(part.folder),
-    "comparison.json": lambda part, _, __: comparison_section(part.folder),
-    "accept.json": lambda part, _, __: acceptance_section(part.folder),
-    "next.json": lambda part, _, __: next_section(part.folder),
-    "manifest.json": lambda part, _, __: _campaign_section(part.folder),
-}
-"""What a folder holds, by the file that tells; in the order of the page."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +42,30 @@ class Part:
     kind: str
     recording: Path | None
     brief: bool = False
+
+
+Builder = Callable[[Part, Recording | None, Detail], Section]
+
+
+def _campaign_section(part: Part, _: Recording | None, __: Detail) -> Section:
+    """The section of a campaign; what it is read with may be missing where nobody runs campaigns."""
+    require_packages()
+    from ltsim.pages.sections.campaign import campaign_section
+
+    return campaign_section(part.folder)
+
+
+KINDS: dict[str, Builder] = {
+    "diagnosis.json": lambda part, recording, detail: diagnosis_section(part.folder, recording, detail=detail),
+    "calibration.json": lambda part, recording, detail: calibration_section(
+        part.folder, recording, detail=detail, brief=part.brief
+    ),
+    OBSERVATIONS: lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
+    "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
+    **{name: lambda part, _, __: plain_section(part.folder, PLAIN[part.kind]) for name in PLAIN},
+    "manifest.json": _campaign_section,
+}
+"""What a folder holds, by the file that tells; in the order of the page, the first one's answer heads it."""
 
 
 def report(
@@ -116,34 +105,35 @@ def document(
         raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
     parts = _parts(folder, recording)
     sections = [replace(section, folder=part.folder.name) for part, section in _sections(parts, folder)]
-    first = min(sections, key=lambda section: WEIGHT.get(section.kind, 1))
+    sections.sort(key=lambda section: section.kind == UNREADABLE)
+    first = sections[0]
     return Document(
-        title=title or (first.title if len({part.recording for part in parts}) == 1 else folder.resolve().name),
+        title=title or first.title,
         answer=first.answer,
         mood=first.mood,
         sections=sections,
         versions=versions(),
-        about=_about(parts, about or About()),
+        about=_about(parts, sections, about or About()),
         verdict=headline(first.kind, first.mood),
         actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST],
     )
 
 
-def _about(parts: list[Part], given: About) -> list[tuple[str, str]]:
-    """Who measured what for whom; several recordings may have several answers."""
+def _about(parts: list[Part], sections: list[Section], given: About) -> list[tuple[str, str]]:
+    """Who measured what for whom, when, in which axes: as asked for, else as set-ups and results say."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
-    files = [place / SETUP for place in folders if (place / SETUP).is_file()]
-    setups = [read_setup(file) for file in files]
+    setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
     stated = [setup.report for setup in setups if setup.report is not None]
-    stated.append(
-        About(instrument="; ".join(dict.fromkeys(s.instruments_in_words for s in setups)).strip("; ") or None)
-    )
+    instruments = "; ".join(dict.fromkeys(filter(None, (s.instruments_in_words for s in setups))))
+    days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
+    fallback = {"instrument": instruments, "date": days}
     said = []
     for key in About.model_fields:
-        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated[:-1]]
-        text = ", ".join(dict.fromkeys(value for value in values if value)) or getattr(stated[-1], key)
-        said += [(key, text)] * bool(text)
-    return said
+        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated]
+        text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
+        said += [] if text is None else [(key, text or "not stated")]
+    axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
+    return [*said, ("axes", axes or "not stated")]
 
 
 def _parts(folder: Path, recording: Path | None) -> list[Part]:
@@ -169,14 +159,14 @@ def _parts(folder: Path, recording: Path | None) -> list[Part]:
 
 
 def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
-    """The sections; each recording is shown in 3D once, the first of them to turn.
+    """The sections; the first recording is shown in 3D, others from above.
 
     A folder in the `top` one that cannot be read is a section that says so, unless there is nothing else.
     """
     shown: set[Path | str | None] = set()
     for part in parts:
         source = part.recording or _digest(part)
-        detail: Detail = "none" if source in shown and source else "still" if shown else "turn"
+        detail: Detail = "none" if source in shown and source else "plan" if shown else "turn"
         try:
             section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
             section = replace(section, actions=actions_of(part.kind, part.folder))
@@ -184,7 +174,7 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
             if part.folder == top or len(parts) == 1:
                 raise
             section = Section(part.folder.name, UNREADABLE, str(problem), "bad")
-        if any(block.kind == "scene" for block in section.blocks):
+        if {block.title for block in section.blocks} & {"Floor plan", "The workshop in 3D"}:
             shown.add(source)
         yield part, section
 
@@ -202,12 +192,11 @@ def _digest(part: Part) -> str:
 
 def render(content: Document) -> str:
     """The page as text; every name in it is escaped."""
-    environment = Environment(
-        loader=PackageLoader("ltsim.pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    source = environment.loader.get_source if environment.loader else None
-    assert source is not None
-    own = {name: Markup(source(environment, file)[0]) for name, file in (("style", "page.css"), ("script", "page.js"))}
+    loader = PackageLoader("ltsim.pages")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["print"] = typeset
+    files = (("style", "page.css"), ("script", "page.js"))
+    own = {name: Markup(loader.get_source(environment, file)[0]) for name, file in files}
     return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
 
 

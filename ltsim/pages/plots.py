@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from functools import singledispatch
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.calibration.calibration import Calibration
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
 from ltsim.pages import figures
+from ltsim.pages.figures.check import check_figure
+from ltsim.pages.residuals import Residuals
+from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
+from ltsim.tasks.congruence import Congruence
 
 
 @singledispatch
@@ -41,4 +47,26 @@ def _(result: Criteria) -> Figure:
 
 @figure_of.register
 def _(result: Check) -> Figure:
-    return figures.check_figure(result)
+    return check_figure(result)
+
+
+@figure_of.register
+def _(result: Diagnosis) -> Figure:
+    """The curve or the residuals of the first finding; of a consistent recording its residuals."""
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    for finding in result.findings[:1]:
+        figure = finding_figure(finding, before, after)
+        if figure is not None:
+            return figure
+    return figures.residuals_by_covariate(after)
+
+
+@figure_of.register
+def _(result: Congruence) -> Figure:
+    table = result.table()
+    places, shifts, axes = (
+        table.numbers(*names)
+        for names in (("x_mm", "y_mm", "z_mm"), ("dx_um", "dy_um", "dz_um"), ("a_um", "b_um", "c_um"))
+    )
+    moved = np.array(table.column("moved"), dtype=bool)
+    return figures.displacements(places, shifts, axes, moved, table.column("target"))

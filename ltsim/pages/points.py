@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import targets_csv
+from ltsim.calibration.calibration import Calibration, targets_table
 from ltsim.errors import RecordError
 from ltsim.recording.files import write_text
 from ltsim.units import MILLIMETRE
@@ -34,7 +33,7 @@ def write_points(calibration: Calibration, path: Path) -> None:
     if suffix not in SUFFIXES:
         raise RecordError(f"points are written as {', '.join(SUFFIXES)}: give a name that ends in one", file=path)
     if suffix == ".csv":
-        table = targets_csv(calibration.targets, calibration.points, calibration.target_covariance)
+        table = targets_table(calibration.targets, calibration.points, calibration.target_covariance).csv()
         write_text(path, table)
     else:
         write_text(path, ply(calibration) if suffix == ".ply" else glb(calibration))

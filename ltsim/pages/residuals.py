@@ -104,8 +104,10 @@ class Residuals:
             covariates={"row": values["row"]},
         )
 
-    def with_covariates(self, other: Residuals) -> Residuals:
-        """The same residuals with the covariates that `other` knows for the same observations."""
+    def with_covariates(self, other: Residuals | None) -> Residuals:
+        """The same residuals with the covariates that `other`, if there is one, knows for the same observations."""
+        if other is None:
+            return self
         place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
         at = [place.get(key) for key in zip(self.row.tolist(), self.observable.tolist(), strict=True)]
         found = {

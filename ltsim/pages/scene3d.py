@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -12,8 +13,9 @@ from matplotlib.colors import ListedColormap
 from PIL import Image
 from vtkmodules.vtkCommonCore import vtkLogger
 
+from ltsim.arrays import Floats
 from ltsim.pages import solids
-from ltsim.pages.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY
+from ltsim.pages.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, shorten
 from ltsim.pages.workshop import Workshop
 from ltsim.units import DEGREE
 
@@ -51,22 +53,18 @@ def times(scale: float) -> str:
     return f"{scale:,.0f}".replace(",", " ")
 
 
+Camera = Sequence[Sequence[float]]
+"""Where it stands, where it looks to, and what is up there [m]."""
+
+
 def build(
     workshop: Workshop,
     *,
     window_size: tuple[int, int] = (1400, 1000),
     off_screen: bool = True,
+    camera: Camera | None = None,
 ) -> tuple[pv.Plotter, Legend]:
-    """A plotter with the whole scene, and its legend.
-
-    Parameters
-    ----------
-    workshop : Workshop
-    window_size : (int, int)
-        Pixels.
-    off_screen : bool
-        False for a window.
-    """
+    """A plotter with the whole scene, and its legend; size in pixels, `off_screen` is False for a window."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _surroundings(plotter, workshop)
@@ -79,30 +77,31 @@ def build(
     _corrections(plotter, workshop, lines)
     lines.extend(workshop.notes)
     _camera(plotter, workshop)
+    if camera is not None:
+        plotter.camera_position = [tuple(v) for v in camera]
+    _names(plotter, workshop)
     return plotter, Legend(tuple(lines), bar)
 
 
 def picture(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
     """The scene as a PNG, with the legend written on it."""
-    return picture_and_legend(workshop, window_size=window_size)[0]
-
-
-def picture_and_legend(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> tuple[bytes, Legend]:
-    """The PNG, and what is written on it."""
     plotter, legend = build(workshop, window_size=window_size)
-    _labels(plotter, workshop)
     write_legend(plotter, workshop.title, legend)
+    return taken(plotter)
+
+
+def taken(plotter: pv.Plotter) -> bytes:
+    """What a plotter shows as a PNG; the plotter is closed."""
     image = plotter.screenshot(return_img=True)
     plotter.close()
     stream = io.BytesIO()
     Image.fromarray(np.asarray(image)).save(stream, format="PNG")
-    return stream.getvalue(), legend
+    return stream.getvalue()
 
 
 def show(workshop: Workshop) -> None:
     """Open a window; returns when it is closed."""
     plotter, legend = build(workshop, off_screen=False)
-    _labels(plotter, workshop)
     write_legend(plotter, workshop.title, legend)
     plotter.show()
 
@@ -288,34 +287,29 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
 
-def _labels(plotter: pv.Plotter, workshop: Workshop) -> None:
-    """Names that always face the reader (pictures and windows only)."""
-    up = np.array([0.0, 0.0, 0.30])
-    plotter.add_point_labels(
-        workshop.position + up,
-        list(workshop.stations),
-        font_size=20,
-        bold=True,
-        text_color=INK,
-        shape="rounded_rect",
-        shape_color="white",
-        shape_opacity=0.75,
-        show_points=False,
-        always_visible=True,
-        name="station-names",
-    )
+def _names(plotter: pv.Plotter, workshop: Workshop) -> None:
+    """Names as flat letters that face the first view."""
+    direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
+    size = 0.026 * workshop.size
+    groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, INK)]
     if len(workshop.targets) <= MOST_LABELS:
-        plotter.add_point_labels(
-            workshop.points + 0.35 * up,
-            list(workshop.targets),
-            font_size=12,
-            bold=False,
-            text_color="#3A4046",
-            shape=None,
-            show_points=False,
-            always_visible=True,
-            name="target-names",
-        )
+        groups.append(("target-names", workshop.targets, workshop.points, 0.1, size, "#3A4046"))
+    for key, names, places, up, height, colour in groups:
+        raised = places + np.array([0.0, 0.0, up])
+        words = [_letters(name, place, direction, height) for name, place in zip(names, raised, strict=True)]
+        plotter.add_mesh(solids.merged(words), color=colour, lighting=False, name=key)
+
+
+def _letters(name: str, place: Floats, direction: Floats, height: float) -> pv.PolyData:
+    """A short name of a given height [m], its plane square to `direction`."""
+    text = shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
+    mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    out = direction / np.linalg.norm(direction)
+    right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
+    right /= np.linalg.norm(right)
+    nearer = place + 0.25 * out  # clear of the wall that the target may stand on
+    mesh.points = mesh.points @ np.stack([right, np.cross(out, right), out]) + nearer
+    return mesh
 
 
 def _camera(plotter: pv.Plotter, workshop: Workshop) -> None:

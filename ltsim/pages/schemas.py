@@ -16,7 +16,7 @@ from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
-from ltsim.campaigns.schema import ManifestFile, RecoveryFile, summary_table, trials_table
+from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.diagnosis import schema as diagnosis
 from ltsim.evaluation.schema import BENCH, NOMINAL, BenchFile, CriteriaFile
@@ -25,8 +25,8 @@ from ltsim.planning import schema as plan
 from ltsim.planning.spec import PlanFile
 from ltsim.recording.files import write_texts
 from ltsim.recording.result_file import ResultFile
-from ltsim.recording.result_table import ResultTable
 from ltsim.recording.setup import Setup
+from ltsim.results import Table
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.truth import TruthFile
 from ltsim.tasks import comparison, files as uncertainty
@@ -61,19 +61,19 @@ FILES: dict[str, type[BaseModel]] = {
 }
 """Every file with a model, those that people write among them."""
 
-TABLES: dict[str, tuple[ResultTable, ...]] = {
+TABLES: dict[str, tuple[Table, ...]] = {
     CalibrationFile.FILE: (TARGETS, RESIDUALS),
     BenchFile.FILE: (BENCH,),
     "truth.json": (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
-    ManifestFile.FILE: (summary_table({"FACTOR": "number"}),),
+    ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
-    RecoveryFile.FILE: (trials_table(("PARAMETER",)),),
+    RecoveryFile.FILE: (TRIALS,),
 }
 """The tables beside each file."""
 

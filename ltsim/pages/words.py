@@ -1,4 +1,4 @@
-"""How numbers of statistics are put into words."""
+"""Words that sections share: names are counted and listed, members of statistics are put into words."""
 
 from __future__ import annotations
 
@@ -37,9 +37,15 @@ def listing(words: Sequence[str], most: int = 6) -> str:
     return ", ".join(words[:most]) + f" and {len(words) - most} more"
 
 
-def typeset(sentence: str) -> str:
-    """A sentence of a result file with the signs of print: plus-minus, micro."""
-    return re.sub(r"\bu(m|rad)\b", "µ\\1", sentence.replace("+-", "±"))
+def sentence(words: str) -> str:
+    """Words with a capital before them and a full stop behind."""
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
+
+
+def typeset(text: str) -> str:
+    """A text with the signs of print: plus-minus, minus before a number, micro, a dash for what does not exist."""
+    signs = re.sub(r"\bu(m|rad)\b", "µ\\1", text.replace("+-", "±"))
+    return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
 
 
 def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:

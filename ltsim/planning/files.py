@@ -7,8 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
+from ltsim.errors import SetupError
 from ltsim.planning.detectability import Detectability, detectability
 from ltsim.planning.improvement import Expected
 from ltsim.planning.planner import Evaluated, Option, Plan
@@ -26,13 +29,19 @@ from ltsim.planning.schema import (
     NextFile,
     PlanResult,
 )
+from ltsim.planning.spec import PlanFile, load_plan
 from ltsim.planning.survey import Survey
+from ltsim.planning.tolerances import reached
 from ltsim.planning.work_order import work_rows
-from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.recording.result_file import SourceEntry, read_result, write_result
 from ltsim.remedies.next_measurement import NextMeasurement
-from ltsim.simulation.scenario import Scenario, scenario_to_toml
+from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Station, Target
+from ltsim.simulation.workshop import bodies_of
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
+
+SCENARIO = "scenario.toml"
+"""The hall with the plan's stations, in the plan's folder."""
 
 
 def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
@@ -62,6 +71,8 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         ],
         "changes_tried": plan.changes.summary,
         "starts": plan.spread,
+        "bodies": [body.words for body in bodies_of(plan.scenario)],
+        "reached": None if plan.kept is None else reached(plan.demands, plan.kept, plan.losses),
         "tolerances_kept": None if plan.kept is None else plan.kept.good,
         "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),
@@ -124,14 +135,17 @@ def _stations(layout: Evaluated) -> list[dict[str, Any]]:
 
 
 def _reflectors(layout: Evaluated, plan: Plan | None = None) -> list[dict[str, Any]]:
-    rows = []
+    rows: list[dict[str, Any]] = []
+    covariance = layout.information.target_covariance
     for t, name in enumerate(layout.survey.target_names):
         rows.append(
             {
                 "name": name,
-                "position_mm": _millimetres(layout.survey.points[t]),
+                "position_mm": _millimetres(layout.survey.points[t], 3),
                 "sigma_um": round(float(layout.information.target_sigma[t]) / MICROMETRE, 2),
+                "U_um": np.round(2.0 * np.sqrt(np.diag(covariance[t])) / MICROMETRE, 2).tolist(),
                 "stations_seeing": int(layout.survey.seen[:, t].sum()),
+                "seen_from": [layout.survey.station_names[s] for s in np.flatnonzero(layout.survey.seen[:, t])],
             }
         )
         if plan is not None and plan.kept is not None and name in plan.kept.radius:
@@ -200,7 +214,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
         stations[name] = Station(position_mm=_millimetres(place), yaw_deg=_degrees(yaw), levelled=levelled)
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
-        name: scenario.targets.get(name) or Target(position_mm=_millimetres(place))
+        name: scenario.targets.get(name) or Target(position_mm=_millimetres(place, 3))
         for name, place in zip(survey.target_names, survey.points, strict=True)
         if name not in fixed
     }
@@ -217,8 +231,45 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     )
 
 
-def _millimetres(place: Floats) -> tuple[float, float, float]:
-    x, y, z = (round(float(v) / MILLIMETRE, 1) for v in place)
+def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
+    """The scenario with its CAD files named from its own folder, and these files by name.
+
+    Raises
+    ------
+    SetupError
+        When one of them cannot be read.
+    """
+    names: dict[str, str] = {}
+    found, obstacles = {}, []
+    for entry in scenario.workshop.obstacles:
+        if entry.file is not None and entry.file not in names:
+            own = Path(entry.file).name
+            names[entry.file] = own if own not in found else f"{len(found) + 1}-{own}"
+            try:
+                found[names[entry.file]] = Path(entry.file).read_bytes()
+            except OSError as problem:
+                raise SetupError(f"{entry.file}: cannot be read ({problem.strerror})") from None
+        obstacles.append(entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]}))
+    room = scenario.workshop.model_copy(update={"obstacles": tuple(obstacles)})
+    return scenario.model_copy(update={"workshop": room}), found
+
+
+def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
+    """A plan and its scenario from a plan file, a scenario, or a folder that `ltsim plan` wrote, with its stations.
+
+    Raises
+    ------
+    SetupError, RecordError
+    """
+    folder = Path(source)
+    if not folder.is_dir():
+        return load_plan(source)
+    file = PlanFile.model_validate(read_result(folder, PlanResult).settings)
+    return file, load_scenario(folder / SCENARIO)
+
+
+def _millimetres(place: Floats, decimals: int = 1) -> tuple[float, float, float]:
+    x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in place)
     return x, y, z
 
 
@@ -267,13 +318,24 @@ def next_csv(content: NextFile) -> str:
     )
 
 
-def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str]:
+def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
     """The files beside `plan.json`, by name."""
     own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     spread = [s.sigma_position_um or (None,) * 3 for s in content.stations]
     texts = {
         STATIONS: [[s.name, *s.position_mm, s.yaw_deg, *v] for s, v in zip(content.stations, spread, strict=True)],
-        REFLECTORS: [[r.name, *r.position_mm, r.sigma_um] for r in content.reflectors],
+        REFLECTORS: [
+            [
+                r.name,
+                *r.position_mm,
+                r.sigma_um,
+                *r.u_um,
+                r.within_mm,
+                r.tolerance_mm,
+                " ".join(r.seen_from),
+            ]
+            for r in content.reflectors
+        ],
         TRADEOFF: [[getattr(option, name) for name in TRADEOFF.header] for option in content.tradeoff],
         PARAMETERS: [[p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters],
         VISIBILITY: _visibility(plan.chosen),
@@ -282,8 +344,9 @@ def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str]:
         texts[EFFECTS] = [[getattr(row, name) for name in EFFECTS.header] for row in content.detectable]
     texts[NOMINALS] = [[r.name, *r.position_mm] for r in content.reflectors]
     texts[WORK] = work_rows(plan)
-    tables = {table.file: table.text(rows) for table, rows in texts.items()}
-    return tables | {"scenario.toml": scenario_to_toml(planned_scenario(plan))}
+    tables: dict[str, str | bytes] = {table.file: table.text(rows) for table, rows in texts.items()}
+    scenario, cad = with_cad_beside(planned_scenario(plan))
+    return tables | {SCENARIO: scenario_to_toml(scenario)} | cad
 
 
 def _visibility(layout: Evaluated) -> list[list[Any]]:

@@ -11,8 +11,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
 from ltsim.planning.floor import ground_of
-from ltsim.planning.points import Point
 from ltsim.planning.placement import Placement
+from ltsim.planning.points import Point
 from ltsim.planning.site import FEWEST, grid_step, may_stand, over
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.scenario import FORMAT, Scenario, scenario_from

@@ -115,7 +115,7 @@ class LayoutInformation:
 
     @cached_property
     def _by_air(self) -> Floats | float:
-        """(T, 3, 3) [m^2] that the air adds: errors that the adjustment neither knows nor estimates, carried through it.
+        """(T, 3, 3) [m^2] that the air adds: errors that the adjustment neither knows nor estimates, carried on.
 
         Targets move by the gain on the whitened readings, less the rigid motion of all of them.
         """

@@ -7,8 +7,8 @@ import numpy as np
 from ltsim.errors import NetworkError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.planner import Evaluated, Option, Plan, measure
-from ltsim.planning.tolerances import sentences
+from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
+from ltsim.planning.tolerances import sentences, verdict
 from ltsim.planning.workshop import objective_of
 from ltsim.units import DEGREE, MICROMETRE
 
@@ -22,7 +22,7 @@ CRITERION_WORDS = {
 def reasons(plan: Plan) -> list[str]:
     """The sentences, the answer first."""
     found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
-    found += [*_yaw(plan), *_limits(plan), *_curve(plan)]
+    found += [*_air(plan), *_yaw(plan), *_limits(plan), *_curve(plan)]
     found += [*_undetermined(plan), *_search(plan)]
     return found
 
@@ -41,24 +41,52 @@ def _quality_words(plan: Plan, qualities: dict[str, float]) -> str:
 
 
 def _headline(plan: Plan) -> list[str]:
-    return [f"{plan.chosen.survey.words}; {_quality_words(plan, plan.chosen.qualities)}."]
+    work = f"{plan.chosen.survey.words}; {_quality_words(plan, plan.chosen.qualities)}."
+    if plan.kept is not None:
+        return [f"{verdict(plan.demands, plan.kept, plan.losses)}.", work]
+    sigma = plan.chosen.information.target_sigma
+    worst = int(np.argmax(sigma))
+    name = plan.chosen.survey.target_names[worst]
+    return [f"{work[:-1]}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
 
 
 def _tolerances(plan: Plan) -> list[str]:
-    if plan.kept is None:
+    return [] if plan.kept is None else [*_numbers(plan), *sentences(plan.demands, plan.losses)]
+
+
+def _numbers(plan: Plan) -> list[str]:
+    """Which numbers of stations were searched, and what came of each."""
+    if not plan.tried:
         return []
-    found = sentences(plan.demands, plan.kept, plan.losses)
-    if plan.file.stations.count is None and plan.kept.good:
-        counts = sorted({len(option.survey.position) for option in plan.options})
-        fewer = (
-            f"{counts[0]} to {counts[-2]} were tried before and do not"
-            if len(counts) > 2
-            else (f"{counts[0]} were tried before and do not" if len(counts) == 2 else "fewer make no network")
-        )
-        lost = {"no": "", "sight": ", with any one sight blocked too", "station": ", with any one station lost too"}
-        words = lost[plan.demands.robust]
-        found.insert(1, f"{counts[-1]} stations are the fewest found that keep them{words}: {fewer}.")
-    return found
+    *fewer, last = plan.tried
+    found = [f"{one.stations} stations: {_came_of(one)}" for one in fewer]
+    good = last.ratio is not None and last.ratio <= 1.0
+    count = len(plan.chosen.survey.position)
+    said = [f"{last.stations} stations are the fewest that were found to keep the goal."] if good else []
+    if not good:
+        end = "" if plan.stopped else "; more floor, more rounds or wider tolerances may"
+        if not plan.stopped and last.stations < plan.file.stations.most:
+            end = f"; more were not searched, since each further one brought little{end}"
+        said = [f"None of {plan.tried[0].stations} to {last.stations} stations was found to keep the goal, "
+                f"the nearest are {count}{end}."]  # fmt: skip
+        found.append(f"{last.stations} stations: {_came_of(last)}")
+    said += [f"Searched: {'; '.join(found)}."] if found else []
+    return [*said, f"Fewer than {plan.tried[0].stations} stations were not searched."]
+
+
+def _came_of(one: Tried) -> str:
+    if one.ratio is not None and np.isfinite(one.ratio):
+        return f"the best found has an error of {one.ratio:.2f} times its tolerance"
+    return "the best found leaves a point open" if one.found else "no layout was found with every point in sight"
+
+
+def _air(plan: Plan) -> list[str]:
+    """What the figures hold of the air."""
+    survey = plan.chosen.survey
+    if survey.air is None:
+        return []
+    longest = float(np.linalg.norm(survey.position[:, None] - survey.points, axis=2)[survey.seen].max())
+    return [f"All errors of points hold the {survey.air.words(longest)}; other numbers: [air] of the plan."]
 
 
 def _against_reference(plan: Plan) -> list[str]:
@@ -254,6 +282,8 @@ def _undetermined(plan: Plan) -> list[str]:
 
 def _search(plan: Plan) -> list[str]:
     count = len(plan.spread)
+    if plan.stopped:
+        return ["The search was stopped: this is the best layout that it had found by then."]
     if count < 2:
         return []
     wide = 100 * (plan.spread[-1] / plan.spread[0] - 1)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from ltsim.calibration.schema import CombinationEntry
+from ltsim.calibration.schema import Combination
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
 from ltsim.recording.result_table import ResultTable, numbers, texts
 
@@ -26,7 +26,10 @@ REFLECTORS = ResultTable(
     "reflectors and how well they become known",
     (
         *texts(target="name"),
-        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", sigma_um="expected, rms of the axes"),
+        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", sigma_um="expected, of the point"),
+        *numbers(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
+        *numbers(within_mm="distance that its error keeps at the goal's level", tolerance_mm="what that may be"),
+        *texts(seen_from="stations that see it"),
     ),
 )
 TRADEOFF = ResultTable(
@@ -123,8 +126,12 @@ class ReflectorEntry(Entry):
     """Its place."""
     sigma_um: Known
     """Expected error of the point."""
+    u_um: tuple[Known, ...] = Field(default=(), alias="U_um")
+    """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0
     """How many."""
+    seen_from: tuple[str, ...] = ()
+    """Which."""
     within_mm: Known = None
     """Distance that its error keeps at the goal's level; of points with a tolerance."""
     tolerance_mm: Known = None
@@ -178,7 +185,7 @@ class LayoutEntry(Entry):
     """The mesh."""
     parameters: tuple[ParameterEntry, ...] = ()
     """Of the instrument."""
-    undetermined: tuple[CombinationEntry, ...] = ()
+    undetermined: tuple[Combination, ...] = ()
     """What it would not tell."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """By the paper's criteria."""
@@ -307,8 +314,12 @@ class PlanResult(ResultFile, LayoutEntry):
     """One reflector moved, added or left out, the best first."""
     changes_tried: str = ""
     """How many such changes were tried, and how many help."""
+    bodies: tuple[str, ...] = ()
+    """What stands in the hall: what its file was taken for, its size and its place."""
+    reached: bool | None = None
+    """The goal is reached: tolerances are kept, after any one loss too where that is asked for; null without any."""
     tolerances_kept: bool | None = None
-    """All points keep their tolerances; null without any."""
+    """All points keep their tolerances while nothing is lost; null without any."""
     losses: tuple[LossEntry, ...] = ()
     """What remains of the tolerances without each station, and without each sight of such a point."""
     settings: dict[str, Any] = Field(default_factory=dict)

@@ -20,6 +20,7 @@ from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
 from ltsim.planning.placement import Placement
 from ltsim.planning.site import Site
+from ltsim.planning.survey import Survey
 from ltsim.randomness import stream
 
 CHUNK = 64
@@ -44,6 +45,10 @@ class Layout:
     """(S,) [rad]."""
     value: float
     """The objective; infinite where the layout is not allowed."""
+
+
+def unkept(_layout: Layout) -> None:
+    """Keep nothing."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,8 @@ class Searcher:
     """Turns and heights tried at each place of the grid."""
     tell: Callable[[float], None] = unheard
     """Hears the share of a start that is done."""
+    keep: Callable[[Layout], None] = unkept
+    """Is given each better layout."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
@@ -126,10 +133,13 @@ class Searcher:
             "places; move it, widen the floor, or ask for fewer stations a reflector"
         )
 
+    def layout(self, survey: Survey) -> Pool:
+        """The stations of a survey, each as the one that it is."""
+        return self._joined([self.pool(survey.position[[s]], survey.yaw[[s]], s) for s in range(self.stations)])
+
     def evaluate(self, position: Floats, yaw: Floats) -> Layout:
         """A layout as it is."""
-        pools = [self.pool(position[s : s + 1], yaw[s : s + 1], s) for s in range(self.stations)]
-        here = self._joined(pools)
+        here = self.layout(self.site.survey.replace(position=position, yaw=yaw))
         good = self.site.allowed(position).all() and self.site.joined(position[None], here.seen[None])[0]
         value = self._values(here.blocks, np.arange(self.stations)[None])[0] if good else np.inf
         return Layout(position, yaw, float(value))
@@ -158,22 +168,26 @@ class Searcher:
         self._steps += 1
         self.tell(1.0 - PACE**self._steps)
 
-    def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
-        """The candidate that serves best as station `slot`, and the value; -1 and infinite where none may."""
-        self._step()
+    def replacements(self, layout: Pool, slot: int, candidates: Pool, *, anywhere: bool = False) -> Floats:
+        """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
         count = len(candidates.position)
         position = np.broadcast_to(layout.position, (count, *layout.position.shape)).copy()
         seen = np.broadcast_to(layout.seen, (count, *layout.seen.shape)).copy()
         position[:, slot], seen[:, slot] = candidates.position, candidates.seen
-        good = np.flatnonzero(self.site.joined(position, seen))
-        if not len(good):
-            return -1, np.inf
+        good = np.arange(count) if anywhere else np.flatnonzero(self.site.joined(position, seen))
+        values = np.full(count, np.inf)
         blocks = StationBlocks.joined([layout.blocks, candidates.blocks])
         chosen = np.tile(np.arange(self.stations), (len(good), 1))
         chosen[:, slot] = self.stations + good
-        values = self._values(blocks, chosen)
+        values[good] = self._values(blocks, chosen)
+        return values
+
+    def best_replacement(self, layout: Pool, slot: int, candidates: Pool) -> tuple[int, float]:
+        """The candidate that serves best as station `slot`, and the value; infinite where none may."""
+        self._step()
+        values = self.replacements(layout, slot, candidates)
         best = int(np.argmin(values))
-        return int(good[best]), float(values[best])
+        return best, float(values[best])
 
     def _with(self, layout: Pool, slot: int, candidates: Pool, which: int) -> Pool:
         rows = [layout.blocks.take(np.array([s])) for s in range(self.stations)]
@@ -196,6 +210,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, table)
                 if best < value:
                     layout, value = self._with(layout, slot, table, which), best
+                    self.keep(Layout(layout.position, layout.yaw, value))
             if not value < before * (1 - LEAST_IMPROVEMENT):
                 break
         return layout, value
@@ -212,6 +227,7 @@ class Searcher:
                 which, best = self.best_replacement(layout, slot, candidates)
                 if best < value:
                     layout, value = self._with(layout, slot, candidates, which), best
+                    self.keep(Layout(layout.position, layout.yaw, value))
             if not value < before * (1 - LEAST_IMPROVEMENT):
                 reach *= 0.5
         return layout, value
@@ -272,11 +288,10 @@ class Searcher:
         survey = self.site.survey
         layout: Pool | None = None
         if start == 0 and np.isfinite(self.evaluate(survey.position, survey.yaw).value):
-            layout = self._joined(
-                [self.pool(survey.position[s : s + 1], survey.yaw[s : s + 1], s) for s in range(self.stations)]
-            )
+            layout = self.layout(survey)
         layout = layout or self.random_layout(rng)
         value = float(self._values(layout.blocks, np.arange(self.stations)[None])[0])
+        self.keep(Layout(layout.position, layout.yaw, value))
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)
         return Layout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)

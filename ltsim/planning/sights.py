@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.errors import SetupError
-from ltsim.planning.search import Searcher
+from ltsim.planning.search import MOST_NAMED, Searcher
 from ltsim.planning.site import Site, grid_step
 from ltsim.planning.spec import PlanFile
 from ltsim.randomness import stream
@@ -64,3 +64,18 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
         f"the best that was found, and {limiting} is seen from the fewest places: set stations.seen_from = "
         f"{found}, move {limiting}, or widen the floor"
     )
+
+
+def check_in_sight(site: Site, file: PlanFile) -> None:
+    """Raise SetupError, with their names, where points are in sight from no place on the floor, or from too few."""
+    placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
+    hidden = [n for n, some in zip(site.survey.target_names, placement.seen.any(axis=0), strict=True) if not some]
+    if not len(placement.position):
+        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+    if hidden:
+        more = f" and {len(hidden) - MOST_NAMED} more" if len(hidden) > MOST_NAMED else ""
+        verb = "is" if len(hidden) == 1 else "are"
+        raise SetupError(
+            f"{', '.join(hidden[:MOST_NAMED])}{more} {verb} in sight from none of {len(placement.position)} places on "
+            "the floor; widen it, move them, or look whether they lie inside an obstacle"
+        )

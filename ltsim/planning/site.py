@@ -61,6 +61,12 @@ class Site:
         """A copy with some fields changed."""
         return replace(self, **changes)
 
+    def of_layout(self, survey: Survey) -> Site:
+        """The site with a layout's stations and reflectors, those of its own choice in nests of the same kind."""
+        aimed = np.full(len(survey.points), bool(self.aimed.any()))
+        aimed[: len(self.aimed)] = self.aimed[: len(survey.points)]
+        return self.replace(survey=survey, aimed=aimed)
+
     def allowed(self, position: Floats) -> Bools:
         """(N,): a tripod may stand there."""
         return may_stand(self.areas, self.keep_outs, self.obstacles, position)
@@ -110,7 +116,7 @@ class Site:
 
 
 def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
-    """[m]: of a grid of places; where it is not stated `PLACES` of them cover the areas, at least half a metre apart."""
+    """[m]: of a grid of places; where none is stated `PLACES` of them cover the areas, half a metre apart or more."""
     if grid_mm is not None:
         return grid_mm * MILLIMETRE
     size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)

@@ -101,16 +101,16 @@ class Reflectors(Section):
 class Budget(Section):
     """What the work may cost and which settings of it are tried; times default to the scenario's."""
 
-    faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] = (1, 2)
-    """One face, both, or both ways tried."""
-    repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] = (1, 2)
-    """Numbers of rounds that are tried."""
+    faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
+    """To choose from, with `hours` or with tolerances to keep: one face, both, or both ways tried (the default)."""
+    repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] | None = None
+    """To choose from in the same way: numbers of rounds; default 1 and 2."""
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative | None = None
     """Time to carry the instrument to the next station."""
     hours: Positive | None = None
-    """What the whole work may take; without it the scenario's way of working is kept."""
+    """What the whole work may take; without it, and without tolerances to keep, the scenario's way of working stays."""
 
 
 class Tolerance(Section):
@@ -214,6 +214,17 @@ class PlanFile(Section):
     """How hard to look."""
 
     @property
+    def chooses(self) -> bool:
+        """The way of working is a matter of choice: by a budget of hours, or as the quickest that keeps tolerances."""
+        return self.budget.hours is not None or self.searches_count
+
+    @property
+    def searches_count(self) -> bool:
+        """The fewest stations that keep the tolerances are looked for."""
+        wanted = bool(self.goal.tolerances) or any(point.tolerance_mm is not None for point in self.listed)
+        return wanted and self.stations.count is None
+
+    @property
     def listed(self) -> tuple[Point, ...]:
         """The points, once their file is read."""
         return () if isinstance(self.points, str) else self.points
@@ -314,6 +325,12 @@ def _check(made: PlanFile, scenario: Scenario, file: object) -> None:
     known("goal.tolerances", tuple(t.group for t in made.goal.tolerances if t.group), tuple(sorted(groups)))
     if made.goal.tolerances and not made.listed:
         raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
+    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]
+    if given and not made.chooses:
+        raise SetupError(
+            f"{file}: {' and '.join(given)} without budget.hours chooses nothing; give the hours that the work may "
+            "take, or say how it is done as [work] faces and repeats of the scenario"
+        )
     if made.goal.diagnosis and not made.goal.effects:
         raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
     count = made.stations.count or len(scenario.stations)

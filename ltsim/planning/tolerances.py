@@ -153,17 +153,43 @@ def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, 
     return worst <= 1.0, worst
 
 
-def sentences(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> list[str]:
-    """Whether the tolerances are kept, and what remains when a station or a sight is lost."""
-    share = f"{100 * demands.level:g} %"
-    if kept.good:
-        first = f"All {len(demands.tolerance)} tolerances are kept at {share}; {_worst(demands, kept)} comes nearest."
-    else:
-        worst = _worst(demands, kept)
-        first = f"Not all tolerances can be kept at {share}: {worst} is worst; allow that, or more stations."
-    found = [first]
+def reached(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> bool:
+    """The goal is reached: all tolerances are kept, after any one loss too where that is asked for."""
+    return kept.good and all(loss.good for loss in _asked(demands, losses))
+
+
+def _asked(demands: Demands, losses: Sequence[Kept]) -> list[Kept]:
+    """Losses that must not break a tolerance."""
+    wanted = {"no": (), "sight": (True,), "station": (False,)}[demands.robust]
+    return [loss for loss in losses if loss.lost.startswith(SIGHT) in wanted]
+
+
+def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> str:
+    """Reached or not, the worst point and its margin, and the worst of it with any one station lost."""
+    count, share = len(demands.tolerance), f"{100 * demands.level:g} %"
+    over = sum(value > demands.tolerance[name] for name, value in kept.radius.items()) + len(kept.unseen)
+    what = f"all {count} tolerances" if kept.good else f"{count - over} of {count} tolerances"
+    words = f"{what} kept at {share}, worst {_worst(demands, kept)} ({_margin(kept)})"
+    worst = max((loss for loss in losses if not loss.lost.startswith(SIGHT)), key=lambda loss: loss.ratio, default=None)
+    if worst is not None:
+        lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
+        left = f"worst {_worst(demands, worst)} ({_margin(worst)})" if worst.radius else "nothing is determined"
+        words += f"; with any one station lost {lost}, {left}"
+    return f"{'Reached' if reached(demands, kept, losses) else 'Not reached'}: {words}"
+
+
+def _margin(kept: Kept) -> str:
+    """How much of a tolerance is left, or how far it is missed."""
+    if not np.isfinite(kept.ratio):
+        return "seen from nowhere"
+    left = 100 * (1 - kept.ratio)
+    return f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
+
+
+def sentences(demands: Demands, losses: Sequence[Kept]) -> list[str]:
+    """What remains when a station or a sight is lost."""
     stations = [loss for loss in losses if not loss.lost.startswith(SIGHT)]
-    found += [f"Without {loss.lost} {_remains(demands, loss)}." for loss in stations]
+    found = [f"Without {loss.lost} {_remains(demands, loss)}." for loss in stations]
     sights = [loss for loss in losses if loss.lost.startswith(SIGHT)]
     broken = sorted((loss for loss in sights if not loss.good), key=lambda loss: -loss.ratio)
     if sights and not broken:

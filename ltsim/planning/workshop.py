@@ -134,6 +134,14 @@ def _longest(areas: Sequence[Area], points: Floats) -> float:
     return max(float(np.linalg.norm(area.outline[:, None] - points[None, :, :2], axis=2).max()) for area in areas)
 
 
+def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
+    """Numbers of faces and of rounds to choose from; the scenario's alone where the plan leaves no choice."""
+    if not plan.chooses:
+        return [scenario.work.faces], [scenario.work.repeats]
+    usual = sorted({1, 2, scenario.work.repeats})
+    return sorted(set(plan.budget.faces or (1, 2))), sorted(set(plan.budget.repeats or usual))
+
+
 def with_stations(survey: Survey, count: int) -> Survey:
     """The survey with its first stations, or with more of them standing for places yet to be found."""
     have = len(survey.position)

@@ -35,6 +35,10 @@ DEFINITE = -1e-9
 """Smallest eigenvalue of correlations that rounding explains."""
 LARGEST_M = 500.0
 """The largest coordinate of a list that states no unit and is taken for metres."""
+GRID = 1e6
+"""Numbers as large as these are coordinates of a national grid, in metres."""
+GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
+"""Words of surveyors' lists, which are in metres where they state no unit."""
 WIDTHS = (4, 7, 8, 16, 17)
 SIGMA_OF_ALL = ("sigma", "stddev", "std", "sigmamm", "sigmaxyz")
 EXPECTED = (
@@ -224,7 +228,8 @@ def _scales(
     axes = [c for c in of if c.role in PLACE]
     largest = np.nanmax(np.abs(table[:, [c.role in PLACE for c in of]]), initial=0.0)
     stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
-    chosen = stated or unit or ("m" if largest < LARGEST_M else "mm")
+    surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
+    chosen = stated or unit or ("m" if surveyed or largest < LARGEST_M else "mm")
     notes = [] if stated or unit else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
     scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in of]
     power = [2.0 if c.role.startswith("covariance") else 1.0 for c in of]

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
-from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.conventions import NO_HINTS, Hints, contradictions
 from ltsim.recording.files import decoded
 from ltsim.recording.formats import (
     cern_lgc,
@@ -76,7 +76,7 @@ FORMATS: tuple[Format, ...] = (
         "folder with observations.csv and setup.toml",
         ("", ".csv"),
         native.recognises,
-        lambda path, hints: native.read_recording(path, growing=hints.growing),
+        native.read_recording,
         native.write_recording,
     ),
     _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),
@@ -102,30 +102,29 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     hints : Hints, optional
         What an ambiguous file means: `ltsim.recording.Hints`.
 
-    Returns
-    -------
-    Recording
-        Its `notes` say what was decided about ambiguous conventions, skipped or left out.
-
     Raises
     ------
     RecordError
         One sentence: what is wrong and where, or which hint is wanted.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.write(recording, "my-recording")
-    >>> lt.read("my-recording")
-    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
     """
     path = Path(path)
+    hints = hints or NO_HINTS
+    format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
     chosen = recognised(path) if format is None else _named(format, FORMATS)
     try:
-        return chosen.read(path, hints or NO_HINTS)
+        found = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
+    return found.replace(notes=(*found.notes, *contradictions(found)))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file or folder is in one of the formats known here."""
+    try:
+        recognised(path)
+    except RecordError:
+        return False
+    return True
 
 
 def recording_of(source: RecordingSource) -> Recording:

@@ -167,6 +167,8 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
         content = json.loads(read_text(file), parse_float=number, parse_constant=number)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
+    except ValueError:
+        raise RecordError("holds a number of thousands of digits, expected finite ones", file=file) from None
     if not isinstance(content, dict):
         raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
     return content

@@ -140,7 +140,9 @@ def _close(name: str, known: Any) -> list[str]:
 
 def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     """One validation error of a file with the tables of `root` as a sentence: key, found, expected."""
-    place = [part for part in error["loc"] if "[" not in str(part)]  # pydantic's own: "[key]", a member of a union
+    # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
+    stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
+    place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
     found = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -159,13 +159,16 @@ def sheet(name: str) -> Specification:
     return Specification.model_validate(completed(name, {}))
 
 
-def stated_by(name: str, given: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def stated_by(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
     """Tables ``noise`` and ``prior`` that a built-in data sheet makes of an instrument whose tables are `given`.
+
+    No sheet that could be read states how far and how steeply an instrument can point: `limits` are the keys of that
+    table that `given` has to hold.
 
     Raises
     ------
     ModelError
-        When there is no such sheet, or it leaves the ranges open and `given` does not state all that concerns them.
+        When there is no such sheet, or it leaves something open that `given` does not state.
     """
     stated = figures(name)
     whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **stated}).instrument()
@@ -177,6 +180,10 @@ def stated_by(name: str, given: Mapping[str, Any]) -> dict[str, dict[str, float]
         left = [key for key in ranges if key not in own]
         if left:
             raise ModelError(f"the data sheet {name} leaves the ranges open; state {', '.join(left)}")
+    travel = given.get("limits")
+    open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
+    if open_:
+        raise ModelError(f"the data sheet {name} does not say what can be pointed at; state {', '.join(open_)}")
     return tables
 
 

@@ -1,30 +1,21 @@
-"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their values."""
+"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
 
 from __future__ import annotations
-
-import dataclasses
-from collections import Counter
-from collections.abc import Mapping
-from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects import BASELINE, find_effect
-from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects import BASELINE
+from ltsim.effects.effect import Effect
+from ltsim.effects.made import effect_from as effect_from, shape_of as shape_of
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh, misalignment
-from ltsim.randomness import stream
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
 from ltsim.simulation.sections import EffectEntry, Instrument, Smr
-from ltsim.units import ARCSECOND, DEGREE, FACTOR, MICROMETRE
-
-PLACES = ("stations", "targets")
-WIDER = 100.0
-"""Times beyond the bounds of a search that a length or a time constant may be simulated."""
+from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 
 
 def construction_of(scenario: Scenario) -> Construction:
@@ -74,24 +65,6 @@ def _law(instrument: Instrument, construction: Construction, name: str) -> tuple
     return mean, np.where(free, instrument.error_factor * prior, 0.0)
 
 
-def instrument_values(scenario: Scenario, construction: Construction, seed: int, *key: str | int) -> Floats:
-    """True values (I, p) [SI] of each tracker's parameters: as stated, drawn from the prior, or 0.
-
-    A draw is keyed by the tracker's name, if it has one, and the parameter: another tracker changes no other draw.
-
-    Raises
-    ------
-    SetupError
-        When an error is stated that the construction does not have.
-    """
-    values, sigma = instrument_law(scenario, construction)
-    for i, name in enumerate(scenario.trackers):
-        own = (*key, "instrument", name) if name else (*key, "instrument")
-        for k in np.flatnonzero(sigma[i]):
-            values[i, k] = sigma[i, k] * stream(seed, *own, construction.names[k]).standard_normal()
-    return values
-
-
 def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
     trackers = scenario.trackers.values()
@@ -104,68 +77,6 @@ def resolution_of(scenario: Scenario) -> Floats:
     steps = [tracker.resolution for tracker in scenario.trackers.values()]
     units = np.array([MICROMETRE, ARCSECOND, ARCSECOND])
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
-
-
-def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> Effect:
-    """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
-
-    Raises
-    ------
-    ModelError
-        When there is no such effect or constant, or a value does not fit.
-    """
-    kind = find_effect(name)
-    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in PLACES}
-    units = {s.name: FACTOR[s.unit] for s in kind.shape}
-    constants: dict[str, Any] = {}
-    for key, value in shape.items():
-        if key not in fields:
-            known = ", ".join(sorted(fields)) or "none"
-            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
-        constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
-    effect = kind(**places, **constants)
-    _check_constants(effect)
-    return effect
-
-
-def _check_constants(effect: Effect) -> None:
-    """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
-
-    Raises
-    ------
-    ModelError
-        Naming the constant and what would do.
-    """
-    hints = get_type_hints(type(effect))
-    for field in dataclasses.fields(effect):
-        known, value = get_args(hints[field.name]), getattr(effect, field.name)
-        if get_origin(hints[field.name]) is Literal and value not in known:
-            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, known))}")
-    for shape in effect.shape:
-        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
-        low, high = shape.low / WIDER, shape.high * WIDER
-        if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
-            bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
-            raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
-
-
-def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
-    """A constant in SI, of the type its default has."""
-    if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
-        raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
-    if isinstance(default, int):
-        if float(value) != int(value):
-            raise ModelError(f"{key} is {value}, expected a whole number")
-        return int(value)
-    return value * unit if isinstance(default, float) else value
-
-
-def shape_of(effect: Effect) -> dict[str, Any]:
-    """The constants of an effect, as `effect_from` takes them."""
-    units = {s.name: FACTOR[s.unit] for s in effect.shape}
-    names = [f.name for f in dataclasses.fields(effect) if f.name not in PLACES]
-    values = {name: getattr(effect, name) for name in names}
-    return {name: value / units[name] if name in units else value for name, value in values.items()}
 
 
 def incidence_effect(smr: Smr) -> SmrIncidence:
@@ -198,28 +109,3 @@ def _effect_of(entry: EffectEntry, number: int) -> Effect:
         if name not in names:
             raise SetupError(f"effects.{number}.values: {entry.name} has no '{name}', it has {', '.join(names)}")
     return effect
-
-
-def effect_values(scenario: Scenario, effects: tuple[Effect, ...], seed: int, *key: str | int) -> tuple[Floats, ...]:
-    """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
-
-    A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances
-    and what is never negative are drawn positive.
-    """
-    seen: Counter[tuple[str, str]] = Counter()
-    values = []
-    for i, effect in enumerate(effects):
-        entry = scenario.effects[i] if i < len(scenario.effects) else None
-        place = effect.place
-        seen[effect.name, place] += 1
-        amount = np.zeros(len(effect.parameters))
-        for k, parameter in enumerate(effect.parameters):
-            if entry is not None and parameter.name in entry.values:
-                amount[k] = entry.values[parameter.name] * parameter.factor
-            elif entry is not None and entry.draw:
-                own = (effect.name, place, seen[effect.name, place], parameter.name)
-                draw = stream(seed, *key, "effect", *own).standard_normal()
-                upward = parameter.positive or isinstance(effect, NoiseEffect)
-                amount[k] = parameter.prior_sigma * (abs(draw) if upward else draw)
-        values.append(amount)
-    return tuple(values)

@@ -22,6 +22,7 @@ from ltsim.simulation.sections import (
     Gauge,
     Instrument,
     Length,
+    Limits,
     Placing,
     Smr,
     Station,
@@ -104,8 +105,10 @@ class Scenario(Section, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """A built-in scenario by its name, or the scenario of a file; raises SetupError."""
+    """A built-in scenario by its name, or that of a file or of a plan's folder; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
+    if (path / "plan.json").is_file():
+        path = path / "scenario.toml"
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
     with as_setup_error():
@@ -124,7 +127,7 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
     """A scenario with some values changed, by dotted key, and checked again; `file` and `where` are named in errors.
 
-    A tracker's `preset` brings its noise and prior with it.
+    A tracker's `preset` brings its noise and prior with it, and its limits or the question for them.
 
     Raises
     ------
@@ -135,6 +138,8 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     of_presets = sorted({section for sections in PRESETS.values() for section in sections})
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
+    of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
+    brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
     for key, value in [*((key, NONE) for key in brought), *changes.items()]:
         _set(table, key, value, where or str(file))
     return scenario_from(table, file)
@@ -175,7 +180,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     if name not in sheet_names():
         return above(instrument, PRESETS.get(str(name), {}))
     try:
-        return above(instrument, stated_by(name, instrument))
+        return above(instrument, stated_by(name, instrument, Limits.model_fields))
     except ModelError as problem:
         raise SetupError(f"{file}: instrument.preset: {problem}") from None
 

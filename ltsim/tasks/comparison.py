@@ -5,26 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar, Literal
 
-import numpy as np
-
-from ltsim.arrays import Floats
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector, write_result
-from ltsim.recording.result_table import ResultTable, numbers, texts
-from ltsim.tasks.congruence import Congruence
+from ltsim.tasks.congruence import DISPLACEMENTS as DISPLACEMENTS, Congruence
 from ltsim.units import MICROMETRE, MILLIMETRE
-
-DISPLACEMENTS = ResultTable(
-    "displacements.csv",
-    "what every common point did from the first epoch to the second",
-    (
-        *texts(target="name", moved="True where it moved"),
-        *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
-        *numbers(dx_um="displacement", dy_um="as dx_um", dz_um="as dx_um"),
-        *numbers(sx_um="standard deviation of dx_um", sy_um="as sx_um", sz_um="as sx_um"),
-        *numbers(a_um="semi-axes of its 95 % ellipsoid", b_um="as a_um", c_um="as a_um"),
-        *numbers(p_value="that it did not move", visible_um="smallest that is found with 80 %"),
-    ),
-)
 
 
 class DisplacementEntry(Entry):
@@ -56,7 +39,7 @@ class ComparisonFile(ResultFile):
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
     """Which format and version this file is in."""
-    second: SourceEntry
+    second: SourceEntry | None
     """The second epoch."""
     sentence: str
     """The answer for a person."""
@@ -76,26 +59,11 @@ class ComparisonFile(ResultFile):
     """One a common point."""
 
 
-def comparison_file(found: Congruence, first: SourceEntry, second: SourceEntry, places: Floats) -> ComparisonFile:
-    """The contents of the file; `places` (T, 3) [m] are the common points in the first epoch."""
-    entries = []
-    for d, place in zip(found.displacements, places, strict=True):
-        entries.append(
-            DisplacementEntry(
-                target=d.target,
-                moved=d.moved,
-                place_mm=_vector(place / MILLIMETRE),
-                shift_um=_vector(d.shift / MICROMETRE),
-                sigma_um=_vector(d.covariance.diagonal() ** 0.5 / MICROMETRE),
-                semi_axes_um=_vector(d.semi_axes() / MICROMETRE),
-                p_value=d.p_value,
-                visible_um=(d.least / MICROMETRE, d.surely / MICROMETRE),
-                own_chi2=None if np.isnan(d.own) else d.own,
-            )
-        )
+def comparison_file(found: Congruence) -> ComparisonFile:
+    """The contents of the file."""
     return ComparisonFile(
-        recording=first,
-        second=second,
+        recording=found.first,
+        second=found.second,
         sentence=found.sentence,
         level=found.level,
         statistic=found.statistic,
@@ -103,19 +71,23 @@ def comparison_file(found: Congruence, first: SourceEntry, second: SourceEntry, 
         p_value=found.p_value,
         p_value_after=found.after,
         scale_ppm=None if found.scale is None else 1e6 * found.scale,
-        displacements=tuple(entries),
+        displacements=tuple(
+            DisplacementEntry(
+                target=d.target,
+                moved=d.moved,
+                place_mm=(d.place / MILLIMETRE).tolist(),
+                shift_um=(d.shift / MICROMETRE).tolist(),
+                sigma_um=(d.covariance.diagonal() ** 0.5 / MICROMETRE).tolist(),
+                semi_axes_um=(d.semi_axes() / MICROMETRE).tolist(),
+                p_value=d.p_value,
+                visible_um=(d.least / MICROMETRE, d.surely / MICROMETRE),
+                own_chi2=d.own,
+            )
+            for d in found.displacements
+        ),
     )
 
 
-def _vector(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
-
-
-def write_comparison(content: ComparisonFile, folder: Path) -> ComparisonFile:
+def write_comparison(found: Congruence, folder: Path) -> ComparisonFile:
     """Write comparison.json and displacements.csv into a folder and give what was written; raises RecordError."""
-    rows = [
-        [d.target, d.moved, *d.place_mm, *d.shift_um, *d.sigma_um, *d.semi_axes_um, d.p_value, d.visible_um[1]]
-        for d in content.displacements
-    ]
-    return write_result(folder, content, {DISPLACEMENTS.file: DISPLACEMENTS.text(rows)})
+    return write_result(folder, comparison_file(found), {DISPLACEMENTS.file: found.table().csv()})

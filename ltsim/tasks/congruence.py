@@ -9,8 +9,9 @@ Baarda, A testing procedure for use in geodetic networks (1968): the single hypo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -19,14 +20,29 @@ from scipy import special
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.chances import p_is
-from ltsim.results import Columns, Result
-from ltsim.units import MICROMETRE
+from ltsim.recording.result_file import SourceEntry
+from ltsim.results import Column, Result, Table, numbers
+from ltsim.saved import Valued
+from ltsim.units import MICROMETRE, MILLIMETRE
 
-AXES = tuple(enumerate("xyz"))
+DISPLACEMENTS = Table(
+    "displacements.csv",
+    "what every common point did from the first epoch to the second",
+    (
+        Column("target", "name", "text"),
+        Column("moved", "True where it moved", "flag"),
+        *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
+        *(Column(f"d{a}_um", "displacement, second less first epoch", sigma=f"s{a}_um") for a in "xyz"),
+        *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
+        *numbers("", ".1f", a_um="semi-axes of its 95 % ellipsoid", b_um="as a_um", c_um="as a_um"),
+        Column("p_value", "that it did not move, paid for all points tested", "chance"),
+        Column("visible_um", "smallest motion that is found in 4 of 5 cases, whatever its direction", shown=".0f"),
+    ),
+)
 
 
 @dataclass(frozen=True)
-class Displacement:
+class Displacement(Valued):
     """What one point did."""
 
     target: str
@@ -45,6 +61,16 @@ class Displacement:
     """Chi-square of the point's own difference, whatever the others did; NaN where they hold the frame."""
     axes: int = 3
     """Number of axes along which the points are known."""
+    place: Floats = field(default_factory=lambda: np.zeros(3))
+    """(3,) [m]: in the first epoch."""
+
+    @property
+    def row(self) -> list[Any]:
+        """Its row of `DISPLACEMENTS`."""
+        sizes = self.shift, np.sqrt(np.diag(self.covariance)), self.semi_axes()
+        shown = [float(v / MICROMETRE) for part in sizes for v in part]
+        places = (self.place / MILLIMETRE).tolist()
+        return [self.target, self.moved, *places, *shown, self.p_value, self.surely / MICROMETRE]
 
     @property
     def size(self) -> float:
@@ -73,24 +99,15 @@ class Congruence(Result):
     """Of every common point, in the order of the first recording."""
     scale: float | None
     """Scale of the second epoch less 1, where it was estimated."""
+    first: SourceEntry | None = None
+    second: SourceEntry | None = None
+    """What was compared."""
 
     def _lines(self) -> list[str]:
         return [self.sentence, f"no motion at all: {p_is(self.p_value)}; without what moved: {p_is(self.after)}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"displacements": self._displacements}
-
-    def _displacements(self) -> Columns:
-        shift = np.array([d.shift for d in self.displacements]) / MICROMETRE
-        sigma = np.array([np.sqrt(np.diag(d.covariance)) for d in self.displacements]) / MICROMETRE
-        named = {f"{what}{axis}_um": list(v[:, i]) for what, v in (("d", shift), ("s", sigma)) for i, axis in AXES}
-        return {
-            "target": [d.target for d in self.displacements],
-            "moved": [d.moved for d in self.displacements],
-            **named,
-            "p_value": [d.p_value for d in self.displacements],
-            "visible_um": [d.surely / MICROMETRE for d in self.displacements],
-        }
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"displacements": lambda: DISPLACEMENTS.filled(d.row for d in self.displacements)}
 
     @property
     def moved(self) -> tuple[str, ...]:
@@ -126,6 +143,8 @@ class Gap:
     covariance: Floats
     free: Floats
     axes: Ints
+    places: Floats
+    """(T, 3) [m]: in the first epoch."""
 
     @property
     def count(self) -> int:
@@ -213,7 +232,7 @@ def _told(gap: Gap, names: Sequence[str], moved: list[int], fixed: Bools, scaled
         shift, covariance = np.zeros(3), np.zeros((3, 3))
         shift[gap.axes], covariance[np.ix_(gap.axes, gap.axes)] = values[-a:], joint[-a:, -a:]
         sizes = float(spread[0]), float(spread[-1])
-        displacements.append(Displacement(name, shift, covariance, p, i in moved, *sizes, gap.own(i), a))
+        displacements.append(Displacement(name, shift, covariance, p, i in moved, *sizes, gap.own(i), a, gap.places[i]))
     values, _ = gap.estimate(gap.columns(moved))
     dof = gap.dof
     return Congruence(

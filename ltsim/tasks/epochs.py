@@ -8,7 +8,7 @@ by one: whichever explains most of what is left, until the rest is congruent; ea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -20,6 +20,7 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.lengths import COEFFICIENT
+from ltsim.recording.result_file import SourceEntry
 from ltsim.recording.setup import Gauge
 from ltsim.tasks.congruence import Congruence, Gap, judged, rows_of
 from ltsim.tasks.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
@@ -58,7 +59,8 @@ def compare(
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
-    return judged(_aligned(one, other, scaled, known), common, known & (stable is not None), scaled, level)
+    found = judged(_aligned(one, other, scaled, known), common, known & (stable is not None), scaled, level)
+    return replace(found, first=SourceEntry.of(first.recording), second=SourceEntry.of(second.recording))
 
 
 def compare_coordinates(
@@ -93,7 +95,9 @@ def compare_coordinates(
     if stable is not None and len(stable) < held:
         raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
     one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
-    return judged(_aligned(one, other, scaled, known, first.along), common, known & (stable is not None), scaled, level)
+    gap = _aligned(one, other, scaled, known, first.along)
+    found = judged(gap, common, known & (stable is not None), scaled, level)
+    return replace(found, first=SourceEntry.listed(first), second=SourceEntry.listed(second))
 
 
 def _frame(common: Sequence[str], stable: Sequence[str] | None) -> Bools:
@@ -183,7 +187,7 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: In
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
         motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
-    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes)
+    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes, one)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:

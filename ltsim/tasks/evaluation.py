@@ -126,7 +126,7 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)
-    drawn = draw(inputs, measurands, stretch, tasks.monte_carlo)
+    drawn = draw(inputs, measurands, stretch, tasks.monte_carlo, linear)
     gap = curvature(inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
     agrees = drawn.agrees(linear, tasks.monte_carlo.coverage)

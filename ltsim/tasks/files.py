@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from ltsim.calibration.result import frame_of
 from ltsim.recording.result_file import Entry, Known, ResultFile, SourceEntry, write_result
 from ltsim.recording.result_table import ResultTable, numbers, texts
 from ltsim.tasks.evaluation import Evaluation, worst_first
@@ -137,7 +138,7 @@ class UncertaintyFile(ResultFile):
     """What to know before the numbers are used."""
 
 
-def told(evaluation: Evaluation, frame: str) -> UncertaintyFile:
+def told(evaluation: Evaluation) -> UncertaintyFile:
     """An evaluation as the contents of its file."""
     tasks, linear = evaluation.tasks, evaluation.linear
     coverage = tasks.monte_carlo.coverage
@@ -197,7 +198,7 @@ def told(evaluation: Evaluation, frame: str) -> UncertaintyFile:
         source=tasks.source,
         coverage=coverage,
         trials=evaluation.drawn.trials,
-        frame=frame,
+        frame=frame_of(found),
         sigma0=found.sigma0,
         results=tuple(results),
         correlation=tuple(tuple(row) for row in linear.correlation.tolist()),

@@ -41,6 +41,10 @@ class Propagated:
     """(k,): variance of each result by source; they add up to the diagonal of the covariance."""
     kinds: dict[str, str]
     """``A`` or ``B`` of each source."""
+    by_points: Floats
+    """(k, 3 T): derivative of the results by the points."""
+    by_stretch: Floats
+    """(k,): derivative by the part's expansion."""
 
     @property
     def sigma(self) -> Floats:
@@ -78,4 +82,4 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
         covariance += np.outer(reached, reached)
         shares[name] = reached**2
         kinds[name] = "B"
-    return Propagated(values, covariance, shares, kinds)
+    return Propagated(values, covariance, shares, kinds, by_points, by_stretch)

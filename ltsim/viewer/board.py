@@ -14,25 +14,23 @@ from ltsim.errors import LtsimError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.pages.planned import from_scenario
 from ltsim.pages.scene_page import Camera, scene_page
-from ltsim.planning.files import with_layout
+from ltsim.planning.files import SCENARIO, opened, with_cad_beside, with_layout
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table
-from ltsim.planning.schema import PlanResult
 from ltsim.planning.site import Site
-from ltsim.planning.spec import PlanFile, load_plan
+from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, only, radius
+from ltsim.planning.tolerances import Demands, after_losses, judged, only, radius, verdict
 from ltsim.planning.workshop import site_of
-from ltsim.recording.files import write_text
-from ltsim.recording.result_file import read_result
+from ltsim.recording.files import write_texts
 from ltsim.recording.settings import to_toml
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import Reason, shadow_radius
 from ltsim.simulation.physics import planned_construction
-from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
+from ltsim.simulation.scenario import Scenario, scenario_to_toml
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
-SCENARIO, PLAN = "scenario.toml", "plan.toml"
+PLAN = "plan.toml"
 MOST_TRIANGLES = 20_000
 """Of obstacles seen from above that are drawn, the largest."""
 TOUCH = 1e-3
@@ -57,12 +55,7 @@ class Board:
     @classmethod
     def of(cls, source: str | Path) -> Board:
         """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
-        folder = Path(source)
-        if folder.is_dir():
-            file = PlanFile.model_validate(read_result(folder, PlanResult).settings)
-            scenario = load_scenario(folder / SCENARIO)
-        else:
-            file, scenario = load_plan(source)
+        file, scenario = opened(source)
         count, work = len(scenario.stations), scenario.work
         site = site_of(file, scenario, stations=count, faces=work.faces, repeats=work.repeats)
         return cls(file, scenario, site, planned_construction(scenario), Demands.of(file))
@@ -161,6 +154,16 @@ class Board:
             return f"{few[0]}{more} seen from fewer than {self.least} station{'s' if self.least > 1 else ''}"
         return ""
 
+    def verdict(self, stations: Sequence[Mapping[str, Any]]) -> str:
+        """Whether the tolerances are kept, and still are with any one station or sight lost; empty without any."""
+        survey = self.survey(stations)
+        if not self.demands or np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH:
+            return ""
+        survey = survey.replace(seen=sight_table(self.site, survey).visible)
+        kinds = ("station", "sight") if self.demands.robust == "sight" else ("station",)
+        losses = [loss for kind in kinds for loss in after_losses(survey, self.demands, self.construction, kind)]
+        return verdict(self.demands, judged(survey, self.demands, self.construction), losses)
+
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """The scenario with its stations there."""
         return with_layout(self.scenario, self.survey(stations))
@@ -178,10 +181,9 @@ class Board:
         names = list(scenario.stations)
         plan |= {"format": self.file.format, "scenario": SCENARIO}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
-        folder.mkdir(parents=True, exist_ok=True)
+        scenario, cad = with_cad_beside(scenario)
         texts = {SCENARIO: scenario_to_toml(scenario), PLAN: to_toml(plan)}
-        for name, text in texts.items():
-            write_text(folder / name, text)
+        write_texts(folder, {**cad, **texts})
         return [folder / name for name in texts]
 
 

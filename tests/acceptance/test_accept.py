@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.acceptance.judged import by_network
+from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.errors import NetworkError
+from ltsim.model.construction import stated_construction
+from ltsim.recording.specification import Specification
 
 SHEET = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
 PLAN = """test,group,kind,x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm
@@ -146,3 +150,40 @@ def test_one_station_is_refused(tmp_path: Path) -> None:
     lt.write(only, tmp_path / "one")
     with pytest.raises(NetworkError, match="two at least"):
         lt.accept({**SHEET, "recording": "one"}, tmp_path)
+
+
+def test_uncertainty_of_a_network_length_holds_over_many_networks():
+    """Both ends of a length share most of their errors: U / 2 is the spread of the length's error, for each kind."""
+    sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
+    short, long = [], []
+    for seed in range(24):
+        recording, truth = lt.simulate("paper-workshop", seed=seed)
+        own = by_network(recording, sheet)
+        ends = {target: truth.points[recording.targets.index(target)] for target in recording.targets}
+        adjusted = adjust(recording, stated_construction(recording))
+        placed = dict(zip(recording.targets, adjusted.state.points, strict=True))
+        for found in own:
+            if found.group != "lengths from S1":
+                continue
+            first, second = found.name.removeprefix("S1: ").split(" to ")
+            true = np.linalg.norm(ends[second] - ends[first])
+            estimated = np.linalg.norm(placed[second] - placed[first])
+            (short if true < 2.5 else long).append((estimated - true) / (found.expanded / 2))
+    for z in (short, long):
+        assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), len(z)
+
+
+def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
+    recording, _ = lt.simulate("paper-workshop", seed=3)
+    found = adjust(recording, stated_construction(recording))
+    design = np.asarray(found.solution.system.design)
+    covariance = np.linalg.inv(design.T @ design)
+    points, at = found.state.points, found.problem.unknowns.target
+    sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
+    stated = {e.name: e.expanded for e in by_network(recording, sheet)}
+    for a, b in ((0, 1), (0, 12), (5, 20)):
+        along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
+        form = np.zeros(len(covariance))
+        form[at[a]], form[at[b]] = -along, along
+        u = np.sqrt(form @ covariance @ form)
+        assert stated[f"S1: {recording.targets[a]} to {recording.targets[b]}"] == pytest.approx(2 * u, rel=1e-3)

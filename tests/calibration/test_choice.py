@@ -57,7 +57,7 @@ def test_a_parameter_stays_at_the_value_at_which_it_is_held(recording: Recording
     tilt = found.names.index("beam-tilt")
     assert found.values[0, tilt] == pytest.approx(2.5e-6, rel=1e-12)
     assert found.held[0].sum() == 2
-    assert not any("beam-tilt" in c.coefficients for c in found.undetermined)
+    assert not any("beam-tilt" in c.combination for c in found.undetermined)
 
 
 def test_a_calibration_as_prior_is_as_if_both_had_been_measured(recording: Recording) -> None:

@@ -80,7 +80,7 @@ def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
     found = calibrate_distance(recording, method=method)
     power = 2 if method == "distance" else 1
     least = equation_9(recording, found.values[0], power)
-    left = [np.array([c.coefficients.get(n, 0.0) for n in found.names]) for c in found.undetermined]
+    left = [np.array([c.combination.get(n, 0.0) for n in found.names]) for c in found.undetermined]
     assert left  # one face: some combinations are left alone
     rng = stream(3, "push")
     for _ in range(5):
@@ -95,7 +95,7 @@ def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
 def test_undetermined_combinations_stay_at_zero_with_their_prior(make) -> None:
     found = calibrate_distance(make(np.zeros(16)))
     assert found.undetermined[0].gain < 0.1
-    direction = np.array([found.undetermined[0].coefficients.get(n, 0.0) for n in found.names])
+    direction = np.array([found.undetermined[0].combination.get(n, 0.0) for n in found.names])
     direction /= np.linalg.norm(direction)
     scaled = found.covariance / np.outer(found.prior_sigma, found.prior_sigma)
     assert direction @ scaled @ direction == pytest.approx(1.0, abs=0.05)

@@ -41,11 +41,11 @@ def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, dra
     one, two = calibrate_network(make(truth)), calibrate_network(make(truth, faces=(1, 2)))
     worst = one.undetermined[0]
     assert worst.gain < 0.1
-    assert {"vertical-index", "elevation-eccentricity-cos"} <= set(worst.coefficients)
+    assert {"vertical-index", "elevation-eccentricity-cos"} <= set(worst.combination)
     assert "both faces" in worst.cure
     assert len(two.undetermined) < len(one.undetermined)
     # The promise holds: along that combination the two-face recording has the gain that the cure named.
-    direction = np.array([worst.coefficients.get(name, 0.0) for name in one.names])
+    direction = np.array([worst.combination.get(name, 0.0) for name in one.names])
     direction /= np.linalg.norm(direction)
     scaled = two.covariance / np.outer(two.prior_sigma, two.prior_sigma)
     promised = float(worst.cure.rsplit(" to ", 1)[1].rstrip(")"))
@@ -63,7 +63,7 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
 def test_null_space_of_the_paper_chain_is_named(make) -> None:
     found = calibrate_network(make(np.zeros(16), faces=(1, 2)), dh())
     silent = [c for c in found.undetermined if c.gain < 1e-6]
-    alone = {next(iter(c.coefficients)) for c in silent if len(c.coefficients) == 1}
+    alone = {next(iter(c.combination)) for c in silent if len(c.combination) == 1}
     without_effect = {f"J2.eZ_{s}" for s in ("c", "sin", "cos", "sin2", "cos2")}
     without_effect |= {f"T.e{axis}_{k}" for axis in "XYZ" for k in range(3)}
     assert without_effect <= alone

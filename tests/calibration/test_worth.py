@@ -10,8 +10,11 @@ from ltsim.arrays import Floats
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.held_out import held_out_targets
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.worth import ScaledPrior, point_errors
+from ltsim.calibration.worth import ScaledPrior, point_errors, reading_noise
+from ltsim.evaluation.clouds import measured_points
+from ltsim.evaluation.share_removed import cloud_error
 from ltsim.model.construction import misalignment
+from ltsim.notation import number
 from ltsim.randomness import stream
 from ltsim.recording import Recording
 from ltsim.recording.setup import Instrument, Noise, Prior
@@ -101,9 +104,25 @@ def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
         by_value = point_errors(found.adjustment)
         gap = found.values[0] - truth.state.instrument[0]
         seen.append(gap @ by_value @ gap)
-        told.append(found.correction.corrected**2)
-        assert found.correction.corrected < found.correction.uncorrected
+        told.append((1e-6 * found.correction.corrected_um) ** 2)
+        assert found.correction.corrected_um < found.correction.uncorrected_um
     assert np.sqrt(np.mean(seen) / np.mean(told)) == pytest.approx(1.0, abs=0.35)
+
+
+def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
+    """One definition: the rms distance from the truth in 3D, as simulated points show it, with its reading's noise."""
+    seen = []
+    for seed in range(6):
+        recording, truth = network(seed=seed)
+        seen.append(cloud_error(recording, measured_points(recording), truth.state.points))
+    found = lt.calibrate(recording, advise=False)
+    assert found.correction is not None
+    stated = reading_noise(recording)
+    free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
+    assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
+    assert found.correction.noise_um == pytest.approx(1e6 * stated)
+    both = np.hypot(found.correction.corrected_um, found.correction.noise_um)
+    assert f"{number(both, 3)} um corrected (rms in 3D" in repr(found)
 
 
 def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts() -> None:

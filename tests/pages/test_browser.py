@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.report import samples
-from tests.report.browser import find_browser, visit
 
 from ltsim.pages import workshop
 from ltsim.pages.page import report
 from ltsim.pages.scene_page import scene_page
+from tests.pages import samples
+from tests.pages.browser import find_browser, visit
 
 PROBE = """<script>addEventListener("load", () => console.log("WIDTH " + document.documentElement.scrollWidth + " of " +
 innerWidth));</script></body>"""

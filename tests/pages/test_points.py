@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tests.report import samples
 
 from ltsim.calibration import Calibration, adjust_network
 from ltsim.errors import RecordError
 from ltsim.pages.points import write_points
+from tests.pages import samples
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.report import samples
 
 from ltsim.calibration.files import residuals_csv
 from ltsim.errors import RecordError
 from ltsim.pages.residuals import Residuals
+from tests.pages import samples
 
 
 def test_file_and_adjustment_agree(tmp_path: Path) -> None:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.report import samples
 
 from ltsim.adjustment import adjust
-from ltsim.calibration.files import read_targets, residuals_csv, targets_csv
+from ltsim.calibration.calibration import targets_table
+from ltsim.calibration.files import read_targets, residuals_csv
 from ltsim.errors import LtsimError, RecordError
 from ltsim.pages.page import report
 from ltsim.pages.residuals import Residuals
@@ -19,6 +19,7 @@ from ltsim.pages.schemas import RESULTS, main, schemas, tables
 from ltsim.recording import write
 from ltsim.recording.result_file import digest_of, read_result
 from ltsim.recording.setup import Setup
+from tests.pages import samples
 
 FOLDERS = {
     "calibration.json": samples.calibration_folder,
@@ -142,7 +143,7 @@ NAMES = ("=1+1", "+7", "-T1", "@x", "'=quoted", "a,b", 'say "x"', "plain")
 
 def test_names_that_a_spreadsheet_would_compute_are_text_and_come_back(tmp_path: Path) -> None:
     points = np.arange(24.0).reshape(8, 3)
-    text = targets_csv(NAMES, points, np.tile(1e-10 * np.eye(3), (8, 1, 1)))
+    text = targets_table(NAMES, points, np.tile(1e-10 * np.eye(3), (8, 1, 1))).csv()
     assert [line[0] for line in text.splitlines()[1:6]] == ["'"] * 5
     (tmp_path / "targets.csv").write_text(text)
     names, found, _ = read_targets(tmp_path / "targets.csv")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.report import samples
 
 from ltsim.pages import workshop
 from tests.networks import STATIONS, YAWS, mesh
+from tests.pages import samples
 
 
 @pytest.fixture(scope="module")

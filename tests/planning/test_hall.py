@@ -107,6 +107,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the workshop"),
         ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
         ('points = "points.csv"', "", "holds 0 reflectors"),
+        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.hours"),
         ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
     ],
 )  # fmt: skip
@@ -195,7 +196,13 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         stations = [loss for loss in content.losses if loss.lost in made.chosen.survey.station_names]
         assert len(stations) == counts[robust]
         assert all(loss.kept for loss in stations) == (robust == "station")
-        assert any(f"{counts[robust]} stations are the fewest found" in sentence for sentence in content.reasons)
+        assert content.summary.startswith("Reached: all 8 tolerances kept at 95 %, worst M")
+        assert "with any one station lost " + ("all kept too" if robust == "station" else "not kept") in content.summary
+        assert content.reached
+        assert f"{counts[robust]} stations are the fewest that were found to keep the goal." in content.reasons
+        first = 2 if robust == "no" else 3
+        assert f"Fewer than {first} stations were not searched." in content.reasons
+        assert not any("make no network" in sentence for sentence in content.reasons)
     assert counts["no"] < counts["station"]
 
 
@@ -205,12 +212,24 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
     made = lt.plan(hall)
     assert made.kept is not None
     assert not made.kept.good
-    assert "Not all tolerances can be kept at 95 %" in plan_file(made).reasons[0]
+    content = plan_file(made)
+    assert content.summary.startswith("Not reached: 0 of 30 tolerances kept at 95 %, worst ")
+    assert not content.reached
+    assert any(s.startswith("None of 2 to 2 stations was found to keep the goal") for s in content.reasons)
+
+
+def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:
+    goal = "[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+    hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
+    inside = points_csv() + "IN,6000,4000,1000,machine,\n"
+    (hall.parent / "points.csv").write_text(inside, encoding="utf-8")
+    with pytest.raises(SetupError, match=r"^IN is in sight from none of"):
+        lt.plan(hall)
 
 
 def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[budget]\nfaces = [1]\nrepeats = [1]\n[search]"))
+    hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
     made = lt.plan(hall)
     points = dict(zip(made.chosen.survey.target_names, made.chosen.survey.points, strict=True))
     for setting, place in zip(settings_of(made), made.chosen.survey.position, strict=True):

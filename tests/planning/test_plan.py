@@ -13,7 +13,8 @@ from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.planning.files import plan_file, planned_scenario, write_plan
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.making import make_plan
+from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
 from ltsim.planning.spec import PlanFile, Search, load_plan, plan_names, plan_text
 from ltsim.planning.workshop import survey_of
@@ -36,7 +37,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    text = "[stations]\ncount = 4\ntries = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\n"
+    text = "[stations]\ncount = 4\ntries = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 24\n"
     return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"), 2)))
 
 
@@ -68,9 +69,7 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     """Stations are searched for the points that ranges place; no angle is asked for, compared or advised."""
     (tmp_path / "ranges.toml").write_text(scenario_to_toml(load_scenario("paper-workshop-re-aimed")), encoding="utf-8")
     scenario = 'scenario = "ranges.toml"\n'
-    goal = (
-        "[goal]\ninstrument = 0\ntargets = 1\n[budget]\nfaces = [1]\nrepeats = [1]\n[stations]\ncount = 4\ntries = []\n"
-    )
+    goal = "[goal]\ninstrument = 0\ntargets = 1\n[stations]\ncount = 4\ntries = []\n"
     file, whole = load_plan(small(scenario + goal, tmp_path))
     ranges = changed(whole, {"instrument.observables": ["distance"]}, Path("ranges.toml"))
     made = make_plan(file, ranges)
@@ -119,7 +118,7 @@ def test_a_planned_scenario_keeps_the_instrument_and_the_gauge(plan: Plan) -> No
 
 
 def test_the_number_of_jobs_changes_nothing(tmp_path: Path) -> None:
-    file, scenario = load_plan(small("[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n", tmp_path))
+    file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     assert plan_file(make_plan(file, scenario, jobs=2)) == plan_file(make_plan(file, scenario))
 
 
@@ -127,7 +126,7 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     """A cabinet before a wall: the scenario's own layout loses sights, the plan does not."""
     base = load_scenario("paper-workshop-re-aimed")
     (tmp_path / "with.toml").write_text(_with_cabinet(base), encoding="utf-8")
-    text = 'scenario = "with.toml"\n[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n'
+    text = 'scenario = "with.toml"\n[stations]\ncount = 3\n'
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.reference is not None
     assert not made.reference.survey.seen.all()
@@ -202,7 +201,7 @@ def test_no_such_file_and_no_floor(tmp_path: Path) -> None:
 
 
 def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = small("[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n", tmp_path)
+    path = small("[stations]\ncount = 3\n", tmp_path)
     assert run(["plan", str(path), "--out", str(tmp_path / "out"), "--jobs", "1", "--seed", "3"]) == 0
     said = capsys.readouterr().out
     assert "Where the tripod goes" in said

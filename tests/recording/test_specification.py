@@ -66,13 +66,31 @@ def test_a_specification_completes_a_sheet() -> None:
     assert found.source.endswith("not from there: range_um")
 
 
+LIMITS_KNOWN = {
+    "instrument.limits.elevation_min_deg": -50.0,
+    "instrument.limits.elevation_max_deg": 75.0,
+    "instrument.limits.range_min_mm": 500.0,
+    "instrument.limits.range_max_mm": 35_000.0,
+}
+
+
+def test_no_limit_of_another_instrument_is_kept() -> None:
+    """A preset took the 20 m and the travel of the paper's tracker without a word."""
+    with pytest.raises(SetupError, match=r"does not say what can be pointed at; state limits.*limits.range_max_mm"):
+        lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
+    some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
+    with pytest.raises(SetupError, match=r"state limits\.range_max_mm$"):
+        lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **some})
+
+
 def test_a_scenario_takes_a_sheet_as_preset() -> None:
-    tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"}).instrument
+    tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
+    assert tracker.limits.range_max_mm == 35_000.0
     assert tracker.noise.model_dump() == stated_by("faro-vantage", {})["noise"]
     with pytest.raises(SetupError, match="leaves the ranges open"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
-    tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own}).instrument
+    tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument
     assert tracker.noise.distance_mm == 0.004
     assert tracker.noise.azimuth_arcsec == pytest.approx(
         figures("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3

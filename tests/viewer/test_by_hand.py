@@ -30,7 +30,7 @@ TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]
 @pytest.fixture
 def hall(tmp_path: Path) -> Path:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    text = HALL.replace("[search]", f"[stations]\ncount = 3\n[budget]\nfaces = [1]\nrepeats = [1]\n{TOLERANCES}")
+    text = HALL.replace("[search]", f"[stations]\ncount = 3\n[work]\nfaces = 1\n{TOLERANCES}")
     (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
     return tmp_path / "hall.toml"
 

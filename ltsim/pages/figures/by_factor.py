@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ltsim.pages.style import CYCLE, INK, MARKERS, columns, legend_of, new_figure, quiet_axis, shorten, styled
+from ltsim.pages.style import CYCLE, INK, MARKERS, legend_of, new_figure, quiet_axis, shorten, styled
 
 MOST_PANELS, MOST_LINES = 12, 8
+NINETY = "90 % of trials"
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ def by_factor(
         panel's name.
     """
     panels = list(dict.fromkeys(row.panel for row in rows))[:MOST_PANELS]
-    across = columns(min(len(panels), 3))
+    across = min(len(panels), 2)
     down = -(-len(panels) // across)
-    figure = new_figure(0.9 + (2.1 if across > 1 else 2.6) * down)
+    figure = new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
     axes = figure.subplots(down, across, sharex=joined, sharey=True, squeeze=False)
     words = list(dict.fromkeys(row.x for row in rows if isinstance(row.x, str)))
     names = list(dict.fromkeys(row.line for row in rows))[:MOST_LINES]
@@ -66,7 +67,7 @@ def by_factor(
         if published is not None:
             ax.axhline(published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
         if joined:
-            ax.set_title(shorten(panel, 44 if across < 3 else 30), fontsize=8.5)
+            ax.set_title(shorten(panel, 44 if across < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
         _axis(ax, [row.x for row in rows if row.panel == panel], words, joined=joined)
@@ -75,8 +76,7 @@ def by_factor(
         ax.set_axis_off()
     figure.supxlabel(axis, fontsize=8.5)
     figure.supylabel(label, fontsize=8.5)
-    if published is not None or len(names) > 1:
-        legend_of(figure, axes.flat[: len(panels)], ncols=4)
+    legend_of(figure, axes.flat[: len(panels)], ncols=2)
     return figure
 
 
@@ -93,10 +93,11 @@ def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[s
     colour = CYCLE[k % len(CYCLE)]
     if joined and not words:
         five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
-        ax.fill_between(x, five, ninety_five, color=colour, alpha=0.10, linewidth=0)
+        ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
+    told = f"{rows[0].line}: mean, 95 % interval".removeprefix(": ")
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=MARKERS[k % len(MARKERS)], markersize=4.5,
-        linestyle=("-" if joined else "none"), elinewidth=2.4, label=rows[0].line,
+        linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from ltsim.pages.style import CYCLE, INK, MARKERS, category_rows, new_figure, styled
+from ltsim.pages.style import CYCLE, INK, MARKERS, category_rows, legend_of, new_figure, styled
 
 MOST_SETTINGS = 40
 
@@ -28,7 +28,7 @@ class Mean:
 
 @styled
 def by_setting(rows: Sequence[Mean], *, label: str, published: float | None = None) -> Figure:
-    """A line a setting: dots are means with 95 % intervals, thin lines the middle 90 % of the trials.
+    """A row a setting: marks are means with 95 % intervals, thin lines the middle 90 % of the trials.
 
     Parameters
     ----------
@@ -47,13 +47,12 @@ def by_setting(rows: Sequence[Mean], *, label: str, published: float | None = No
         mine = [row for row in rows if row.method == method and row.setting in places]
         y = np.array([places[row.setting] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
         colour = CYCLE[m % len(CYCLE)]
-        ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, linewidth=0.9, alpha=0.7)
-        ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, linewidth=3.6)
-        ax.scatter(
-            [r.mean for r in mine], y, color=colour, marker=MARKERS[m % len(MARKERS)], s=22, zorder=3, label=method
-        )
+        ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else (None, None)
+        ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, lw=0.9, label=ninety)
+        ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
+        ax.plot([r.mean for r in mine], y, MARKERS[m % len(MARKERS)], ms=4.5, color=colour, label=method)
     if published is not None:
         ax.axvline(published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
     ax.set_xlabel(label)
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=5)
+    legend_of(figure, [ax], ncols=2)
     return figure

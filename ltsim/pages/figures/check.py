@@ -7,23 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.fieldcheck.check import Check
-from ltsim.pages.style import (
-    BLUE,
-    CYCLE,
-    GREEN,
-    INK,
-    ORANGE,
-    RED,
-    columns,
-    new_figure,
-    on_phone,
-    quiet_axis,
-    shorten,
-    styled,
-)
+from ltsim.pages.style import BLUE, CYCLE, GREEN, INK, ORANGE, RED, new_figure, quiet_axis, shorten, styled
 
 OBSERVABLES = (("range", BLUE, "o"), ("across the beam", ORANGE, "s"), ("elevation", GREEN, "^"))
-MOST_NAMES = 60
+MOST_NAMES = 40
 MOST_STATIONS = 8
 
 
@@ -63,9 +50,9 @@ def _faces(ax: Axes, check: Check) -> None:
         ax.set_xticks([])
         return
     ax.set_xlim(-0.8, at - 0.2)
-    few = len(names) <= (MOST_NAMES // 2 if on_phone() else MOST_NAMES)
+    few = len(names) <= MOST_NAMES
     ax.set_xticks(range(at) if few else [], [shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
-    ax.legend(loc="upper right", ncols=columns(3))
+    ax.legend(loc="upper right", ncols=3)
 
 
 def _course(ax: Axes, check: Check) -> None:
@@ -83,10 +70,9 @@ def _course(ax: Axes, check: Check) -> None:
             ax.axvline(item.between[0] / scale, color=RED, lw=1.0, label=None if marked else "moved")
             marked = True
     quiet_axis(ax)
-    rest = "" if on_phone() else ", targets, instrument and motions fitted"
-    ax.set_title(f"What each pointing misses{rest}")
+    ax.set_title("What each pointing misses, targets, instrument and motions fitted")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
     ax.set_ylim(bottom=0)
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="upper right", ncols=columns(4))
+        ax.legend(loc="upper right", ncols=4)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Bools, Floats
-from ltsim.pages.style import AFTER, GREY, RED, new_figure, on_phone, styled
+from ltsim.pages.style import AFTER, GREY, RED, new_figure, styled
 
 VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
 
@@ -29,10 +29,9 @@ def displacements(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bool
     moved : (T,) bool
     names : list of str
     """
-    lines, across = (2, 1) if on_phone() else (1, 2)
-    figure = new_figure(3.4 * lines)
+    figure = new_figure(3.0)
     enlarged = enlargement(places, shifts, semi_axes) * 1e-3
-    for ax, (title, i, j) in zip(figure.subplots(lines, across), VIEWS, strict=True):
+    for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for place, shift, axes, far, name in zip(places, shifts, semi_axes, moved, names, strict=True):
             colour = RED if far else AFTER
             start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Floats
-from ltsim.pages import style
-from ltsim.pages.style import AFTER, INK, SKY, legend_of, new_figure, number, quiet_axis, styled, unit_text
+from ltsim.pages.style import AFTER, INK, SKY, legend_of, new_figure, number, quiet_axis, shorten, styled, unit_text
 
 
 @dataclass(frozen=True)
@@ -47,16 +46,16 @@ class Distribution:
 
 @styled
 def distributions(rows: Sequence[Distribution], *, source: str = "the paper") -> Figure:
-    """Small histograms, three a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
-    columns = style.columns(min(3, max(len(rows), 1)))
-    lines = -(-len(rows) // columns)
-    figure = new_figure(0.4 + 1.95 * lines)
-    axes = figure.subplots(lines, columns, squeeze=False)
+    """Small histograms, two a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
+    across = min(2, max(len(rows), 1))
+    lines = -(-len(rows) // across)
+    figure = new_figure(0.4 + 1.7 * lines)
+    axes = figure.subplots(lines, across, squeeze=False)
     for ax, row in zip(axes.flat, rows, strict=False):
         _panel(ax, row, source)
     for ax in axes.flat[len(rows) :]:
         ax.set_axis_off()
-    legend_of(figure, axes.flat, ncols=4)
+    legend_of(figure, axes.flat)
     return figure
 
 
@@ -67,32 +66,25 @@ def _panel(ax: Axes, row: Distribution, source: str) -> None:
     if row.published is not None:
         low, high = min(low, row.published), max(high, row.published)
     margin = 0.04 * (high - low) or 1.0
-    ax.hist(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high), color=SKY, edgecolor="none")
+    height, edges = np.histogram(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high))
+    ax.stairs(height, edges, fill=True, color=SKY)
     ax.set_xlim(low - margin, high + margin)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
     quiet_axis(ax, grid="none")
-    top = ax.get_ylim()[1]
+    top = 1.05 * float(height.max())
     ax.set_ylim(0, 1.28 * top)
-    five, ninety_five = np.percentile(values, [5, 95])
-    ax.hlines(1.07 * top, five, ninety_five, color=INK, linewidth=1.0, label="90 % of trials")
-    begin, end = row.mean_interval
-    ax.hlines(1.07 * top, begin, end, color=AFTER, linewidth=5.0, label="mean, 95 % interval")
-    ax.scatter([float(values.mean())], [1.07 * top], s=22, color=AFTER, zorder=4)
-    ax.set_title(row.name, fontsize=7.0 if style.on_phone() else 8.5)
-    ax.xaxis.set_major_locator(MaxNLocator(3 if style.on_phone() else 6))
+    ax.hlines(1.07 * top, *row.middle, color=INK, linewidth=1.0, label="90 % of trials")
+    ax.hlines(1.07 * top, *row.mean_interval, color=AFTER, linewidth=5.0, label="mean, 95 % interval")
+    ax.plot([float(values.mean())], [1.07 * top], "o", ms=4.5, color=AFTER)
+    ax.set_title(shorten(row.name, 40), fontsize=8)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"[{unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
         ax.axvline(row.published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
         left = row.published > 0.5 * (low + high)
-        beside = ax.annotate(
-            f"{number(row.published)} · percentile {row.published_percentile:.0f}",
-            (row.published, 1.27 * top),
-            xytext=(-3 if left else 3, -1),
-            textcoords="offset points",
-            color=INK,
-            fontsize=7.5,
-            ha="right" if left else "left",
-            va="top",
-        )
-        beside.set_in_layout(False)
+        ax.annotate(
+            f"{number(row.published)} · percentile {row.published_percentile:.0f}", (row.published, 1.27 * top),
+            xytext=(-3 if left else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if left else "left",
+            va="top", in_layout=False,
+        )  # fmt: skip

@@ -46,5 +46,5 @@ def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figu
         ax.set_axis_off()
         panels[-2, -1].tick_params(labelbottom=True)
     if courses:
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ltsim.arrays import Floats
-from ltsim.pages.style import AFTER, GREY, INK, PALE, at_right, category_rows, new_figure, styled, with_unit
+from ltsim.pages.style import AFTER, GREY, INK, PALE, at_right, category_rows, legend_of, new_figure, styled, with_unit
 
 
 @dataclass(frozen=True)
@@ -34,40 +32,25 @@ class ParameterRow:
 def parameters(rows: Sequence[ParameterRow]) -> Figure:
     """Each estimate in units of its prior sigma with its 95 % interval; the numbers stand at the right.
 
-    Where a parameter has no prior, its own sigma scales it, so its bar is two wide and its place is its
-    significance. Hollow marks are parameters that the recording hardly determines.
+    Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording.
     """
-    figure = new_figure(0.55 + 0.21 * max(len(rows), 3))
+    figure = new_figure(0.75 + 0.2 * max(len(rows), 3))
     ax = figure.subplots()
-    places = category_rows(ax, [row.name for row in rows])
+    places = category_rows(ax, [row.name for row in rows], size=7.0)
     scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
-    values = np.array([row.value for row in rows]) / scales
-    half = 1.96 * np.array([row.sigma for row in rows]) / scales
+    values, sigma = (np.array([getattr(row, name) for row in rows]) / scales for name in ("value", "sigma"))
     ax.axvspan(-1.0, 1.0, color=PALE, zorder=0, label="prior, ± 1 sigma")
     ax.axvline(0.0, color=GREY, linewidth=0.7, zorder=1)
-    ax.hlines(places, values - half, values + half, color=AFTER, linewidth=1.8, zorder=2, label="95 % interval")
+    ax.hlines(places, values - 1.96 * sigma, values + 1.96 * sigma, color=AFTER, linewidth=1.8, label="95 % interval")
     clear = np.array([row.determined for row in rows], dtype=bool)
-    ax.scatter(values[clear], places[clear], s=26, color=AFTER, zorder=3, label="estimate")
-    if (~clear).any():
-        ax.scatter(
-            values[~clear],
-            places[~clear],
-            s=26,
-            facecolors="white",
-            edgecolors=AFTER,
-            zorder=3,
-            label="hardly determined",
-        )
-    _truth(ax, rows, places, scales)
-    at_right(ax, places, [with_unit(r.value, r.sigma, r.unit) for r in rows])
-    ax.set_xlabel("estimate / sigma of the prior")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=5)
-    return figure
-
-
-def _truth(ax: Axes, rows: Sequence[ParameterRow], places: Floats, scales: Floats) -> None:
-    """Mark the truth of a simulation where it is known."""
+    for chosen, fill, word in ((clear, AFTER, "estimate"), (~clear, "white", "hardly determined")):
+        if chosen.any():
+            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=AFTER, label=word)
     known = [i for i, row in enumerate(rows) if row.truth is not None]
     if known:
-        x = [(rows[i].truth or 0.0) / scales[i] for i in known]
-        ax.scatter(x, places[known], s=40, marker="|", color=INK, linewidths=1.6, zorder=4, label="truth")
+        truth = np.array([rows[i].truth for i in known], dtype=np.float64) / scales[known]
+        ax.plot(truth, places[known], "|", ms=9, mew=1.8, color=INK, zorder=4, label="hidden truth")
+    at_right(ax, places, [with_unit(r.value, r.sigma, r.unit) for r in rows])
+    ax.set_xlabel("estimate / sigma of the prior")
+    legend_of(figure, [ax])
+    return figure

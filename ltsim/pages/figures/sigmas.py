@@ -43,5 +43,5 @@ def sigmas(rows: Sequence[SigmaRow]) -> Figure:
     ax.minorticks_off()
     at_right(ax, places, [f"{number(r.sigma, 2)} {unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure

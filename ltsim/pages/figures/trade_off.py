@@ -74,5 +74,5 @@ def trade_off(
     ax.set_xlabel(cost)
     ax.set_ylabel(f"{quality} ({'lower' if lower else 'higher'} is better)")
     quiet_axis(ax, grid="both")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=4)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure

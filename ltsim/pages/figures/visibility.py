@@ -47,5 +47,5 @@ def visibility(stations: Sequence[str], targets: Sequence[str], reasons: Sequenc
     bare(ax)
     handles = [Patch(color=colours[0], label="visible")]
     handles += [Patch(color=colours[i + 1], label=f"{word[0].upper()}: {word}") for i, word in enumerate(words)]
-    figure.legend(handles=handles, loc="outside upper right", ncols=min(len(handles), 4))
+    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 4))
     return figure

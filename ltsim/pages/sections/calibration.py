@@ -12,19 +12,19 @@ from ltsim.arrays import Floats
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.chances import p_text, two_sided
-from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.notation import number
 from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture
+from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
+    adjusted_if_possible,
     combined,
     residual_blocks,
-    station_table,
     target_table,
+    targets_in_words,
     undetermined,
     workshop_blocks,
 )
-from ltsim.pages.sections.recording import adjusted
 from ltsim.pages.words import agreement, count
 from ltsim.pages.workshop import Sights, Workshop, assemble
 from ltsim.recording import Recording, Setup
@@ -50,43 +50,44 @@ def calibration_section(
     content = read_result(folder, CalibrationFile)
     check_source(content, recording, folder)
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
-    words = (
-        "the noise was estimated from the same readings, which leaves nothing to test"
-        if content.noise_estimated
-        else words
-    )
+    if content.noise_estimated:
+        words = "the noise was estimated from the same readings, which leaves nothing to test"
     converged = content.fit.status in SETTLED
-    blocks: list[Block] = []
-    if not converged:
-        blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
-    blocks += _treatment(content)
-    blocks += parameter_blocks(content)
-    blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in content.effects]
+    targets, residuals = (companion(folder, table.file, content) for table in (TARGETS, RESIDUALS))
+    pair = None if residuals is None or brief else adjusted_if_possible(recording)
+    before = Residuals.from_adjustment(pair[0]) if pair else None
+    after = Residuals.read(residuals).with_covariates(before) if residuals else None
+    product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
+    first = _parameters(content) if content.parameters else product
+    blocks: list[Block] = [*_warnings(content, converged=converged), *_known_values(content), *first[:1]]
     blocks += _criteria(content)
-    blocks += _network(folder, content, recording, detail=detail, residuals=not brief)
+    shown = len(blocks) + 1
+    if targets is not None and content.stations:
+        blocks += workshop_blocks(workshop_of(content, recording, targets, after), detail=detail)
+    blocks += [*first[1:], *(product if content.parameters else ()), *_stations(content)]
+    if after is not None and not brief:
+        blocks += residual_blocks(after, before, what="the instrument's parameters")
+    blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in content.effects]
     blocks += combined("Determined in combination", content.determined)
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
-    blocks += _outliers(content)
-    good = agrees and converged and all(outlier.left_out for outlier in content.outliers)
-    title = (recording.setup.title if recording else "") or folder.name
+    kind = "Calibration" if content.parameters else "Network adjustment"
+    named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     return Section(
-        title,
-        _kind(content),
-        _answer(content, words),
-        "good" if good else "bad",
-        _facts(content, agrees=agrees),
-        blocks,
+        title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
+        kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
+        answer=_answer(content, words, targets),
+        mood=mood(agrees and converged and all(outlier.left_out for outlier in content.outliers)),
+        facts=_facts(content, agrees=agrees),
+        blocks=blocks,
+        axes=content.frame,
+        measured=(content.recording.measured if content.recording else "") or "",
+        shown=shown,
     )
 
 
-def _kind(content: CalibrationFile) -> str:
-    """What the folder holds."""
-    return f"Calibration ({content.method or 'network'})" if content.parameters else "Network adjustment"
-
-
-def _answer(content: CalibrationFile, agreement_words: str) -> str:
-    """The first sentence."""
+def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None) -> str:
+    """The first sentences: what came out, with its unit and its uncertainty."""
     size = count(len(content.stations), "station")
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
@@ -102,56 +103,56 @@ def _answer(content: CalibrationFile, agreement_words: str) -> str:
         word = "better" if change >= 0 else "worse"
         begin += (
             f"; stations agree about distances {abs(change):.1f} % {word} than before "
-            f"({style.number(distance.before.mean_um)} to {style.number(distance.after.mean_um)} µm)"
+            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
         )
     if content.outliers:
         left = sum(outlier.left_out for outlier in content.outliers)
         begin += f"; {count(len(content.outliers), 'reading')} did not fit"
         were = "was" if left == 1 else "were"
         begin += f" and {were} left out" if left == len(content.outliers) else f", {left} left out" if left else ""
-    return begin + "."
+    known = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
+    return f"{begin}.{known}".rstrip()
 
 
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     """Figures at a glance."""
     fit, found = content.fit, content.noise_estimated
     p = None if found or fit.p_value is None else two_sided(fit.p_value)
-    return [
+    facts = [
         Fact("sigma0", style.fixed(fit.sigma0, 3), mood(agrees)),
         Fact("p of the fit, two-sided", p_text(p), "plain" if found else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
-        Fact("construction", content.construction or "–"),
-        Fact("outliers", str(len(content.outliers)), "bad" if content.outliers else "plain"),
-        Fact("status", fit.status or "–", "good" if fit.status in SETTLED else "bad"),
+        Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
+    if content.correction is not None:
+        expected = f"{number(content.correction.corrected_um, 2)} um, sigma"
+        facts.append(Fact("expected error of a new point, corrected", expected))
+    return facts
 
 
-def _treatment(content: CalibrationFile) -> list[Block]:
-    """Which test to trust, the noise found, targets without a place."""
+def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
+    """What a reader must know before the numbers: a fit that failed, readings that do not belong, noise found."""
     blocks: list[Block] = []
+    if not converged:
+        blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     if content.verdict.sentence and not content.noise_estimated:
         blocks.append(Note("Which test to trust", content.verdict.sentence))
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
         blocks.append(Note("Targets without coordinates", text, "bad"))
-    if content.noise:
-        rows = [
-            [
-                n.observable,
-                n.instrument or "–",
-                "as stated" if n.factor_sigma is None else style.with_sigma(n.factor, n.factor_sigma),
-                f"{style.number(n.typical)} {style.unit_text(n.unit)}",
-                f"{n.redundancy:.1f}",
-            ]
-            for n in content.noise
-        ]
-        note = (
-            "The factor is on the stated standard deviation, the reading's σ the median that results. 'As stated': too "
-            "little redundancy to estimate it."
-        )
-        header = ["readings", "instrument", "factor ± σ", "σ of a reading", "redundancy"]
-        blocks.append(Table("Noise found from the readings", header, rows, 2, note))
-    return blocks
+    fields = ("station", "target", "observable", "row", "size", "w", "left_out")
+    blocks += table_of("Readings that do not belong", content.outliers, *fields)
+    note = "The factor is on the stated standard deviation; the typical sigma is the median of a reading that results."
+    heads = ("observable=readings", "instrument", "factor", "typical=typical sigma", "redundancy")
+    return blocks + table_of("Noise found from the readings", content.noise, *heads, note=note)
+
+
+def _known_values(content: CalibrationFile) -> list[Table]:
+    """How control points and other known values fit."""
+    note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
+    shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
+    fields = ("kind", "name", "component", "residual", "error", "minimal_detectable", "redundancy", "w", "left_out")
+    return table_of("How known values fit", shown, *fields, note=note, folds=False)
 
 
 def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:
@@ -164,121 +165,61 @@ def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:
     ]
 
 
-def parameter_blocks(content: CalibrationFile) -> list[Block]:
-    """Table and figures of the parameters."""
+def _parameters(content: CalibrationFile) -> list[Block]:
+    """Figure and table of the parameters, and how they hang together."""
     rows = parameter_rows(content)
-    if not rows:
-        return []
-    cells = [
-        [
-            row.name,
-            style.with_sigma(row.value, row.sigma),
-            style.unit_text(row.unit) or "–",
-            style.number(row.prior_sigma, 2) if row.prior_sigma else "–",
-            f"{row.value / row.sigma:.1f}".replace("-", "−") if row.sigma > 0 else "–",
-            "" if row.determined else "hardly",
-        ]
-        for row in rows
-    ]
+    text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
+    note = "Corrections, truth minus reading, ± one sigma."
     blocks: list[Block] = [
-        picture(
-            "Instrument parameters",
-            figures.parameters(rows),
-            "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees.",
+        picture("Instrument parameters", figures.parameters(rows), text),
+        *table_of(
+            "Parameters in numbers", content.parameters, "name=parameter", "instrument", "value",
+            "prior_sigma=prior sigma", note=note,
         ),
-        Table(
-            "Instrument parameters",
-            ["parameter", "value ± σ", "unit", "prior σ", "value / σ", "determined"],
-            cells,
-            note="A parameter is 'hardly' determined where the recording removes less than half of the prior variance.",
-        ),
-    ]
+    ]  # fmt: skip
     if len(content.covariance) == len(rows) and len(rows) > 1:
-        blocks.append(
-            picture(
-                "Correlation of the parameters",
-                figures.correlation([row.name for row in rows], _correlation(np.array(content.covariance))),
-                "Two parameters near ±100 % can hardly be told apart with this network.",
-            )
-        )
+        covariance = np.array(content.covariance)
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        scale = np.where(sigma > 0, sigma, 1.0)
+        figure = figures.correlation([row.name for row in rows], covariance / np.outer(scale, scale))
+        text = "Two parameters near ±100 % can hardly be told apart with this network."
+        blocks.append(picture("Correlation of the parameters", figure, text))
     return blocks
 
 
-def _correlation(covariance: Floats) -> Floats:
-    """Correlation coefficients; zero where a parameter is fixed."""
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.where(sigma > 0, sigma, 1.0)
-    return np.asarray(covariance / np.outer(scale, scale))
-
-
-def _criteria(content: CalibrationFile) -> list[Block]:
+def _criteria(content: CalibrationFile) -> list[Table]:
     """The paper's criteria before and after."""
-    rows = []
-    for name, entry in content.criteria.items():
-        before, after = entry.before, entry.after
-        sizes = [before.mean_um, after.mean_um, before.max_um, after.max_um]
-        known = [size for size in sizes if size is not None]
-        if len(known) == 4:
-            label = name.replace("_", " ")
-            rows.append(figures.Criterion(label, known[0], known[1], known[2], known[3], entry.improvement_percent))
-    if not rows:
-        return []
-    text = "How far stations disagree about distances between reflectors and about their coordinates."
-    return [picture("Criteria before and after calibration", figures.criteria(rows), text)]
-
-
-def _network(
-    folder: Path, content: CalibrationFile, recording: Recording | None, *, detail: Detail, residuals: bool
-) -> list[Block]:
-    """Residuals, floor plan, 3D view, stations and targets, as far as the files are there."""
-    blocks: list[Block] = []
-    before, geometry = residuals_before(None, recording)
-    file = companion(folder, RESIDUALS.file, content)
-    after = Residuals.read(file) if file else None
-    if after is not None and geometry is not None:
-        after = after.with_covariates(geometry)
-    targets = companion(folder, TARGETS.file, content)
-    if targets and content.stations:
-        names, points, sigma = read_targets(targets)
-        workshop = workshop_of(content, recording, names, points, sigma, after)
-        blocks += workshop_blocks(workshop, detail=detail)
-        position = np.array([s.position_mm for s in content.stations]) * MILLIMETRE
-        spread = [[np.nan if v is None else v for v in s.sigma_position_mm or (None,) * 3] for s in content.stations]
-        frame = f"Coordinates are in {content.frame or 'the frame of the first station'}."
-        tables = [
-            station_table(tuple(s.name for s in content.stations), position, np.array(spread) * MILLIMETRE, note=frame),
-            target_table(names, points, sigma, note=frame),
+    rows = [
+        [
+            name.replace("_", " "),
+            *(number(size) for size in (e.before.mean_um, e.after.mean_um, e.before.max_um, e.after.max_um)),
+            "–" if e.improvement_percent is None else f"{e.improvement_percent:.1f} %",
         ]
-    else:
-        tables = []
-    if after is not None and residuals:
-        blocks += residual_blocks(after, before, what="the instrument's parameters")
-    return blocks + tables
+        for name, e in content.criteria.items()
+        if e.before.mean_um is not None and e.after.mean_um is not None
+    ]
+    header = ["criterion", "mean before [um]", "after [um]", "largest before [um]", "after [um]", "better by"]
+    text = "How far stations disagree about distances between reflectors and about their coordinates."
+    return [Table("Criteria before and after calibration", header, rows, note=text)] if rows else []
 
 
-def residuals_before(stored: Path | None, recording: Recording | None) -> tuple[Residuals | None, Residuals | None]:
-    """Residuals without parameters (from a `stored` table, else computed), and rows with covariates."""
-    plain = None
-    if recording is not None:
-        try:
-            plain = Residuals.from_adjustment(adjusted(recording)[0])
-        except (NetworkError, ConvergenceError):
-            plain = None
-    if stored is None:
-        return plain, plain
-    before = Residuals.read(stored)
-    return (before.with_covariates(plain) if plain else before), plain
+def _stations(content: CalibrationFile) -> list[Table]:
+    """Where they stand."""
+    header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
+    rows = [
+        [s.name, *(style.fixed(v, 3) for v in s.position_mm),
+         *(number(None if v is None else 2e3 * v, 2) for v in s.sigma_position_mm or (None,) * 3)]
+        for s in content.stations
+    ]  # fmt: skip
+    note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
+    return [Table("Stations", header, rows, note=note)] if rows else []
 
 
 def workshop_of(
-    content: CalibrationFile,
-    recording: Recording | None,
-    names: tuple[str, ...],
-    points: Floats,
-    sigma: Floats,
-    residuals: Residuals | None,
+    content: CalibrationFile, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> Workshop:
     """The calibrated network, ready to be drawn."""
+    names, points, sigma = read_targets(targets)
     stations = tuple(s.name for s in content.stations)
     return assemble(
         recording.setup if recording is not None else Setup(),
@@ -289,46 +230,22 @@ def workshop_of(
         targets=names,
         points=points,
         sights=_sights(residuals, stations, names),
-        covariance=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
+        covariance=_covariance(sigma),
     )
+
+
+def _covariance(sigma: Floats) -> Floats:
+    return np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3))
 
 
 def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
     """Lines of sight with the size of their normalised residuals."""
     if residuals is None:
         return None
-    station_at = {name: i for i, name in enumerate(stations)}
-    target_at = {name: i for i, name in enumerate(targets)}
-    known = [
-        i
-        for i, (s, t) in enumerate(zip(residuals.station.tolist(), residuals.target.tolist(), strict=True))
-        if s in station_at and t in target_at
-    ]
-    if not known:
-        return None
-    return Sights(
-        np.array([station_at[residuals.station[i]] for i in known]),
-        np.array([target_at[residuals.target[i]] for i in known]),
-        np.abs(np.nan_to_num(residuals.w[known])),
-        "largest normalised residual",
+    station, target = (
+        np.array([{name: i for i, name in enumerate(names)}.get(name, -1) for name in column.tolist()])
+        for names, column in ((stations, residuals.station), (targets, residuals.target))
     )
-
-
-def _outliers(content: CalibrationFile) -> list[Block]:
-    """Readings that do not belong."""
-    if not content.outliers:
-        return []
-    rows = [
-        [
-            o.station,
-            o.target,
-            o.observable,
-            str(o.row),
-            f"{style.number(o.size)} {style.unit_text(o.unit)}",
-            f"{o.w:.1f}",
-            "yes" if o.left_out else "",
-        ]
-        for o in content.outliers
-    ]
-    header = ["station", "target", "observable", "row", "size", "w", "left out"]
-    return [Table("Readings that do not belong", header, rows, text_columns=3)]
+    known = (station >= 0) & (target >= 0)
+    size = np.abs(np.nan_to_num(residuals.w[known]))
+    return Sights(station[known], target[known], size, "largest normalised residual") if known.any() else None

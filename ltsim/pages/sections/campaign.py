@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
-
-from ltsim.arrays import Floats
+from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
-from ltsim.pages import figures, style
+from ltsim.notation import number
+from ltsim.pages import figures
 from ltsim.pages.document import Block, Fact, Listing, Section, Table, mood, picture
+from ltsim.pages.figures.coverage import ALLOWED, coverage, uncovered
 from ltsim.pages.sections.sweep import cell_words, drawn, title, varied
 from ltsim.pages.words import count
 from ltsim.simulation.keys import meaning_of
 
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
-MOST_CELLS, MOST_NAMED, MOST_VALUES = 3, 3, 8
+MOST_CELLS, MOST_VALUES, MOST_SHOWN = 3, 8, 4
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
@@ -62,26 +62,31 @@ def campaign_section(folder: Path) -> Section:
     manifest = results.manifest
     spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
     scores, ends = results.z_scores(), results.checked()
-    blocks: list[Block] = [*_varied(results), *_improvements(results, spreads)]
-    blocks += _distributions(results, spreads)
-    blocks += _scores(results, scores)
-    blocks += [_ends(results, ends), _statistics(results, spreads), *_score_table(results, scores)]
+    published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
+    drawn_ = _distributions(results, spreads, published)
+    shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
+    blocks: list[Block] = [*shown, _statistics(results, spreads), *(b for b in drawn_ if b not in shown)]
+    blocks += [*_coverage(results, scores), _ends(results, ends)]
     blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
     blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.scenarios, indent=1)))
-    failed = sum(end.failed for end in ends)
-    versions = list(manifest.versions.items())
-    if manifest.commit:
-        versions.append(("commit", manifest.commit[:12]))
+    versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
     return Section(
-        title=manifest.title or folder.name,
+        title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",
         kind="Campaign",
         answer=_answer(results, spreads, ends),
-        mood=mood(not failed),
+        mood=mood(not sum(end.failed for end in ends)),
         facts=_facts(manifest, ends, scores),
         blocks=blocks,
         seed=str(manifest.seed),
         versions=versions,
+        axes="those of the scenario",
+        shown=min(len(shown), MOST_SHOWN),
     )
+
+
+def _mean(s: Spread) -> str:
+    """Mean over the trials with its 95 % interval."""
+    return f"{number(s.mean)} (95 %: {number(s.low)} to {number(s.high)})"
 
 
 def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
@@ -92,20 +97,16 @@ def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequenc
     if len(manifest.cells) > 1:
         size += f" in each of {len(manifest.cells)} settings"
         size += f" of {_listed([title(f).partition(' [')[0] for f in factors])}" if factors else ""
-    improved = spreads.get(IMPROVEMENT, [])
-    if not improved:
-        return f"{size} with {', '.join(manifest.methods)}.{_extremes(results, spreads)}"
     said = []
     for method in manifest.methods:
-        means = [s for s in improved if s.method == method]
+        means = [s for s in spreads.get(IMPROVEMENT, []) if s.method == method]
         if len(means) == 1:
-            half = 0.5 * (means[0].high - means[0].low)
-            said.append(f"{method} by {style.with_sigma(means[0].mean, half)} %")
+            said.append(f"{method} by {_mean(means[0])} %")
         elif means:
             low, high = min(s.mean for s in means), max(s.mean for s in means)
-            said.append(f"{method} by {style.number(low)} to {style.number(high)} %")
+            said.append(f"{method} by {number(low)} to {number(high)} %")
     told = f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
-    return told + _extremes(results, spreads)
+    return (told if said else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
 
 
 def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
@@ -115,13 +116,8 @@ def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
         return ""
     names, several = cell_words(results), len(results.manifest.methods) > 1
     least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
-
-    def at(s: Spread) -> str:
-        half = 0.5 * (s.high - s.low)
-        method = f"{s.method}, " if several else ""
-        return f"{style.with_sigma(s.mean, half)} µm ({method}{names[s.cell]})"
-
-    return f" Targets err least with {at(least)}, most with {at(most)}."
+    first, last = (f"{number(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most))
+    return f" Targets err least with {first}, most with {last}."
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -135,7 +131,7 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
     facts = [
         Fact("trials", str(sum(end.trials for end in ends))),
         Fact("settings", str(len(manifest.cells))),
-        Fact("methods", str(len(manifest.methods))),
+        Fact("methods", ", ".join(manifest.methods)),
         Fact("failed", str(failed), mood(not failed)),
     ]
     if checked:
@@ -144,12 +140,6 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
         shares = [s.coverage_95 for s in scores]
         facts.append(Fact("coverage of 95 %", f"{100 * min(shares):.1f} to {100 * max(shares):.1f} %"))
     return facts
-
-
-def _published(results: Results) -> Mapping[str, float]:
-    """The paper's figures for its own scenario."""
-    scenario = str(results.manifest.settings.get("scenario", ""))
-    return PAPER.get(scenario, {})
 
 
 def _varied(results: Results) -> list[Block]:
@@ -163,101 +153,76 @@ def _varied(results: Results) -> list[Block]:
     return [Table("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
 
 
-def _improvements(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
+def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
     """Means with intervals over the settings, and where the paper's figure lies."""
     blocks: list[Block] = []
+    if len(results.levels) == 1:  # nothing to draw a mean over: the distributions say it
+        return blocks
     for column, label in LABELS.items():
-        published = _published(results).get(column)
-        for text, figure in drawn(results, spreads.get(column, []), label, published) if spreads.get(column) else ():
-            told = "" if published is None else f" {_beside_paper(results, spreads[column], published)}"
+        own, paper = spreads.get(column, []), published.get(column)
+        for text, figure in drawn(results, own, label, paper) if own else ():
+            outside = [s for s in own if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
+            where = f"outside it in {len(outside)} of {len(own)}" if outside else "within it everywhere"
+            told = (
+                ""
+                if paper is None
+                else f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
+            )
             blocks.append(picture(label.split(" [")[0].capitalize(), figure, text + told))
     return blocks
 
 
-def _beside_paper(results: Results, spreads: Sequence[Spread], published: float) -> str:
-    """A sentence: where the paper's figure lies outside the middle 90 % of the trials."""
-    names, paper = cell_words(results), f"The paper's {style.number(published)} (dashed) lies"
-    sides = {(s.cell, s.method): _side(published, s.quantiles[1], s.quantiles[5]) for s in spreads}
-    outside = {place: side for place, side in sides.items() if side}
-    if not outside:
-        return f"{paper} within the middle 90 % of the trials everywhere."
-    several = len(results.manifest.methods) > 1
-    where = "; ".join(
-        f"{f'{method}, ' if several else ''}{names[cell]} ({side})" for (cell, method), side in outside.items()
-    )
-    if len(outside) > MOST_NAMED or len(outside) == len(sides):
-        many = "all" if len(outside) == len(sides) else f"{len(outside)} of {len(sides)}"
-        where = f"{many} settings{' and methods' if several else ''} ({' or '.join(sorted(set(outside.values())))})"
-    return f"{paper} outside the middle 90 % of the trials in {where}."
-
-
-def _side(published: float, low: float, high: float) -> str:
-    """On which side of an interval a figure lies; empty inside."""
-    return "below" if published < low else "above" if published > high else ""
-
-
-def _distributions(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
+def _distributions(
+    results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]
+) -> list[Block]:
     """Histograms of the criteria, cell by cell, for the file's first method."""
-    published, names = _published(results), cell_words(results)
-    method = results.manifest.methods[0]
+    names, method = cell_words(results), results.manifest.methods[0]
     wanted = [c for c in spreads if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     blocks: list[Block] = []
     for cell in list(names)[: MOST_CELLS if len(names) <= MOST_CELLS else 1]:
         rows = []
         for column in wanted:
-            values = _values(results, column, cell, method)
+            values = results.values(column, cell, method, most=MOST_DRAWN)
             if len(values) > 1:
                 unit = "um" if column.endswith("_um") else "%"
                 rows.append(figures.Distribution(_column_words(column), values, unit, published.get(column)))
         if rows:
-            text = "Dark line: the middle 90 % of the trials; blue: the mean." + _paper_among(rows)
-            title = f"Distributions over trials: {method}" + (f", {names[cell]}" if len(names) > 1 else "")
-            blocks.append(picture(title, figures.distributions(rows), text))
+            told = " Dashed: the paper's figures and the share of trials below them." if published else ""
+            place = f", {names[cell]}" if len(names) > 1 else ""
+            blocks.append(picture(f"Distributions over trials: {method}{place}", figures.distributions(rows), told))
     return blocks
 
 
-def _paper_among(rows: Sequence[figures.Distribution]) -> str:
-    """Sentences on the paper's figures, which lie outside the middle 90 % of the trials or not."""
-    if all(row.published is None for row in rows):
-        return ""
-    outside = [
-        f"{row.name} (paper {style.number(row.published)}, trials {style.number(row.middle[0])} to "
-        f"{style.number(row.middle[1])})"
-        for row in rows
-        if row.published is not None and _side(row.published, *row.middle)
-    ]
-    found = f"outside the middle 90 %: {'; '.join(outside)}." if outside else "all within the middle 90 %."
-    return f" Dashed: the paper's figures and the share of trials below them; {found}"
-
-
-def _scores(results: Results, scores: Sequence[Scores]) -> list[Block]:
-    """z-scores and coverage in the first cell, for each method that has them."""
+def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
+    """z-scores and coverage: as a picture for the first cell of each method, in figures for all."""
     blocks: list[Block] = []
     for method in dict.fromkeys(s.method for s in scores):
         mine = [s for s in scores if s.method == method]
-        cell = mine[0].cell
-        rows = [
-            figures.ZScores(s.parameter, _values(results, f"z:{s.parameter}", cell, method))
-            for s in mine
-            if s.cell == cell and s.trials > 1
-        ]
-        if rows:
-            title = f"{method}, {cell_words(results)[cell]}"
-            text = "Where estimates and stated uncertainties are right, the bars follow the standard normal curve."
-            blocks.append(picture(f"z-scores: {title}", figures.z_scores(rows), text))
-            blocks.append(picture(f"Coverage: {title}", figures.coverage(rows), coverage_words(rows)))
-    return blocks
+        rows = [s for s in mine if s.cell == mine[0].cell and s.trials > 1]
+        if rows and len(blocks) < MOST_CELLS:
+            place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
+            blocks.append(picture(f"Coverage: {method}{place}", coverage(rows), coverage_words(rows)))
+    heads, own = _settings(results)
+    rows_ = [
+        [*own[s.cell], s.method, s.parameter, str(s.trials), number(s.mean), number(s.deviation),
+         f"{100 * s.coverage_95:.1f} %"]
+        for s in scores
+    ]  # fmt: skip
+    header = [*heads, "method", "parameter", "trials", "mean z", "sd of z", "coverage of 95 %"]
+    text = "z: estimate minus truth over its stated sigma; right sigmas give mean 0 and standard deviation 1."
+    table = Table("z-scores of the parameters", header, rows_, text_columns=len(heads) + 2, note=text)
+    return [*blocks, table] if scores else []
 
 
-def coverage_words(rows: Sequence[figures.ZScores]) -> str:
+def coverage_words(rows: Sequence[Scores]) -> str:
     """Which shares are red, and why."""
-    low, high = (f"{100 * bound:.1f}" for bound in figures.ALLOWED)
-    red = [row.name for row, out in zip(rows, figures.uncovered(rows), strict=True) if out]
+    low, high = (f"{100 * bound:.1f}" for bound in ALLOWED)
+    red = [row.parameter for row, out in zip(rows, uncovered(rows), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"
     if not red:
-        return f"Marks: the share with its own 95 % interval. None is red: each interval reaches into {band}."
-    return f"Marks: the share with its own 95 % interval. Red, since that lies outside {band}: {', '.join(red)}."
+        return f"None is red: each interval reaches into {band}."
+    return f"Red, since that lies outside {band}: {', '.join(red)}."
 
 
 def _settings(results: Results) -> tuple[list[str], dict[int, list[str]]]:
@@ -270,16 +235,6 @@ def _settings(results: Results) -> tuple[list[str], dict[int, list[str]]]:
     return [title(f) for f in factors], rows
 
 
-def _values(results: Results, column: str, cell: int, method: str) -> Floats:
-    """Finite values (n,) of a column in a cell for a method."""
-    name = column.replace('"', '""')
-    rows = results.query(
-        f"SELECT \"{name}\" FROM rows WHERE cell = {int(cell)} AND method = '{method.replace(chr(39), 2 * chr(39))}' "
-        f'AND isfinite("{name}") AND trial < {MOST_DRAWN} ORDER BY trial'
-    )
-    return np.array(rows, dtype=np.float64).reshape(-1)
-
-
 def _column_words(column: str) -> str:
     """`distance_before_mean_um` as `distance, mean before`."""
     parts = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
@@ -290,11 +245,8 @@ def _ends(results: Results, ends: Sequence[Checked]) -> Table:
     """How the trials ended."""
     heads, own = _settings(results)
     rows = [
-        [
-            *own[e.cell], e.method, str(e.trials), str(e.failed), str(e.by_full_solver),
-            str(e.checked),
-            "–" if e.largest_difference_sigma is None else f"{e.largest_difference_sigma:.1e}",
-        ]
+        [*own[e.cell], e.method, *map(str, (e.trials, e.failed, e.by_full_solver, e.checked)),
+         number(e.largest_difference_sigma, 2)]
         for e in ends
     ]  # fmt: skip
     header = [*heads, "method", "trials", "failed", "by full solver", "verified", "largest difference [σ]"]
@@ -307,29 +259,11 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]]) -> Table:
     """All statistics."""
     heads, own = _settings(results)
     rows = [
-        [
-            *own[s.cell], s.method, _column_words(column), results.units.get(column, ""), style.number(s.mean),
-            f"{style.number(s.low)} to {style.number(s.high)}", *(style.number(s.quantiles[k]) for k in (1, 3, 5)),
-        ]
+        [*own[s.cell], s.method, _column_words(column), results.units.get(column, ""), number(s.mean),
+         f"{number(s.low)} to {number(s.high)}", *(number(s.quantiles[k]) for k in (1, 3, 5))]
         for column, entries in spreads.items()
-        if column != "full_difference_sigma"
+        if column != CHECKED
         for s in entries
     ]  # fmt: skip
     header = [*heads, "method", "statistic", "unit", "mean", "95 % interval", "5 %", "median", "95 %"]
     return Table(f"Statistics ({count(len(rows), 'row')})", header, rows, text_columns=len(heads) + 3)
-
-
-def _score_table(results: Results, scores: Sequence[Scores]) -> list[Block]:
-    """z-scores in figures."""
-    if not scores:
-        return []
-    heads, own = _settings(results)
-    rows = [
-        [
-            *own[s.cell], s.method, s.parameter, str(s.trials), style.fixed(s.mean, 3),
-            style.fixed(s.deviation, 3), f"{100 * s.coverage_95:.1f} %",
-        ]
-        for s in scores
-    ]  # fmt: skip
-    header = [*heads, "method", "parameter", "trials", "mean z", "sd of z", "coverage of 95 %"]
-    return [Table("z-scores of the parameters", header, rows, text_columns=len(heads) + 2)]

@@ -1,31 +1,48 @@
-"""What a report says of a diagnosis: the sentence first, then what carries it."""
+"""What a report says of a diagnosis: the sentence, what carries it, and the truth where one lies beside it."""
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.chances import p_text, two_sided
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
-from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Fact, Note, Section, Table, mood, picture
+from ltsim.errors import LtsimError
+from ltsim.notation import number, with_sigma
+from ltsim.pages import figures
+from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
 from ltsim.pages.residuals import Residuals
-from ltsim.pages.sections.calibration import residuals_before
-from ltsim.pages.sections.network import combined, residual_blocks, target_table
-from ltsim.pages.words import count, listing, typeset
+from ltsim.pages.sections.network import (
+    Pair,
+    adjusted_if_possible,
+    combined,
+    scene,
+    target_table,
+)
+from ltsim.pages.style import OBSERVABLE_UNIT, unit_text
+from ltsim.pages.words import count, listing, sentence
+from ltsim.pages.workshop import from_adjustment
 from ltsim.recording import Recording
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import check_source, companion, read_result
+from ltsim.simulation.physics import effect_from
+from ltsim.simulation.truth import AppliedEffect, Truth, read_truth
+from ltsim.units import FACTOR
 
+TRUTH = "truth.json"
 LEAST_UM = 0.1
 """What an effect hides below this [um] is no matter."""
+MOST_STEPS = 3
+"""Points from which a curve is drawn."""
 
 
-def diagnosis_section(folder: Path, recording: Recording | None = None) -> Section:
-    """The section of a folder with `diagnosis.json`.
+def diagnosis_section(folder: Path, recording: Recording | None = None, *, detail: Detail = "none") -> Section:
+    """The section of a folder with `diagnosis.json`; a truth beside it puts hidden and found side by side in front.
 
     Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
 
@@ -36,24 +53,44 @@ def diagnosis_section(folder: Path, recording: Recording | None = None) -> Secti
     """
     content = read_result(folder, DiagnosisFile)
     check_source(content, recording, folder)
-    before, after = _residuals(folder, content, recording)
-    blocks: list[Block] = []
-    for number, finding in enumerate(content.findings, start=1):
-        blocks += _finding(finding, number, before, after)
+    pair = adjusted_if_possible(recording)
+    before, after = _residuals(folder, content, pair)
+    truth = read_truth(folder / TRUTH) if (folder / TRUTH).is_file() else None
+    blocks: list[Block] = _beside_truth(content, truth, pair) if truth is not None and truth.effects else []
+    if pair is not None and detail == "turn" and blocks:
+        blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
+    for number_, finding in enumerate(content.findings, start=1):
+        blocks += _finding(finding, number_, pair, before, after)
+    shown = len(blocks)
     blocks += _fit(content)
-    if after is not None:
-        blocks += residual_blocks(after, before, what="the findings")
-    blocks += _instruments(content) + _limits(content) + _targets(folder, content)
-    title = (recording.setup.title if recording else "") or folder.name
-    return Section(title, "Diagnosis", typeset(content.summary), mood(_good(content)), _facts(content), blocks)
+    if after is not None and pair is not None:
+        text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
+        drawn = figures.residuals_by_covariate(after)
+        blocks.append(picture("Residuals against what they might depend on", drawn, text))
+    for entry in content.instruments:
+        name = f" of {entry.name}" if entry.name else ""
+        title = f"Constants{name}, with the findings modelled"
+        blocks += table_of(title, entry.parameters, "name=constant", "value")
+        blocks += combined(f"What the recording determines{name} in combination", entry.determined)
+    blocks += _limits(content)
+    blocks += target_table(companion(folder, TARGETS.file, content), note="Adjusted with the findings modelled.")
+    named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
+    answer = sentence(content.summary)
+    if truth is not None and truth.effects:
+        what = listing([f"{a.effect.name} ({_place_of(a.effect)})" for a in truth.effects])
+        answer = f"On purpose, {what} was hidden in this simulated recording. The diagnosis, not told of it: {answer}"
+    return Section(
+        f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
+        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown,
+        measured=(content.recording.measured if content.recording else "") or "",
+    )  # fmt: skip
 
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
     """Figures at a glance."""
     test = content.global_test
-    verdict = mood(_good(content))
+    verdict = mood(content.verdict == "consistent")
     facts = [
-        Fact("verdict", content.verdict, verdict),
         Fact("findings", str(len(content.findings)), verdict),
         Fact("global test, two-sided p", p_text(two_sided(test.p_value) if test.p_value and test.dof > 0 else None)),
     ]
@@ -61,107 +98,88 @@ def _facts(content: DiagnosisFile) -> list[Fact]:
         facts.append(Fact("whole search, p", p_text(test.search_p_value)))
     if content.fit is not None:
         before, after = content.fit.before, content.fit.after
-        facts.append(Fact("χ² per d.o.f.", f"{_ratio(before)} → {_ratio(after)}"))
-        if before.held_out_rms is not None and after.held_out_rms is not None:
-            better = mood(after.held_out_rms <= before.held_out_rms)
-            facts.append(Fact("held-out error", f"{before.held_out_rms:.3f} → {after.held_out_rms:.3f}", better))
+        facts.append(Fact("χ² per degree of freedom", f"{_ratio(before)} → {_ratio(after)}"))
     return facts
-
-
-def _good(content: DiagnosisFile) -> bool:
-    return content.verdict == "consistent"
 
 
 def _ratio(fit: Fit) -> str:
     return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else "–"
 
 
-def _residuals(
-    folder: Path, content: DiagnosisFile, recording: Recording | None
-) -> tuple[Residuals | None, Residuals | None]:
+def _residuals(folder: Path, content: DiagnosisFile, pair: Pair | None) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings; covariates come from the recording's geometry."""
-    file = companion(folder, RESIDUALS.file, content)
-    if file is None:
-        return None, None
-    stored = companion(folder, BEFORE.file, content)
-    before, geometry = residuals_before(stored, recording)
-    after = Residuals.read(file)
-    return (before if stored else None), (after.with_covariates(geometry) if geometry else after)
+    file, stored = (companion(folder, name, content) for name in (RESIDUALS.file, BEFORE.file))
+    geometry = Residuals.from_adjustment(pair[0]) if pair is not None else None
+    after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
+    return (before if after is not None else None), after
 
 
-def _finding(finding: Finding, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
-    """One finding: sentence, parameters, rivals, signature."""
+def _finding(
+    finding: Finding, number_: int, pair: Pair | None, before: Residuals | None, after: Residuals | None
+) -> list[Block]:
+    """One finding: its sentence, what carries it in a table, where it is, and what it does to the readings."""
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
-    words = typeset(finding.sentence) or f"{name} {_place(finding.where)}"
+    words = finding.sentence or f"{name} {_place(finding.where)}"
     cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
-    formula = f" Proposed term: {typeset(finding.formula)}." if finding.formula and new else ""
-    blocks: list[Block] = [Note(f"Finding {number}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
-    rows = [[p.name, style.with_unit(p.value, p.sigma, p.unit)] for p in finding.parameters]
-    rows.append(["where", _place(finding.where)])
+    formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
+    blocks: list[Block] = [Note(f"Finding {number_}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
+    figure = finding_figure(finding, before, after)
+    if figure is not None:
+        text = "Residuals without the finding (left) and with it modelled (right)."
+        if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
+            text = f"The {finding.carrier} over {finding.curve.covariate}, as it fits best."
+        blocks.append(picture(f"What finding {number_} does", figure, text))
+    blocks += _whereabouts(finding, number_, pair)
     evidence = finding.evidence
-    rows.append(["χ² falls by", f"{style.number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"])
-    rows.append(["p, corrected for the search", p_text(evidence.p_value)])
-    blocks.append(Table(f"Finding {number} in figures", ["", "value"], rows, text_columns=2))
-    rivals = [
-        figures.Candidate(finding.effect, evidence.probability, evidence.chi2_drop, evidence.parameters, "finding"),
-        *(figures.Candidate(e.effect, e.probability) for e in finding.equivalents),
+    rows = [[p.name.replace("_", " "), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
+    rows += [
+        ["where", _place(finding.where)],
+        ["χ² falls by", f"{number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"],
+        ["p, corrected for the search", p_text(evidence.p_value)],
+        ["probability", f"{100 * evidence.probability:.3g} %"],
+        *([f"instead {e.effect}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
     ]
-    text = "How probable each explanation is after the data, among those that were tried."
-    blocks.append(picture(f"Evidence for finding {number}", figures.evidence(rivals), text))
-    return blocks + _curve(finding, number, before) + _signature(finding, number, before, after)
+    return [*blocks, Table(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
 
 
-def _curve(finding: Finding, number: int, before: Residuals | None) -> list[Block]:
-    """What a carrier does over its driver, where a finding has a curve."""
+def finding_figure(finding: Finding, before: Residuals | None, after: Residuals | None) -> Figure | None:
+    """What a carrier does over its driver, where a finding has a curve; else the residuals without and with it.
+
+    None for what leaves no residual, such as gross errors.
+    """
     curve = finding.curve
-    if curve is None or len(curve.at) < MOST_STEPS:
-        return []
-    columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
-    figure = figures.driver_curve(
-        *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
-    )
-    text = f"What fits: the {finding.carrier} over {curve.covariate}, with its 95 % band."
-    if before is not None and finding.carrier in OBSERVABLES and curve.covariate in before.covariates:
-        text += " Dots: residuals without the finding."
-    return [picture(f"Curve of finding {number}", figure, text)]
-
-
-MOST_STEPS = 3
-"""Points from which a curve is drawn."""
-
-
-def _instruments(content: DiagnosisFile) -> list[Block]:
-    """Constants of each instrument, and the combinations of them that the recording determines."""
-    blocks: list[Block] = []
-    for entry in content.instruments:
-        name = f" of {entry.name}" if entry.name else ""
-        rows = [[p.name, style.with_unit(p.value, p.sigma, p.unit)] for p in entry.parameters]
-        title = f"Constants{name}, with the findings modelled"
-        blocks.append(Table(title, ["constant", "value"], rows, text_columns=2))
-        blocks += combined(f"What the recording determines{name} in combination", entry.determined)
-    return blocks
-
-
-def _signature(finding: Finding, number: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
-    """Residuals against the finding's first covariate, without and with it."""
+    if curve is not None and len(curve.at) >= MOST_STEPS:
+        columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
+        return figures.driver_curve(
+            *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
+        )
     if before is None or after is None:
-        return []
-    wanted = [*finding.where.covariates, "time", "elevation", "row"]
+        return None
+    where = finding.where
+    wanted = [*where.covariates, "time", "elevation", "row"]
     known = [name for name in wanted if name in before.covariates and name in after.covariates]
-    place = finding.where.stations, finding.where.targets
-    if not known or not before.at(*place).any() or not after.at(*place).any():  # gross errors leave no residual
-        return []
-    figure = figures.signature(
-        before,
-        after,
-        covariate=known[0],
-        observables=finding.where.observables,
-        stations=place[0],
-        targets=place[1],
+    place = where.stations, where.targets
+    if not known or not before.at(*place).any() or not after.at(*place).any():
+        return None
+    return figures.signature(
+        before, after, covariate=known[0], observables=where.observables, stations=place[0], targets=place[1]
     )
-    text = "Residuals without the finding (left) and with it modelled (right); the band is the running mean ± 2 s.e."
-    return [picture(f"Signature of finding {number}", figure, text)]
+
+
+def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
+    """Where it is, seen from above, for what concerns few stations or targets; of a swap who stands for whom."""
+    stations, targets = finding.where.stations, finding.where.targets
+    if pair is None or not targets or len(targets) > figures.MOST_MARKED:
+        return []
+    swapped = finding.effect == "target-swap" and len(targets) == 2
+    full = pair[1]
+    figure = figures.whereabouts(
+        full.recording.stations, full.state.position, full.recording.targets, full.state.points,
+        marked=(*stations, *targets), pairs=[(targets[0], targets[1])] if swapped else (),
+    )  # fmt: skip
+    text = "The red targets were booked for each other: each reading belongs to the other end of the arrow."
+    return [picture(f"Where finding {number_} is", figure, text if swapped else "Seen from above, in red.")]
 
 
 def _place(where: Where) -> str:
@@ -180,49 +198,98 @@ def _place(where: Where) -> str:
     return ", ".join(parts) or "everywhere"
 
 
+def _place_of(effect: Any) -> str:
+    return listing([*effect.stations, *effect.targets]) or "everywhere"
+
+
 def _fit(content: DiagnosisFile) -> list[Block]:
     """Fit before and after."""
     if content.fit is None:
         return []
-    rows = []
-    for word, fit in (("without the findings", content.fit.before), ("with the findings", content.fit.after)):
-        rows.append([word, style.fixed(fit.chi2, 1), str(fit.dof), _ratio(fit), style.fixed(fit.held_out_rms, 3)])
-    note = "Held-out error: normalised error of readings that the fit did not see; 1 is what the stated noise explains."
+    pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
+    rows = [[word, number(f.chi2, 4), str(f.dof), _ratio(f), number(f.held_out_rms)] for word, f in pair]
+    note = (
+        "Held-out error: error of readings that the fit did not see, over their stated noise. The findings were chosen "
+        "on all readings, so that its fall alone proves nothing."
+    )
     header = ["", "χ²", "degrees of freedom", "ratio", "held-out error"]
     return [Table("Fit before and after", header, rows, note=note)]
 
 
 def _limits(content: DiagnosisFile) -> list[Block]:
-    """What could not be seen at all, and how small the rest may be."""
-    blocks: list[Block] = []
-    if content.undetectable:
-        rows = [[u.effect, u.reason, u.cure, _hidden(u.hides_um)] for u in content.undetectable]
-        header = ["effect", "why it leaves no residual", "what would show it", "may hide"]
-        blocks.append(Table("What this network cannot see", header, rows, text_columns=3))
-    if content.detectable:
-        rows = [
-            [d.effect, d.parameter, "–" if d.size is None else f"{style.number(d.size, 2)} {style.unit_text(d.unit)}"]
-            for d in content.detectable
-        ]
-        note = (
-            "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
-            "large; to be named it may have to be larger."
-        )
-        blocks.append(Table("Smallest size that is found", ["effect", "parameter", "size"], rows, 2, note))
-    return blocks
-
-
-def _targets(folder: Path, content: DiagnosisFile) -> list[Block]:
-    """Coordinates with the findings modelled."""
-    file = companion(folder, TARGETS.file, content)
-    if file is None:
-        return []
-    names, points, sigma = read_targets(file)
-    return [target_table(names, points, sigma, note="Adjusted with the findings modelled.")]
+    """What could not be seen at all, worst first, and how small the rest may be."""
+    worst = sorted(content.undetectable, key=lambda u: -(u.hides_um or 0.0))
+    rows = [[u.effect, u.reason, u.cure, _hidden(u.hides_um)] for u in worst]
+    header = ["effect", "why it leaves no residual", "what would show it", "may hide"]
+    blocks: list[Block] = [Table("What this network cannot see", header, rows, text_columns=3)] if rows else []
+    note = (
+        "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
+        "large; to be named it may have to be larger."
+    )
+    title = "Smallest size that is found"
+    return blocks + table_of(title, content.detectable, "effect", "parameter", "size", note=note)
 
 
 def _hidden(size: float | None) -> str:
     """How far an effect may move targets unseen [um]."""
     if size is None:
         return "–"
-    return f"{style.number(size, 2)} µm" if size >= LEAST_UM else f"under {LEAST_UM:g} µm"
+    return f"{number(size, 2)} um" if size >= LEAST_UM else f"under {LEAST_UM:g} um"
+
+
+def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
+    """What was hidden in a simulated recording beside what its diagnosis found: as a curve and in numbers."""
+    named = {a.effect.name: a for a in truth.effects}
+    ordered = [named.get(f.effect) for f in content.findings]
+    ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
+    rows = [row for one, other in zip_longest(ordered, content.findings) for row in _pair_rows(one, other)]
+    note = "From truth.json, which the diagnosis does not open; found values ± one sigma."
+    table = Table("Hidden on purpose, and found", ["", "hidden", "found"], rows, 1, note)
+    return [*_curves(content, truth.effects[0], pair), table]
+
+
+def _pair_rows(hidden: AppliedEffect | None, found: Finding | None) -> list[list[str]]:
+    """Effect, place and values of one pair, constants of its shape among them."""
+    true: dict[str, tuple[float | None, str]] = {}
+    if hidden is not None:
+        sizes = zip(hidden.effect.parameters, hidden.values, strict=True)
+        true = {p.name: (value / p.factor, p.unit) for p, value in sizes}
+        true |= {s.name: (getattr(hidden.effect, s.name) / FACTOR[s.unit], s.unit) for s in hidden.effect.shape}
+    values = {} if found is None else {p.name: p for p in found.parameters}
+    where = [_place_of(x) if x else "–" for x in (hidden and hidden.effect, found and found.where)]
+    rows = [
+        ["effect", hidden.effect.name if hidden else "–", found.effect if found else "not found"],
+        ["where", *where],
+    ]
+    for name in dict.fromkeys([*true, *values]):
+        estimate = values.get(name)
+        value, unit = true.get(name, (None, estimate.unit if estimate else ""))
+        told = with_sigma(estimate.value, estimate.sigma) if estimate else "–"
+        rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), told])
+    return rows
+
+
+def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) -> list[Block]:
+    """What a hidden effect did to the readings, and what the finding of its name says that it did."""
+    found = next((f for f in content.findings if f.effect == hidden.effect.name), None)
+    if pair is None or found is None:
+        return []
+    told, sightings, own = {p.name: p.value for p in found.parameters}, pair[1].sightings, hidden.effect
+    try:
+        shape = {s.name: told[s.name] for s in own.shape if s.name in told}
+        effect = effect_from(own.name, {"stations": found.where.stations, "targets": found.where.targets}, shape)
+        values = np.array([told.get(p.name, 0.0) * p.factor for p in own.parameters])
+        true, fitted = own.shift(sightings, hidden.values), effect.shift(sightings, values)
+    except LtsimError:
+        return []
+    column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
+    rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
+    unit = OBSERVABLE_UNIT[observable]
+    figure = figures.hidden_and_found(
+        sightings.range_[rows] if "distance" in own.covariates else sightings.time[rows] / 60.0,
+        *(shift[rows, column] / FACTOR[unit] for shift in (true, fitted)),
+        axis="distance [m]" if "distance" in own.covariates else "time [min]",
+        label=f"change of the {observable} [{unit_text(unit)}]",
+    )
+    text = f"What {own.name} did to the {observable} readings ({_place_of(own)}), and what was found of it."
+    return [picture("Hidden and found", figure, text)]

@@ -3,71 +3,81 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats
-from ltsim.calibration.schema import CombinationEntry, DeterminedEntry
+from ltsim.calibration.files import read_targets
+from ltsim.calibration.schema import Combination, DeterminedEntry
+from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.model.construction import stated_construction
 from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Detail, Scene, Table, picture
+from ltsim.pages.document import Block, Detail, Scene, Table, picture, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.words import natural
 from ltsim.pages.workshop import Workshop
+from ltsim.recording import Recording
+
+Pair = tuple[Adjustment, Adjustment]
+"""The network without and with the instrument's parameters."""
+
+
+def adjusted(recording: Recording) -> Pair:
+    """The network without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
+    plain, full = adjust(recording), adjust(recording, stated_construction(recording))
+    plain.solution.require_success()
+    full.solution.require_success()
+    return plain, full
+
+
+def adjusted_if_possible(recording: Recording | None) -> Pair | None:
+    """The same; None where there is no recording, or it cannot be adjusted."""
+    try:
+        return adjusted(recording) if recording is not None else None
+    except (NetworkError, ConvergenceError):
+        return None
 
 
 def residual_blocks(after: Residuals, before: Residuals | None, *, what: str) -> list[Block]:
     """Residuals by station and against covariates; `what` names the difference between before and after."""
     compared = f" Grey: without {what}; blue: with." if before is not None else ""
-    blocks: list[Block] = [
-        picture(
-            "Residuals by station",
-            figures.residuals_by_station(after, before),
-            "Observed minus adjusted reading of every pointing; the bar is the root mean square." + compared,
-        )
-    ]
-    usual = [name for name in ("azimuth", "elevation", "distance", "time") if name in after.covariates]
-    if usual:
-        blocks.append(
-            picture(
-                "Residuals against what they might depend on",
-                figures.residuals_by_covariate(after, before, covariates=usual),
-                "Where the model holds, the running mean stays at zero within its band." + compared,
-            )
-        )
+    text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
+    drawn = figures.residuals_by_station(after, before)
+    blocks: list[Block] = [picture("Residuals by station", drawn, text + compared)]
+    if set(figures.USUAL) & set(after.covariates):
+        text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
+        drawn = figures.residuals_by_covariate(after)
+        blocks.append(picture("Residuals against what they might depend on", drawn, text))
     return blocks
 
 
 def workshop_blocks(workshop: Workshop, *, detail: Detail) -> list[Block]:
-    """The floor plan and the 3D view, as far as `detail` asks for them."""
+    """The 3D view and the floor plan, as far as `detail` asks for them."""
     if detail == "none":
         return []
-    return [
-        picture(
-            "Floor plan",
-            figures.floor_plan(workshop),
-            "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
-            "station hides it. " + " ".join(workshop.notes),
-        ),
-        scene(workshop, interactive=detail == "turn"),
-    ]
+    text = (
+        "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
+        "station hides it. "
+    )
+    plan = picture("Floor plan", figures.floor_plan(workshop), text + " ".join(workshop.notes))
+    return [scene(workshop), plan] if detail == "turn" else [plan]
 
 
-def scene(workshop: Workshop, *, interactive: bool) -> Scene:
-    """The 3D view; only an interactive one carries the page to turn."""
-    from ltsim.pages import scene3d  # pyvista takes a second to load, and only this needs it
-    from ltsim.pages.scene_page import scene_page
+def scene(workshop: Workshop) -> Scene:
+    """The 3D view, with the page to turn."""
+    from ltsim.pages.scene_page import picture_and_page  # pyvista takes a second to load, and only this needs it
 
     coloured = workshop.coloured("incidence")
-    png, legend = scene3d.picture_and_legend(coloured)
+    png, legend, page = picture_and_page(coloured)
     lines = "; ".join(line.rstrip(".") for line in legend.lines)
     by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
-    return Scene(
-        title="The workshop in 3D",
-        png=style.webp_uri(png),
-        caption=f"{lines[:1].upper()}{lines[1:]}.{by}",
-        page=scene_page(coloured) if interactive else "",
-    )
+    caption = f"{lines[:1].upper()}{lines[1:]}.{by}"
+    return Scene("The workshop in 3D", style.webp_uri(png), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[CombinationEntry], *, decimals: int, note: str = "") -> list[Block]:
+def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Table]:
     """Combinations of parameters that stay open, and the cure of each."""
     rows = [
         [
@@ -81,33 +91,31 @@ def undetermined(title: str, entries: Sequence[CombinationEntry], *, decimals: i
     return [Table(title, header, rows, text_columns=2, note=note)] if rows else []
 
 
-def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Block]:
+def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Table]:
     """Combinations of parameters that are known far better than each of them."""
-    rows = [
-        [f"{entry.terms} ({entry.instrument})" if entry.instrument else entry.terms,
-         style.with_unit(entry.value, entry.sigma, entry.unit)]
-        for entry in entries
-    ]  # fmt: skip
     note = "Together they are known far better than each of them."
-    return [Table(title, ["combination", "value"], rows, text_columns=2, note=note)] if rows else []
+    return table_of(title, entries, "terms=combination", "instrument", "value", note=note)
 
 
-def station_table(names: tuple[str, ...], position: Floats, sigma: Floats | None, *, note: str) -> Table:
-    """Positions (S, 3) [m] and their standard deviations."""
-    header = ["station", "x [mm]", "y [mm]", "z [mm]"]
-    rows = [[name, *(style.fixed(1e3 * v, 3) for v in place)] for name, place in zip(names, position, strict=True)]
-    if sigma is not None:
-        header += ["σx [µm]", "σy [µm]", "σz [µm]"]
-        rows = [row + [style.number(1e6 * s, 2) for s in spread] for row, spread in zip(rows, sigma, strict=True)]
-    return Table("Stations", header, rows, note=note)
-
-
-def target_table(names: tuple[str, ...], points: Floats, sigma: Floats, *, note: str) -> Table:
-    """Coordinates (T, 3) [m] and their standard deviations."""
+def target_table(file: Path | None, *, note: str) -> list[Table]:
+    """Coordinates of a `targets.csv` with their expanded uncertainty; none where there is no such file."""
+    if file is None:
+        return []
+    names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural(names[i]))
     rows = [
-        [names[i], *(style.fixed(1e3 * v, 4) for v in points[i]), *(style.number(1e6 * s, 2) for s in sigma[i])]
+        [names[i], *(style.fixed(1e3 * v, 4) for v in points[i]), *(style.number(2e6 * s, 2) for s in sigma[i])]
         for i in order
     ]
-    header = ["target", "x [mm]", "y [mm]", "z [mm]", "σx [µm]", "σy [µm]", "σz [µm]"]
-    return Table("Targets", header, rows, note=note)
+    header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [µm]", "U y [µm]", "U z [µm]"]
+    return [Table("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
+
+
+def targets_in_words(sigma: Floats) -> str:
+    """How well targets are known, from their standard deviations (T, 3) [m]."""
+    known = np.sqrt((sigma**2).sum(axis=1))
+    known = np.sort(known[np.isfinite(known)])
+    if not len(known):
+        return ""
+    typical, worst = (style.number(2e6 * s, 2) for s in (np.median(known), known[-1]))
+    return f"A target is known to U = {typical} um (k = 2) in space, the worst to {worst} um."

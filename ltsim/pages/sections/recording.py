@@ -6,19 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
 from ltsim.chances import p_text, two_sided
 from ltsim.errors import ConvergenceError, NetworkError
-from ltsim.model.construction import stated_construction
-from ltsim.pages import figures
-from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Section, Table, picture
+from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Section, Table, mood
 from ltsim.pages.residuals import Residuals
-from ltsim.pages.sections.network import residual_blocks, workshop_blocks
+from ltsim.pages.sections.network import adjusted, residual_blocks, workshop_blocks
 from ltsim.pages.words import agreement, count, duration
 from ltsim.pages.workshop import from_adjustment
 from ltsim.recording import Recording, read
-from ltsim.recording.setup import Limits
-from ltsim.units import DEGREE
 
 
 def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = False) -> Section:
@@ -30,43 +25,33 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         When the recording cannot be read.
     """
     recording = read(folder)
-    title = recording.setup.title or folder.name
-    facts = _facts(recording)
-    settings = _settings(folder)
+    title = f"Recording: {recording.setup.title}" if recording.setup.title else "Recording of a tracker network"
+    facts = [
+        Fact("stations", str(len(recording.stations))),
+        Fact("targets", str(len(recording.targets))),
+        Fact("pointings", str(len(recording))),
+        Fact("known lengths", str(len(recording.gauge.distance))),
+    ]
+    last: list[Block] = [_table(recording), _settings(folder)]
     try:
         plain, full = adjusted(recording)
     except (NetworkError, ConvergenceError) as problem:
         answer = f"{_contents(recording)} The network could not be adjusted: {problem}."
-        return Section(title, "Recording", answer, "bad", facts, [_table(recording), *settings])
+        return Section(title, "Recording", answer, "bad", facts, last)
     agrees, words = agreement(full.chi2, full.dof, full.p_value)
     outliers = full.outliers()
     found = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
-    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
     facts += [
-        Fact("χ² per degree of freedom", f"{full.chi2 / max(full.dof, 1):.3f}", "good" if agrees else "bad"),
-        Fact("p, two-sided", p_text(two_sided(full.p_value)), "good" if agrees else "bad"),
+        Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
+        Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
         Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
-    before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
-    blocks: list[Block] = workshop_blocks(from_adjustment(full, plain=plain), detail=detail)
-    blocks.append(_sky(recording, full))
-    blocks += [] if brief else residual_blocks(after, before, what="the instrument's parameters")
-    blocks += [_table(recording), *settings]
-    return Section(title, "Recording", answer, "good" if agrees and not outliers else "bad", facts, blocks)
-
-
-def adjusted(recording: Recording) -> tuple[Adjustment, Adjustment]:
-    """The network without and with the instrument's parameters.
-
-    Raises
-    ------
-    NetworkError, ConvergenceError
-        When it cannot be adjusted.
-    """
-    plain, full = adjust(recording), adjust(recording, stated_construction(recording))
-    plain.solution.require_success()
-    full.solution.require_success()
-    return plain, full
+    blocks = workshop_blocks(from_adjustment(full, plain=plain), detail=detail)
+    if not brief:
+        before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
+        last = [*residual_blocks(after, before, what="the instrument's parameters"), *last]
+    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
+    return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
 
 
 def _contents(recording: Recording) -> str:
@@ -79,58 +64,21 @@ def _contents(recording: Recording) -> str:
     )
 
 
-def _facts(recording: Recording) -> list[Fact]:
-    """Sizes at a glance."""
-    return [
-        Fact("stations", str(len(recording.stations))),
-        Fact("targets", str(len(recording.targets))),
-        Fact("pointings", str(len(recording))),
-        Fact("known lengths", str(len(recording.gauge.distance))),
-    ]
-
-
-def _sky(recording: Recording, adjustment: Adjustment) -> Block:
-    """Where the stations look."""
-    instrument = next(iter(recording.setup.instruments.values()), recording.setup.instrument)
-    limits = instrument.limits or Limits()
-    figure = figures.sky(
-        recording.stations,
-        recording.station,
-        adjustment.sightings.azimuth,
-        adjustment.sightings.elevation,
-        recording.face,
-        limits=(limits.elevation_min_deg * DEGREE, limits.elevation_max_deg * DEGREE),
-    )
-    return picture(
-        "Where each station looks", figure, "Azimuth and elevation of every pointing in the station's own frame."
-    )
-
-
 def _table(recording: Recording) -> Table:
     """One row a station."""
     rows = []
     for s, name in enumerate(recording.stations):
         here = recording.station == s
-        measured = recording.measured[here]
-        missing = int((~measured).sum())
-        begin = recording.time[here].min()
-        rows.append(
-            [
-                name,
-                str(here.sum()),
-                str(len(set(recording.target[here].tolist()))),
-                str(len(set(recording.face[here].tolist()))),
-                str(missing),
-                duration(float(begin)) if recording.has_clock else "–",
-            ]
-        )
+        sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
+        begin = duration(float(recording.time[here].min())) if recording.has_clock else "–"
+        rows.append([name, *map(str, sizes), str((~recording.measured[here]).sum()), begin])
     header = ["station", "pointings", "targets", "faces", "missing readings", "starts at"]
     return Table("Work of each station", header, rows)
 
 
-def _settings(folder: Path) -> list[Block]:
+def _settings(folder: Path) -> Block:
     """The set-up file as it stands."""
     file = folder / "setup.toml"
     if not file.is_file():
-        return [Note("", "There is no set-up file: the default noise and priors were used.")]
-    return [Listing("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))]
+        return Note("Set-up", "There is no set-up file: the default noise and priors were used.")
+    return Listing("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))

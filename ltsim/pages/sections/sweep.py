@@ -12,6 +12,7 @@ from ltsim.campaigns.design import Factor
 from ltsim.campaigns.statistics import Results, Spread
 from ltsim.pages import figures
 from ltsim.pages.figures.by_factor import MOST_LINES, MOST_PANELS
+from ltsim.pages.words import typeset
 from ltsim.units import BY_ENDING
 
 Key = tuple[Any, ...]
@@ -20,7 +21,7 @@ Key = tuple[Any, ...]
 def title(factor: Factor) -> str:
     """A factor as an axis calls it: `angle noise [arcsec]`."""
     plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
-    unit = {"um": "µm"}.get(factor.unit, factor.unit)
+    unit = typeset(factor.unit)
     return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
@@ -84,8 +85,11 @@ def _list(results: Results, spreads: Sequence[Spread], label: str, published: fl
     rows = [
         figures.Mean(names[s.cell], s.method, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]) for s in spreads
     ]
-    text = "Thick: mean with its 95 % confidence interval; thin: the middle 90 % of the trials."
-    return text, figures.by_setting(rows, label=label, published=published)
+    return _several(results), figures.by_setting(rows, label=label, published=published)
+
+
+def _several(results: Results) -> str:
+    return f"Over {results.manifest.trials} trials a setting."
 
 
 def _lines(
@@ -97,15 +101,13 @@ def _lines(
         level = results.levels[s.cell]
         line = short(across, level[across.name]) if across else s.method
         rows.append(_swept(s, _place(along, level), line, ", ".join(short(f, level[f.name]) for f in panels)))
-    text = "Marks: means with their 95 % confidence intervals; shade: the middle 90 % of the trials."
-    if along.kind not in ("number", "integer"):
-        text = "Marks: means with their 95 % confidence intervals."
     names = list(dict.fromkeys(row.panel for row in rows))
     for first in range(0, len(names), MOST_PANELS):
         shown = names[first : first + MOST_PANELS]
         part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
         chosen = [row for row in rows if row.panel in shown]
-        yield text + part, figures.by_factor(chosen, label=label, axis=title(along), published=published)
+        figure = figures.by_factor(chosen, label=label, axis=title(along), published=published)
+        yield _several(results) + part, figure
 
 
 def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
@@ -136,5 +138,5 @@ def _clouds(
         for factor in factors
         for s in spreads
     ]
-    text = "Each mark is one setting: the mean over its trials with its 95 % confidence interval, against each factor."
+    text = "Each mark is one setting, against each factor. " + _several(results)
     return text, figures.by_factor(rows, label=label, axis="", published=published, joined=False)

@@ -1,11 +1,19 @@
 "use strict";
-for (const scene of document.querySelectorAll(".scene")) {
-  const release = () => scene.classList.remove("live");
-  scene.querySelector(".leave").addEventListener("click", release);
-  scene.querySelector(".take").addEventListener("click", () => scene.classList.add("live"));
-  scene.addEventListener("pointerleave", (event) => { if (event.pointerType === "mouse") release(); });
-  document.addEventListener("keydown", (event) => { if (event.key === "Escape") release(); });
-  document.addEventListener("pointerdown", (event) => { if (!scene.contains(event.target)) release(); });
+const unpacked = async (text) => {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+};
+for (const button of document.querySelectorAll(".scene button")) {
+  const scene = button.parentElement, packed = scene.querySelector("script").textContent;
+  button.addEventListener("click", async () => {
+    const open = scene.querySelector("iframe");
+    button.textContent = open ? "Turn it" : "Done";
+    if (open) return open.remove();
+    const frame = document.createElement("iframe");
+    frame.title = "The workshop in 3D";
+    frame.srcdoc = await unpacked(packed);
+    scene.append(frame);
+  });
 }
 addEventListener("beforeprint", () => {
   for (const folded of document.querySelectorAll("details:not(.listing, .endless, [open])")) {

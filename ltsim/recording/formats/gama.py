@@ -12,7 +12,7 @@ axes is made right-handed by turning y over, which a note says.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -28,11 +28,11 @@ from ltsim.recording.formats.xml import attribute, line_of, parse, tag, value_of
 from ltsim.recording.merge import Merged, Observed, merged
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Gauge, GaugeDistance, Instrument, Noise, Setup, Station, Target
-from ltsim.units import ARCSECOND, DEGREE, GON, MILLIMETRE
+from ltsim.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
 
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 FIXED_MM = 1e-4
-CC = GON * 1e-4
+CC = FACTOR["cc"]
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 CORRELATIONS = "correlations of observations are left out: of a <cov-mat> the diagonal is used"
@@ -144,7 +144,8 @@ def _read_point(element: Element, network: _Network) -> None:
     if any(axis not in point["values"] for axis in fixed.lower()):
         raise RecordError(f"point {name} is fixed without all its coordinates", file=file)
     point["fixed"] = "".join(sorted({*point.get("fixed", ""), *fixed.lower()}))
-    point["datum"] = point.get("datum", False) or any(letter.isupper() for letter in adjusted)
+    point["datum"] = point.get("datum", "") + "".join(letter.lower() for letter in adjusted if letter.isupper())
+    point["active"] = "".join(axis for axis in "xyz" if axis in (point.get("active", "") + fixed + adjusted).lower())
 
 
 def _read_coordinates(element: Element, network: _Network) -> None:
@@ -281,7 +282,29 @@ def _read_angle(child: Element, block: Element, sigma: float, network: _Network)
         network.observed.append(Observed("azimuth", station, target, turned, stated, line=line_of(child)))
 
 
+def _in_plan(network: _Network) -> None:
+    """Leave out what concerns heights that are neither fixed nor adjusted, and hold those heights, as Gama does."""
+    flat = {name for name, point in network.targets.items() if point.get("active") == "xy"}
+    if not flat:
+        return
+    kept = []
+    for o in network.observed:
+        in_plan = bool({network.over[o.station], o.target} & flat)
+        if in_plan and not (o.kind == "azimuth" or o.horizontal):
+            continue
+        kept.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
+    for name in flat:
+        network.targets[name]["values"].setdefault("z", 0.0)
+        network.targets[name]["held"] = True
+    network.notes.append(
+        f'{len(flat)} points are adjusted in plan only (adj="xy"): their heights are held and mean nothing, and '
+        f"{len(network.observed) - len(kept)} observations that need heights are left out, as Gama does"
+    )
+    network.observed = kept
+
+
 def _finished(network: _Network, title: str) -> Recording:
+    _in_plan(network)
     gauge, observed = _lengths(network)
     together = merged(observed, network.file.name)
     for what, count in network.left_out.items():
@@ -336,15 +359,17 @@ def _coordinates(point: dict[str, Any]) -> tuple[float, float, float] | None:
 
 def _target(name: str, network: _Network, together: Merged) -> Target:
     point = network.targets.get(name, {})
-    values, fixed = point.get("values", {}), point.get("fixed", "")
+    values, fixed = point.get("values", {}), point.get("fixed", "") + "z" * point.get("held", False)
     known = tuple(round(values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz") if fixed else None
+    datum = "".join(axis for axis in "xyz" if axis in point.get("datum", ""))
     return Target(
         known_mm=known,
         known_axes=fixed or "xyz",
         known_sigma_mm=point.get("sigma", FIXED_MM) if fixed else Target().known_sigma_mm,
         known_covariance_mm2=point.get("covariance") if fixed else None,
         approximate_mm=None if fixed == "xyz" else _coordinates(point),
-        datum=point.get("datum", False),
+        datum=bool(datum),
+        datum_axes=datum or "xyz",  # type: ignore[arg-type]
         height_mm=together.target_heights.get(name, 0.0),
     )
 

@@ -31,6 +31,7 @@ WORDS = {
     "targetid id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
+    "round": "round obsset satz setnumber satznummer",
     "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
     "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
@@ -87,7 +88,7 @@ class Column:
     @property
     def is_further(self) -> bool:
         """Whether it is kept beside the pointing: what has a name and is no part of it."""
-        return bool(self.title) and (not self.role or "_" in self.role)
+        return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
 
 def columns_of(fields: Sequence[str]) -> list[Column]:

@@ -22,6 +22,7 @@ from ltsim.recording.tables.meaning import Meaning, meaning_of
 from ltsim.recording.tables.names import common_names
 from ltsim.recording.tables.places import is_of_places, readings_of_places
 from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
+from ltsim.recording.tables.setups import over_marks, split_rounds
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, Row, is_folder, separator_of, sheets_of, split
 from ltsim.units import FACTOR, ratio
 
@@ -59,6 +60,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     else:
         meaning = meaning_of(table, setup, hints, path)
         readings, sigmas = np.array([meaning.readings(p) for p in table.pointings]), None
+    rounds = split_rounds(table, readings)
+    setup, over = over_marks(table, setup)
     faces, reduced = _faces(table, readings)
     times, started, timed = _times(table, hints, path)
     if started and not setup.started:
@@ -79,7 +82,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
         pointings.append(
             Pointing(p.station, target, face, distance, azimuth, elevation, times[i], covariates, labels, source)
         )
-    said = [*table.notes, *named, *meaning.notes, *reduced, *timed, *kept, *_left_out(table), *notes]
+    said = [*table.notes, *named, *meaning.notes, *rounds, *over, *reduced, *timed, *kept, *_left_out(table), *notes]
     return recording_of(pointings, setup, notes=said, file=path)
 
 
@@ -144,7 +147,7 @@ def _further(table: Table, meaning: Meaning) -> tuple[list[Further], list[str]]:
     """
     columns = [c for c in table.columns if c.is_further]
     numeric = {c.title: number for c in columns if (number := _factor(c, table.pointings, meaning)) is not None}
-    names = {c.title: c.role if c.role and c.title in numeric else c.title for c in columns}
+    names = {c.title: c.role if "_" in c.role and c.title in numeric else c.title for c in columns}
     found: list[Further] = []
     for p in table.pointings:
         values = {names[t]: _number(p, t) * factor for t, factor in numeric.items() if t in p.further}

@@ -44,6 +44,8 @@ class Printed:
     moment: str = ""
     further: dict[str, str] = field(default_factory=dict)
     grouping: str = ""
+    round: str = ""
+    """Which round of its station it belongs to: a number, perhaps with a day."""
 
 
 @dataclass
@@ -55,6 +57,8 @@ class Table:
     left_out: list[str] = field(default_factory=list)
     nameless: bool = False
     positional: bool = False
+    marks: dict[str, str] = field(default_factory=dict)
+    """Name of the mark under each set-up whose own name differs from it."""
     notes: list[str] = field(default_factory=list)
 
     def column(self, kind: Sequence[str]) -> Column | None:
@@ -221,6 +225,7 @@ class _SheetReader:
             moment=" ".join(filter(None, (text("date"), text("time")))),
             further={title: check_text(said, file=file, row=row.line) for title, said in further.items()},
             grouping=self.sheet.grouping,
+            round=" ".join(filter(None, (text("date"), text("round")))),
         )
 
     def _number(self, text: str, column: Column, row: Row) -> Decimal:

@@ -1,0 +1,70 @@
+"""Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
+
+python -m experiments 21                  rounds 1 and 2: diagnosed today, both against the truth
+python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3, its truth sealed
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+from experiments.common import ROOT, Made, Options, spread_out
+from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.files import targets_csv
+from ltsim.recording import read
+from ltsim.recording.files import write_text, write_texts
+
+from .score import answers_of, markdown, scored
+
+SHARED = ROOT.parent / "shared" / "concealed"
+COMMITTED = ROOT / "results" / "concealed"
+"""What was told while the truth was sealed; never written again."""
+TODAY = ROOT / "build" / "concealed-rounds"
+OPEN, SEALED = ("round-1", "round-2"), "round-3"
+
+
+def examine(folder: Path, out: Path) -> None:
+    """Diagnose one recording with default settings, and write it down."""
+    found = diagnose(read(folder))
+    diagnosis = json.dumps(found.to_json(), allow_nan=False) + "\n"
+    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": targets_csv(found)})
+
+
+def recordings_of(name: str) -> list[Path]:
+    """The recordings of a round, which are no part of the project."""
+    folder = SHARED if name == "round-1" else SHARED / name
+    found = sorted(f for f in folder.glob("[A-Z][0-9][0-9]") if (f / "observations.csv").is_file())
+    if not found:
+        sys.exit(f"{folder} is not there: these recordings are no part of the project")
+    return found
+
+
+def run(given: Options) -> Made:
+    """Diagnose what was asked for, and score whatever has an open truth."""
+    if SEALED in given.words:
+        out = COMMITTED / SEALED if given.out == ROOT / "results" / given.out.name else given.out / SEALED
+        if any(out.glob("*/diagnosis.json")):
+            sys.exit(f"{out} holds diagnoses already: a sealed round is diagnosed once")
+        spread_out(examine, [(folder, out) for folder in recordings_of(SEALED)], given.jobs)
+        return Made(seed=0, folder=out, more={"note": "Diagnosed once, with default settings, its truth sealed."})
+    names = given.words or OPEN
+    for name in names:
+        if name not in OPEN:
+            sys.exit(f"there is no round '{name}'; there are {', '.join((*OPEN, SEALED))}")
+        folders = recordings_of(name)
+        shutil.rmtree(TODAY / name, ignore_errors=True)
+        spread_out(examine, [(folder, TODAY / name) for folder in folders], given.jobs)
+        score_round(name, given.out)
+    return Made(seed=0)
+
+
+def score_round(name: str, out: Path) -> None:
+    """A table of one round: as committed, and of today."""
+    truth = json.loads((SHARED / f"{name}-truth.json").read_text(encoding="utf-8"))
+    sets = {"as committed, sealed": answers_of(COMMITTED / name), "today, truth open": answers_of(TODAY / name)}
+    rows = {said: [scored(n, truth[n], answers[n]) for n in sorted(truth)] for said, answers in sets.items()}
+    head = f"# Concealed recordings, {name}, against their truth\n\n    python -m experiments 21 {name}\n\n"
+    write_text(out / f"{name}.md", head + markdown(rows))

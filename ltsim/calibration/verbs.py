@@ -1,0 +1,356 @@
+"""From a recording to its network: adjustment, calibration, and what calibration is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from ltsim.calibration import (
+    Calibration,
+    adjust_network,
+    calibrate_distance,
+    calibrate_network,
+    correct as corrected_by,
+    read_calibration,
+)
+from ltsim.calibration.beside import Wanted
+from ltsim.calibration.choice import Choice
+from ltsim.calibration.history import History
+from ltsim.calibration.known import Known
+from ltsim.calibration.result import gross_rows
+from ltsim.effects.effect import Effect
+from ltsim.effects.made import effect_from, names
+from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
+from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
+from ltsim.laws.words import read_law
+from ltsim.model.construction import Construction, built_construction
+from ltsim.recording import Recording
+from ltsim.recording.exchange import RecordingSource, read, recording_of
+
+METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
+NO_PRIOR = "none"
+CalibrationSource = Calibration | str | Path
+"""A calibration, its file, or the folder that holds it."""
+
+
+def adjust(
+    recording: RecordingSource,
+    *,
+    robust: bool = False,
+    noise_from_data: bool = False,
+    datum: str | Sequence[str] | None = None,
+) -> Calibration:
+    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    robust : bool
+        Leave out readings that do not belong, each tested again at the end.
+    noise_from_data : bool
+        Estimate the noise of each observable and instrument from the residuals.
+    datum : str or sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
+
+    Returns
+    -------
+    Calibration
+        Without instrument parameters.
+
+    Raises
+    ------
+    NetworkError
+        When the network cannot be solved; the message names stations or targets.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.adjust(recording).to_dataframe("targets").shape
+    (28, 7)
+    """
+    held = None if datum is None else names(datum)
+    return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=held)
+
+
+def calibrate(
+    recording: RecordingSource,
+    *,
+    method: str = "network",
+    construction: str | Construction | None = None,
+    robust: bool = False,
+    noise_from_data: bool = False,
+    datum: str | Sequence[str] | None = None,
+    parameters: str | Sequence[str] | None = None,
+    without: str | Sequence[str] = (),
+    hold: Mapping[str, float] | None = None,
+    prior: CalibrationSource | History | None = None,
+    harmonics: int | None = None,
+    degree: int | None = None,
+    box: float | None = None,
+    with_effects: str | Effect | Sequence[str | Effect] = (),
+    advise: bool = True,
+) -> Calibration:
+    """Find the instrument's parameters from a recording, with uncertainty, and what it cannot tell.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    method : str
+        `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective over what the readings
+        determine, least squares or least absolute deviations), `equation-9` or `equation-9-l1` (its own minimum).
+    construction : str or Construction, optional
+        `misalignment` (source in the head, 16 parameters), `steering-mirror` (21) or `dh` (the paper's
+        Denavit-Hartenberg chain, 78); by default what the set-up states.
+    robust, noise_from_data, datum
+        As of `adjust`; with method `network` only.
+    parameters : str or sequence of str, optional
+        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`); with
+        ``@NAME`` those of one instrument. The others are held at zero.
+    without : str or sequence of str
+        Parameters to hold at zero.
+    hold : mapping of str to float, optional
+        Parameters to hold at a value, in the parameter's unit.
+    prior : Calibration, History, str or Path, optional
+        What earlier calibrations found, with its covariance, as the prior, or `"none"`: nothing is known beforehand,
+        and what is applied is chosen by the readings alone. Method `network` only.
+    harmonics, degree : int, optional
+        Orders of a D-H chain's error functions; 2 by default.
+    box : float, optional
+        Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
+    with_effects : str, Effect or sequence of them
+        Effects to estimate too: objects (`lt.Effect(...)`, or of a class of your own), or in words, `NAME` or
+        `NAME:WHERE,...`, with stations, targets, and constants as `law=visit` in the effect's units. What is not said,
+        the readings choose. Or laws in the words of a diagnosis,
+        `CARRIER ~ DRIVER` or `CARRIER ~ DRIVER:WHERE,...`. Method `network` only.
+    advise : bool
+        Say which further measurements would determine what is not determined.
+
+    Raises
+    ------
+    ModelError
+        When a method or construction does not exist, or an option does not go with the method.
+    NetworkError
+        When the network cannot be solved.
+    ConvergenceError
+        When the adjustment does not converge.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, truth = lt.simulate("paper-workshop", seed=7)
+    >>> found = lt.calibrate(recording)
+    >>> found.fit.dof, found.fit.status
+    (318, 'converged')
+    >>> found.to_dataframe("parameters").columns.tolist()
+    ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
+    """
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    if isinstance(construction, Construction):
+        if harmonics is not None or degree is not None:
+            raise ModelError("harmonics and degree go with a construction's name: this one is built already")
+        built: Construction | None = construction
+    else:
+        built = _named_construction(construction, harmonics, degree)
+    free = isinstance(prior, str) and prior == NO_PRIOR
+    known = None if prior is None or free else Known.of(prior)
+    chosen = None if parameters is None else names(parameters)
+    choice = Choice(chosen, names(without), dict(hold or {}), known, free)
+    held = None if datum is None else names(datum)
+    options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
+    effects = (with_effects,) if isinstance(with_effects, str | Effect) else tuple(with_effects)
+    if box is not None and not method.startswith("equation-9"):
+        raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
+    seen = recording_of(recording)
+    if method == "network":
+        beside = [wanted(asked, seen) for asked in effects]
+        return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
+    if any(options.values()) or prior is not None or effects:
+        listed = "robust, noise_from_data, datum, prior and with_effects"
+        raise ModelError(f"{listed} go with the method network, not {method}")
+    return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
+
+
+def wanted(asked: str | Effect, recording: Recording) -> Wanted:
+    """An effect, what it has by default being left to the readings, or one in words."""
+    if isinstance(asked, str):
+        return _in_words(asked, recording)
+    stated = {f.name for f in fields(asked) if getattr(asked, f.name) != f.default}
+    return Wanted(asked, frozenset(stated))
+
+
+def _in_words(text: str, recording: Recording) -> Wanted:
+    """An effect as a person asks for it, `NAME` or `NAME:WHERE,...` with stations, targets and constants; or a law."""
+    name, _, rest = text.partition(":")
+    carrier, is_law, driver = name.partition("~")
+    places: dict[str, tuple[str, ...]] = {"stations": (), "targets": ()}
+    constants: dict[str, Any] = {}
+    for item in filter(None, (part.strip() for part in rest.split(","))):
+        key, is_constant, value = item.partition("=")
+        if is_constant:
+            try:
+                constants[key.strip()] = float(value)
+            except ValueError:
+                constants[key.strip()] = value.strip()
+        elif item in recording.stations or item in recording.targets:
+            places["stations" if item in recording.stations else "targets"] += (item,)
+        else:
+            known = ", ".join(recording.stations)
+            raise ModelError(f"'{text}': '{item}' is no station ({known}), no target, and no CONSTANT=VALUE")
+    if is_law and constants:
+        raise ModelError(f"'{text}': a law has no constants but those in its words")
+    if is_law:
+        return Wanted(read_law(carrier.strip(), driver.strip(), recording, **places))
+    stated = {kind for kind, named in places.items() if named} | set(constants)
+    return Wanted(effect_from(name.strip(), places, constants), frozenset(stated))
+
+
+def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
+    """The construction of a name; None for what the set-up states."""
+    if name is not None:
+        return built_construction(name, harmonics, degree)
+    if harmonics is not None or degree is not None:
+        raise ModelError("harmonics and degree go with the construction dh")
+    return None
+
+
+def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
+    """The recording that an ideal tracker would have made, by a calibration of the instrument.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    calibration : Calibration, str or Path
+    again : bool
+        Correct readings too that the set-up says are corrected.
+
+    Raises
+    ------
+    RecordError
+        When the calibration does not know the recording's instrument, or a file is malformed.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> corrected = lt.correct(recording, lt.calibrate(recording))
+    >>> len(corrected)
+    140
+    """
+    return corrected_by(recording_of(recording), calibration_of(calibration), again=again)
+
+
+def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:
+    """How far the stations disagree about distances and coordinates, before and after a calibration.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    calibration : Calibration, str or Path, optional
+        Without it there is no "after".
+
+    Raises
+    ------
+    NetworkError
+        When fewer than two stations share targets.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> criteria = lt.evaluate(recording, lt.calibrate(recording))
+    >>> criteria.distance.improvement_percent > 10
+    True
+    """
+    seen = recording_of(recording)
+    use = ~gross_rows(seen)
+    if calibration is None:
+        return criteria_of(seen, use=use)
+    found = calibration_of(calibration)
+    return criteria_of(seen, found.construction, found.values_for(seen), use=use)
+
+
+def verify(recording: RecordingSource, nominal: str | Path, calibration: CalibrationSource) -> Criteria:
+    """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    nominal : str or Path
+        Table ``target,x_mm,y_mm,z_mm`` of a measuring machine.
+    calibration : Calibration, str or Path
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> from pathlib import Path
+    >>> from ltsim.simulation.truth import nominal_csv
+    >>> found = lt.calibrate(lt.simulate("paper-workshop", seed=7).recording)
+    >>> laboratory, truth = lt.simulate("paper-laboratory", seed=7)
+    >>> _ = Path("cmm.csv").write_text(nominal_csv(truth))
+    >>> lt.verify(laboratory, "cmm.csv", found).to_dataframe()["criterion"].tolist()
+    ['distance', 'coordinate']
+    """
+    seen, found = recording_of(recording), calibration_of(calibration)
+    return verified(seen, read_nominal(Path(nominal)), found.construction, found.values_for(seen))
+
+
+def history(
+    sources: Iterable[RecordingSource | Calibration],
+    *,
+    instrument: str | None = None,
+    dates: str | Sequence[str] | None = None,
+    **options: Any,
+) -> History:
+    """Follow one instrument over calibrations in the order of time: course, spread, and what has changed.
+
+    Parameters
+    ----------
+    sources : iterable of Calibration, Recording, str or Path
+        A recording is calibrated first, with `options` of `calibrate`.
+    instrument : str, optional
+        Which, where a calibration holds several.
+    dates : sequence of str, optional
+        When each was measured, in ISO form; default what their recordings state.
+
+    Raises
+    ------
+    RecordError
+        When there are fewer than two, or they do not belong to one instrument.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> spring, autumn = (lt.simulate("paper-workshop", seed=s).recording for s in (1, 2))
+    >>> course = lt.history([spring, autumn])
+    >>> course.change(0, 1).joint.dof > 0
+    True
+    """
+    named = [_labelled(number, source, options) for number, source in enumerate(sources, start=1)]
+    return History.of(named, instrument, None if dates is None else names(dates))
+
+
+def _labelled(number: int, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:
+    """A calibration under the name of its file, or its number."""
+    if isinstance(source, Calibration):
+        return str(number), source
+    if isinstance(source, Recording):
+        label, recording = str(number), source
+    else:
+        path = Path(source)
+        label = path.stem
+        if path.suffix == ".json" or (path / "calibration.json").is_file():
+            return label, read_calibration(path)
+        recording = read(path)
+    try:
+        return label, calibrate(recording, advise=False, **options)
+    except LtsimError as problem:
+        raise RecordError(f"{label} cannot be calibrated: {problem}") from None
+
+
+def calibration_of(source: CalibrationSource) -> Calibration:
+    """The calibration itself, read where a path was given."""
+    return source if isinstance(source, Calibration) else read_calibration(Path(source))

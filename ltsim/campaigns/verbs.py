@@ -1,0 +1,104 @@
+"""Many trials over a grid of settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from ltsim.campaigns import require_packages
+from ltsim.errors import SetupError
+from ltsim.recording.settings import to_toml
+
+if TYPE_CHECKING:
+    from ltsim.campaigns.statistics import Results
+
+
+def campaign(
+    source: str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    jobs: int = 1,
+    resume: bool = False,
+    force: bool = False,
+    changes: Mapping[str, Any] | None = None,
+) -> Results:
+    """Simulate, calibrate and judge many trials; the rows are kept in a folder whatever stops it.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        A campaign file (ltsim-campaign/1), its tables, or the folder of a campaign that has run.
+    out : str or Path, optional
+        Folder for the rows; default the file's name without its ending. Needed where `source` is a mapping.
+    jobs : int
+        Processes; the rows do not depend on it.
+    resume : bool
+        Continue what the folder holds; where the file has further levels, trials or statistics by now, only what is
+        missing is done.
+    force : bool
+        Begin anew in a folder that holds a campaign; its rows are lost.
+    changes : mapping, optional
+        Other values of keys of the file (``{"trials": 200}``) or of the scenario (``{"work.faces": 2}``).
+
+    Returns
+    -------
+    Results
+        The rows as tables to query.
+
+    Raises
+    ------
+    SetupError
+        In one sentence, for a file that cannot be run, a folder that holds another campaign, or the extra `campaigns`
+        that is not installed.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> results = lt.campaign(
+    ...     {
+    ...         "format": "ltsim-campaign/1",
+    ...         "scenario": "paper-workshop",
+    ...         "trials": 64,
+    ...         "methods": [{"name": "network", "method": "network"}],
+    ...     },
+    ...     out="my-campaign",
+    ... )
+    >>> results.to_dataframe("ends")[["method", "trials", "failed"]]
+        method  trials  failed
+    0  network      64       0
+    """
+    if isinstance(source, Mapping):
+        if out is None:
+            raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
+        with TemporaryDirectory() as place:
+            file = Path(place) / "campaign.toml"
+            file.write_text(to_toml(_from_here(source)), encoding="utf-8")
+            return _run(file, Path(out), jobs, resume=resume, force=force, changes=changes)
+    path = Path(source)
+    if path.is_dir():
+        return _results(path)
+    folder = path.with_suffix("") if out is None else Path(out)
+    return _run(path, folder, jobs, resume=resume, force=force, changes=changes)
+
+
+def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables with files named from the root, since a file of them lies elsewhere."""
+    named = {key: Path(str(tables[key])) for key in ("scenario", "judge_in") if tables.get(key)}
+    return {**tables, **{key: str(path.resolve()) for key, path in named.items() if path.is_file()}}
+
+
+def _run(file: Path, folder: Path, jobs: int, **how: Any) -> Results:
+    require_packages()
+    from ltsim.campaigns.campaign import Workers, run_campaign
+
+    run_campaign(file, folder, workers=Workers(jobs), **how)
+    return _results(folder)
+
+
+def _results(folder: Path) -> Results:
+    require_packages()
+    from ltsim.campaigns.statistics import Results
+
+    return Results(folder)

@@ -1,0 +1,253 @@
+"""From a plan file to a plan: which searches are made, and which of the layouts that they find is the plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ltsim.errors import NetworkError, SetupError
+from ltsim.model.construction import Construction
+from ltsim.planning.planner import Option, Plan, Tried, judge, measure
+from ltsim.planning.sights import check_in_sight, with_reachable_sights
+from ltsim.planning.spec import PlanFile
+from ltsim.planning.starts import Layouts, Task, Watch, expected_seconds, gathered, search_one
+from ltsim.planning.survey import Survey
+from ltsim.planning.tolerances import Demands, holds
+from ltsim.planning.workshop import SIGHTS, objective_of, site_of, ways
+from ltsim.recording.recording import OBSERVABLES
+from ltsim.remedies.next_measurement import Progress, quiet
+from ltsim.simulation.physics import planned_construction
+from ltsim.simulation.scenario import Scenario
+from ltsim.units import MICROMETRE
+
+MOST_SETUPS = 200_000
+"""Set-ups of a grid that one search holds in memory."""
+SEARCHING = 0.8
+"""Share of the work that is the search."""
+FEWEST = 2
+"""Stations of a network."""
+LITTLE = 0.95
+"""Factor on the largest error over its tolerance that a further station should bring."""
+STOPPED = "the search was stopped before it had found a layout"
+
+
+def unsaid(_sentence: str) -> None:
+    """Say nothing."""
+
+
+def unsaved(_survey: Survey) -> None:
+    """Keep nothing."""
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Whoever follows the making of a plan."""
+
+    progress: Progress = quiet
+    say: Callable[[str], None] = unsaid
+    """Hears sentences: how long it may take, the best layout so far."""
+    keep: Callable[[Survey], None] = unsaved
+    """Is given the best layout so far."""
+
+
+def make_plan(
+    file: PlanFile,
+    scenario: Scenario,
+    *,
+    jobs: int = 1,
+    follower: Follower | None = None,
+    construction: Construction | None = None,
+) -> Plan:
+    """Search and explain; the same file gives the same plan whatever the number of jobs.
+
+    Ctrl-C ends the search: the plan is then that of the best layout so far, and says so.
+
+    Raises
+    ------
+    SetupError
+        When no layout keeps the plan's rules.
+    """
+    _check_size(file, scenario)
+    built, heard = construction or planned_construction(scenario), follower or Follower()
+    heard.progress("searching layouts", 0.0)
+    search = _Search(file, scenario, built, jobs, heard)
+    best = search.fewest() if file.searches_count else search.at_count()
+    heard.progress("judging tolerances and changes", SEARCHING)
+    made = judge(search.file, scenario, best.survey, built)
+    heard.progress("judging tolerances and changes", 1.0)
+    own = search.found.get((len(best.survey.position), len(best.survey.faces)), [])
+    return replace(
+        made,
+        options=search.options(search.found),
+        spread=tuple(sorted(value for value, _, _ in own)),
+        tried=tuple(search.tried),
+        stopped=search.stopped,
+    )
+
+
+@dataclass
+class _Search:
+    """The layouts for each way of working, and which of them is the plan."""
+
+    file: PlanFile
+    scenario: Scenario
+    built: Construction
+    jobs: int
+    heard: Follower
+    found: Layouts = field(default_factory=dict)
+    tried: list[Tried] = field(default_factory=list)
+    stopped: bool = False
+
+    def _gather(self, tasks: Sequence[Task], share: Callable[[float], float]) -> Layouts:
+        """What searches found; who follows hears of the best so far."""
+        goal = self.file.goal
+
+        def keep(survey: Survey, value: float) -> None:
+            lengths = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
+            words = f"weighted point error {value / MICROMETRE:.1f} um" if lengths else f"quality {value:.4g}"
+            self.heard.say(f"best so far: {len(survey.position)} stations, {words}")
+            self.heard.keep(survey)
+
+        def progress(done: float) -> None:
+            self.heard.progress("searching layouts", SEARCHING * share(done))
+
+        made = gathered(self.file, self.scenario, tasks, self.built, self.jobs, Watch(progress, keep))
+        self.found |= made.layouts
+        self.stopped |= made.stopped
+        return made.layouts
+
+    def at_count(self) -> Option:
+        """The best for a stated number of stations, or what the hours pay for."""
+        count, work = self.file.stations.count or len(self.scenario.stations), self.scenario.work
+        site = site_of(self.file, self.scenario, stations=count, faces=work.faces)
+        file = self.file = with_reachable_sights(self.file, site)
+        faces, settings = ways(file, self.scenario)[0], file.search
+        own = work.faces if work.faces in faces else faces[-1]
+        pairs = [(n, f) for f in faces for n in sorted({*file.stations.tries, count})]
+        tasks = [
+            Task(n, f, start)
+            for n, f in pairs
+            for start in range(settings.starts if (n, f) == (count, own) else settings.starts_of_the_curve)
+        ]
+        self._estimate(tasks)
+        self._gather(tasks, lambda share: share)
+        if (count, own) not in self.found and not self.stopped:
+            # The same search again, for its sentence.
+            search_one(file, self.scenario, Task(count, own, 0), self.built)
+        options = self.options(self.found)
+        if not options:
+            raise SetupError(STOPPED)
+        if file.budget.hours is not None:
+            return _paid(options, file.budget.hours)
+        return min(options, key=lambda o: (len(o.survey.position) != count, o.value))
+
+    def fewest(self) -> Option:
+        """One station more at a time until the tolerances are kept; of the ways that keep them the quickest.
+
+        Where none keeps them, the one that comes nearest.
+        """
+        file, demands = self.file, Demands.of(self.file)
+        if "seen_from" not in file.stations.model_fields_set:
+            alone = 1 if self.scenario.instrument.observables == OBSERVABLES else SIGHTS
+            least = alone if demands.robust == "no" else alone + 1
+            changed = file.stations.model_copy(update={"seen_from": least})
+            file = self.file = file.model_copy(update={"stations": changed})
+        faces = ways(file, self.scenario)[0]
+        first = max(FEWEST, len(file.stations.fixed), 2 if demands.robust == "no" else 3)
+        counts = range(first, max(first, file.stations.most) + 1)
+        check_in_sight(site_of(file, self.scenario, stations=counts[-1], faces=faces[-1]), file)
+        judgements: list[tuple[float, Option]] = []
+        for k, n in enumerate(counts):
+            tasks = [Task(n, f, start) for f in faces for start in range(file.search.starts)]
+            if k == 0:
+                self._estimate(tasks, f" for {n} stations, as long again and more for each further number")
+            # Few stations are likely enough: each further number counts half of what is left.
+            made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
+            options = self.options({key: self._nearest(found, demands) for key, found in made.items()})
+            paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
+            results = [(*holds(option.survey, demands, self.built), option) for option in paid]
+            judgements += [(ratio, option) for _, ratio, option in results]
+            self.tried.append(Tried(n, min((ratio for _, ratio, _ in results), default=None), bool(options)))
+            good = [option for kept, _, option in results if kept]
+            if good:
+                return min(good, key=lambda o: o.hours)
+            if self.stopped or self._levels_off():
+                break
+        if not judgements:
+            raise SetupError(self._none_found(counts))
+        return min(judgements, key=lambda one: (one[0], one[1].hours))[1]
+
+    def _nearest(self, found: list[tuple[float, int, Survey]], demands: Demands) -> list[tuple[float, int, Survey]]:
+        """Of the layouts of several starts the one that comes nearest to the tolerances."""
+        if len(found) == 1:
+            return found
+        return [min(found, key=lambda one: (holds(one[2], demands, self.built)[1], one[0], one[1]))]
+
+    def _levels_off(self) -> bool:
+        """Two further stations in turn brought next to nothing."""
+        ratios = [one.ratio if one.ratio is not None else np.inf for one in self.tried]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > LITTLE**2 * ratios[-3]
+
+    def _none_found(self, counts: range) -> str:
+        """Why there is no layout at all."""
+        hours = self.file.budget.hours
+        if self.stopped:
+            return STOPPED
+        if hours and any(one.found for one in self.tried):
+            return f"no layout of {counts[0]} to {counts[-1]} stations was found that takes {hours:g} h at most"
+        try:
+            search_one(self.file, self.scenario, Task(counts[-1], ways(self.file, self.scenario)[0][-1], 0), self.built)
+        except (SetupError, NetworkError) as problem:
+            return f"{problem}, or give more stations.most"
+        return "no layout was found; widen the floor or give more stations.most"
+
+    def _estimate(self, tasks: Sequence[Task], what: str = "") -> None:
+        """Say how long these searches may take."""
+        if self.heard.say is unsaid:
+            return
+        seconds = expected_seconds(self.file, self.scenario, tasks, self.built) / min(self.jobs, len(tasks))
+        time = f"{max(seconds, 5):.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+        count = f"{len(tasks)} search{'es' if len(tasks) > 1 else ''}"
+        self.heard.say(f"{count}: about {time}{what}; Ctrl-C ends the search and keeps the best layout so far")
+
+    def options(self, layouts: Layouts) -> tuple[Option, ...]:
+        """The best layout of every way of working, with each number of repeats; cheapest first."""
+        made = []
+        for found in layouts.values():
+            survey = min(found, key=lambda one: (one[0], one[1]))[2]
+            for repeats in ways(self.file, self.scenario)[1]:
+                repeated = survey.replace(repeats=repeats)
+                made.append(Option(repeated, *measure(repeated, objective_of(self.file, repeated), self.built)))
+        if not made:
+            return ()
+        made.sort(key=lambda option: (option.hours, option.value))
+        best = np.minimum.accumulate([option.value for option in made])
+        earlier = np.r_[np.inf, best[:-1]]
+        return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
+
+
+def _paid(options: Sequence[Option], hours: float) -> Option:
+    """The best way of working that the hours pay for."""
+    paid = [o for o in options if o.hours <= hours]
+    if not paid:
+        cheapest = min(options, key=lambda o: o.hours)
+        raise SetupError(f"budget.hours is {hours:g}, but the cheapest way of working takes {cheapest.hours:.1f} hours")
+    return min(paid, key=lambda o: o.value)
+
+
+def _check_size(file: PlanFile, scenario: Scenario) -> None:
+    """Refuse a grid of set-ups that no memory holds."""
+    step = file.search.grid_mm
+    if step is None:
+        return
+    wide, deep, _ = scenario.workshop.size_mm
+    outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
+    sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
+    count = float(np.prod(1.0 + sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
+    if count > MOST_SETUPS:
+        raise SetupError(
+            f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {count:.2g} "
+            f"set-ups, the most is {MOST_SETUPS}; give a larger grid_mm or a smaller floor"
+        )

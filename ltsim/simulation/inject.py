@@ -1,0 +1,162 @@
+"""A cause put into the readings of a recording that exists: its change by the exact model, and nothing else.
+
+Everything else of the recording stays: its noise, its slips, its instrument. The change is that of the cause at the
+pointings as the adjustment of the recording has them; how far these are from the truth changes it by their share of a
+range, 1e-4 for 1 mm in 10 m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.effects.signature import Tunable
+from ltsim.errors import ModelError
+from ltsim.geometry.polar import wrap
+from ltsim.model.measurement import State
+from ltsim.recording.recording import Recording
+from ltsim.results import Columns, Result
+from ltsim.simulation.lengths import certified_by
+from ltsim.simulation.physics import shape_of
+from ltsim.units import MICROMETRE, MICRORADIAN
+
+FORMAT = "ltsim-injection/1"
+CLOSE, ROUNDS = 1e-4, 60
+LARGEST = 1e4
+"""Plausible sizes beyond which a cause would be seen by eye."""
+
+
+@dataclass(frozen=True, repr=False)
+class Injected(Result):
+    """One cause with the values (q,) [SI] of its parameters, as it was put into a recording."""
+
+    cause: Tunable
+    words: str
+    """As a person asked for it."""
+    values: Floats
+    noncentrality: float
+    """What the adjustment leaves of it; for noise the expected drop of minus twice the log likelihood."""
+    largest: dict[str, float]
+    """Largest change of a distance [um], azimuth and elevation [urad]; of noise its largest deviation."""
+
+    def _lines(self) -> list[str]:
+        sizes = ", ".join(f"{p.name} {value / p.factor:.4g} {p.unit}".rstrip() for p, value in self._parameters())
+        place = f" at {self.cause.place}" if self.cause.place else ""
+        return [f"Injected: {self.words}{place}: {sizes}; noncentrality {self.noncentrality:.3g}"]
+
+    def _parameters(self) -> list[tuple[Any, float]]:
+        return list(zip(self.cause.parameters, self.values.tolist(), strict=True))
+
+    def _tables(self) -> dict[str, Any]:
+        return {"parameters": self._sizes}
+
+    def _sizes(self) -> Columns:
+        rows = self._parameters()
+        return {
+            "parameter": [p.name for p, _ in rows],
+            "value": [value / p.factor for p, value in rows],
+            "unit": [p.unit for p, _ in rows],
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """What a truth file says of it."""
+        cause = self.cause
+        shape = shape_of(cause) if isinstance(cause, Effect) else {}
+        return {
+            "effect": cause.name, "words": self.words, "stations": list(cause.stations), "targets": list(cause.targets),
+            "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
+            "parameters": self.table().json(), "noncentrality": self.noncentrality, "largest": self.largest,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Injector:
+    """A recording with its adjustment, into which causes are put."""
+
+    recording: Recording
+    space: ResidualSpace
+
+    @property
+    def state(self) -> State:
+        """Where the adjustment has stations and targets."""
+        return self.space.adjustment.state
+
+    def change(self, cause: Tunable, values: Floats) -> Floats:
+        """Change (n, 3) [m, rad, rad] of the readings, NaN where there are none; of noise 0."""
+        sightings, readings = self.space.sightings, self.recording.readings
+        if not isinstance(cause, Mistake):
+            return cause.shift(sightings, values)
+        done, own = cause.done(sightings), self.state.instrument
+        errors = own[0] if len(own) == 1 else own[sightings.instrument]
+        construction = self.space.adjustment.problem.model.construction
+        moved, plain = (construction.readings(s.local, s.face, errors) for s in (done, sightings))
+        change: Floats = cause.written(sightings, readings + moved - plain) - readings
+        return np.stack([change[:, 0], *wrap(change[:, 1:]).T], axis=1)
+
+    def lengths(self, cause: Tunable, values: Floats) -> Floats:
+        """Change (g,) [m] of the known lengths."""
+        gauge = self.space.adjustment.problem.gauge
+        return cause.gauge_design(gauge.first, gauge.second, self.state.points) @ values
+
+    def deviation(self, cause: NoiseEffect, values: Floats) -> Floats:
+        """Standard deviation (n, 3) of the noise that is added."""
+        sigma = self.recording.sigma()
+        added = cause.variance(self.space.sightings, sigma, values) - sigma**2
+        if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
+            raise ModelError(f"{cause.name}: noise can be added to a recording, not taken away; give larger values")
+        return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
+
+    def noncentrality(self, cause: Tunable, values: Floats) -> float:
+        """What the adjustment leaves of a cause; 0 where the network hides it."""
+        space = self.space
+        if isinstance(cause, NoiseEffect):
+            used = np.flatnonzero(space.use)
+            factor = 1.0 + (self.deviation(cause, values) / space.sigma).reshape(-1)[used] ** 2
+            return float((space.redundancy[: len(used)] * (factor - 1.0 - np.log(factor))).sum())
+        change = np.nan_to_num(self.change(cause, values))
+        whole = space.whiten(change[:, :, None], self.lengths(cause, values)[:, None])[:, 0]
+        left = space.project(whole)
+        square = float(left @ left)
+        return square if square > VISIBLE * float(whole @ whole) else 0.0
+
+    def sized(self, cause: Tunable, values: Floats, wanted: float) -> Floats:
+        """The values times what leaves the wanted noncentrality; raises ModelError where none does."""
+        if isinstance(cause, Mistake):
+            raise ModelError(f"{cause.name} is made or not: it has no size that could be chosen")
+        factor = 1.0
+        for _ in range(ROUNDS):
+            found = self.noncentrality(cause, factor * values)
+            if not found > 0.0 or factor > LARGEST:
+                break
+            if abs(found / wanted - 1.0) < CLOSE:
+                return factor * values
+            factor *= float(np.clip(np.sqrt(wanted / found), 1e-3, 1e3))
+        raise ModelError(f"the network hides {cause.name} {cause.place}: at no sensible size it leaves {wanted:g}")
+
+    def put(self, cause: Tunable, values: Floats, words: str, rng: np.random.Generator) -> tuple[Recording, Injected]:
+        """The recording with a cause in it, and what was put in."""
+        if isinstance(cause, NoiseEffect):
+            change = self.deviation(cause, values) * rng.standard_normal(self.recording.readings.shape)
+        else:
+            change = self.change(cause, values)
+        made = self.recording.with_readings(self.recording.readings + change)
+        lengths = self.lengths(cause, values)
+        if lengths.any():
+            known = self.space.adjustment.problem.gauge
+            if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):
+                raise ModelError(f"{cause.name}: the lengths of scale bars cannot be changed, those of a gauge can")
+            certified = np.array([line.length_mm for line in made.gauge.distance]) * 1e-3
+            made = certified_by(made, certified + lengths * certified / known.length)
+        units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
+        largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
+        told = dict(zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True))
+        return made, Injected(cause, words, values, self.noncentrality(cause, values), told)
+
+    def after(self, recording: Recording) -> Injector:
+        """The same for a recording that something was put into already."""
+        return replace(self, recording=recording)

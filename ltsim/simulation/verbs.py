@@ -1,0 +1,94 @@
+"""Virtual workshops: scenarios, and recordings made from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ltsim.recording import Recording
+from ltsim.simulation.scenario import Scenario, changed, load_scenario
+from ltsim.simulation.simulator import Geometry, simulate as measured
+from ltsim.simulation.truth import Truth
+
+ScenarioSource = Scenario | str | Path
+"""A scenario, its file, or the name of a built-in one."""
+
+
+class Simulated(NamedTuple):
+    """A recording and, apart from it, what it was made from."""
+
+    recording: Recording
+    truth: Truth
+
+
+def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -> Scenario:
+    """A built-in scenario or that of a file, with some of its keys changed.
+
+    Parameters
+    ----------
+    source : Scenario, str or Path
+    changes : mapping of str to value, optional
+        New values by dotted key, as in the file: ``{"instrument.noise_factor": 2.0}``; "none" takes a key out.
+
+    Raises
+    ------
+    SetupError
+        One sentence: file, key, what was found, what would be right.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.scenario("paper-workshop", {"work.faces": 2})
+    Scenario: The paper's workshop: 5 stations, 28 targets, two faces, no effects
+    """
+    if isinstance(source, Scenario):
+        return changed(source, changes, Path(source.title or "the scenario")) if changes else source
+    found = load_scenario(source)
+    return changed(found, changes, Path(source)) if changes else found
+
+
+def simulate(
+    source: ScenarioSource = "paper-workshop",
+    *,
+    seed: int = 0,
+    trial: int = 0,
+    geometry: Geometry = "shared",
+    changes: Mapping[str, Any] | None = None,
+) -> Simulated:
+    """Measure a virtual workshop once: a recording, and apart from it the truth.
+
+    Parameters
+    ----------
+    source : Scenario, str or Path
+    seed : int
+        Root of all random draws: the same seed and trial, the same recording.
+    trial : int
+        Which of the trials that a campaign of this scenario and seed has: calibrated, the recording gives its row.
+    geometry : str
+        ``shared`` or ``per-trial``, as the campaign's.
+    changes : mapping of str to value, optional
+        As of `scenario`.
+
+    Returns
+    -------
+    recording : Recording
+    truth : Truth
+        Nothing that calibrates or diagnoses takes it.
+
+    Raises
+    ------
+    SetupError
+        When the scenario asks for something impossible.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, truth = lt.simulate("paper-workshop", seed=7)
+    >>> recording.to_dataframe().head(1)[["station", "target", "distance_mm"]].round(1)
+      station target  distance_mm
+    0      S1    T06       5003.3
+    >>> truth.to_dataframe("instrument").shape
+    (16, 3)
+    """
+    return Simulated(*measured(scenario(source, changes), seed, trial, geometry))

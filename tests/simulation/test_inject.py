@@ -1,0 +1,129 @@
+"""A cause put into a recording: what changes, what does not, what is told of it, and the curve."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.errors import ModelError
+from ltsim.geometry.polar import wrap
+from ltsim.recording import Recording
+
+TWICE = {"work.faces": 2}
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return lt.simulate("paper-workshop", seed=7, changes=TWICE).recording
+
+
+def change_of(before: Recording, after: Recording) -> np.ndarray:
+    change = after.readings - before.readings
+    change[:, 1:] = wrap(change[:, 1:])
+    return change
+
+
+def test_nothing_else_is_changed(recording: Recording) -> None:
+    made, truth = lt.inject(recording, "range-step:S3,range-step=30,time=0")
+    change = change_of(recording, made)
+    there = recording.station == recording.stations.index("S3")
+    assert np.abs(change[there, 0] + 30e-6).max() < 1e-12  # a correction is truth less reading
+    assert not change[~there].any() and not change[:, 1:].any()
+    assert made.setup == recording.setup and np.array_equal(made.time, recording.time)
+    (told,) = truth.to_json()["injected"]
+    assert told["stations"] == ["S3"] and told["parameters"] == [
+        {"parameter": "range-step", "value": 30.0, "unit": "um"}
+    ]
+
+
+def test_it_is_what_the_simulator_does() -> None:
+    """Simulated with the effect, or without it and injected: the same readings to 1 part in 1000 of the change."""
+    entry = {"name": "station-weather", "stations": ["S2"], "values": {"station-weather": 9.0}}
+    clean = lt.simulate("paper-workshop", seed=7, changes=TWICE).recording
+    hidden = lt.simulate("paper-workshop", seed=7, changes=TWICE | {"effects": [entry]}).recording
+    made, _ = lt.inject(clean, "station-weather:S2,station-weather=9")
+    expected = change_of(clean, hidden)
+    rounding = 0.1e-6
+    assert np.abs(change_of(clean, made) - expected).max() < rounding + 1e-3 * np.abs(expected).max()
+    assert np.abs(expected).max() > 10e-6
+
+
+@pytest.mark.parametrize("cause", ["vertical-index:S2", "azimuth ~ sin(2 elevation)", "gauge-scale", "range-cyclic"])
+def test_noncentrality_is_what_the_adjustment_is_left_with(recording: Recording, cause: str) -> None:
+    """On readings without noise the chi-square grows by the noncentrality."""
+    still = lt.calibrate(recording, advise=False).adjustment
+    exact = recording.with_readings(still.problem.model.predict(still.state))
+    made, truth = lt.inject(exact, cause, noncentrality=200.0, seed=3)
+    before, after = (lt.calibrate(r, advise=False).adjustment.chi2 for r in (exact, made))
+    assert truth.causes[0].noncentrality == pytest.approx(200.0, rel=1e-3)
+    assert after - before == pytest.approx(200.0, rel=0.03)
+
+
+def test_noise_is_added_where_it_is_said(recording: Recording) -> None:
+    made, truth = lt.inject(recording, "station-noise:S4", noncentrality=300.0, seed=1)
+    change, there = change_of(recording, made), recording.station == recording.stations.index("S4")
+    assert not change[~there].any()
+    ratio = change[there] / recording.sigma()[there]
+    assert np.mean(ratio**2) == pytest.approx(np.mean(truth.causes[0].values), rel=0.4)  # added variance over stated
+    assert truth.causes[0].noncentrality == pytest.approx(300.0, rel=1e-3)
+
+
+def test_a_swap_is_a_swap(recording: Recording) -> None:
+    made, _ = lt.inject(recording, "target-swap:S1,T01,T09")
+    a, b = (recording.targets.index(name) for name in ("T01", "T09"))
+    rows = {
+        t: np.flatnonzero((recording.station == 0) & (recording.target == t) & (recording.face == 1))[0] for t in (a, b)
+    }
+    gap = made.readings[rows[a]] - recording.readings[rows[b]]
+    assert np.abs([gap[0], *wrap(gap[1:])]).max() < 60e-6
+    assert np.abs(change_of(recording, made)[recording.station != 0]).max() < 1e-12
+
+
+def test_what_is_injected_is_found(recording: Recording) -> None:
+    made, truth = lt.inject(recording, "target-moved", noncentrality=400.0, seed=2)
+    found = lt.diagnose(made)
+    assert found.verdict == "mismatch"
+    assert list(found.findings[0].where.targets) == truth.to_json()["injected"][0]["targets"]
+
+
+def test_the_curve_rises(recording: Recording) -> None:
+    found = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
+    weak, strong = found.table().json()
+    assert strong["found"] == strong["placed"] == 2 > weak["found"]
+    assert strong["largest_um"] > 5 * weak["largest_um"]
+    assert 0.0 <= strong["found_low"] < 1.0 == strong["found_high"]
+
+
+@pytest.mark.parametrize(
+    ("cause", "said"),
+    [
+        ("nonsense", "no effect called 'nonsense'"),
+        ("range-step:S9", "'S9' is no station"),
+        ("range-step:S3,range-step=far", "expected a number"),
+        ("azimuth ~ nothing at all", "nothing at all"),
+        ("azimuth ~ constant:S2", "network hides"),
+        ("target-swap", "no size"),
+    ],
+)
+def test_what_cannot_be_is_said(recording: Recording, cause: str, said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        lt.inject(recording, cause, noncentrality=1e9)
+
+
+def test_the_command_writes_a_recording_and_its_truth_apart(tmp_path: Path, recording: Recording) -> None:
+    lt.write(recording, tmp_path / "rec")
+    words = ["inject", str(tmp_path / "rec"), "range-step:S3", "--noncentrality", "100", "--quiet"]
+    assert run([*words, "--out", str(tmp_path / "made"), "--truth", str(tmp_path / "truth.json")]) == 0
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["format"] == "ltsim-injection/1" and truth["injected"][0]["effect"] == "range-step"
+    change = change_of(lt.read(tmp_path / "rec"), lt.read(tmp_path / "made"))
+    assert np.abs(change[:, 0]).max() == pytest.approx(1e-6 * truth["injected"][0]["largest"]["distance_um"], rel=1e-4)
+    assert sorted(f.name for f in (tmp_path / "made").iterdir()) == ["observations.csv", "setup.toml"]
+    assert run([*words]) == 2
+    assert run(["inject", str(tmp_path / "rec"), "range-step:S9", "--out", str(tmp_path / "no")]) == 2
+    assert not (tmp_path / "no").exists()
