@@ -208,6 +208,19 @@ def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[flo
     return round(share(columns, prefix), 4), round(float(low), 4), round(float(high), 4)
 
 
+def beside_floor(columns: Mapping[str, Floats]) -> Row:
+    """What no calibration touches, the error with the true parameters, and what is left above it (rms, in quadrature).
+
+    Held-out errors hold the noise of the readings that new points are measured with: two methods are compared by what
+    is above it.
+    """
+    error, floor = (
+        float(np.nanmean(columns[f"held_out_error_{k}_um"] ** 2)) for k in ("calibrated", "true_parameters")
+    )
+    above = round(max(error - floor, 0.0) ** 0.5, 2)
+    return {"held_out_floor_um": round(floor**0.5, 2), "held_out_above_floor_um": above}
+
+
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
     """Columns of several blocks as one."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
