@@ -23,9 +23,10 @@ from ltsim.campaigns.cell import fitted_construction, truth_of
 from ltsim.campaigns.engine import Bench, Calibrated
 from ltsim.campaigns.spec import Campaign, Method, load_campaign
 from ltsim.campaigns.truth import Block, Truth
-from ltsim.geometry.polar import wrap
+from ltsim.evaluation.share_removed import share as share_of
 from ltsim.model.construction import Construction
 from ltsim.pages.style import svg
+from ltsim.simulation.draws import Normal
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -100,14 +101,7 @@ def same_instrument(truth: Truth, values: Floats, seed: int, number: int) -> Blo
     seed, number : int
         Of the draws; another seed than that of the first place, or the noise would be the same.
     """
-    still = replace(truth, mean=np.zeros_like(truth.mean), sigma=np.zeros_like(truth.sigma))
-    block = still.draw(seed, number, values.shape[2])
-    sightings, nominal = truth.sightings, truth.recording.readings
-    error = np.empty_like(block.deviation)
-    for trial in range(values.shape[2]):
-        error[:, :, trial] = truth.construction.readings(sightings.local, sightings.face, values[0, :, trial]) - nominal
-    error[:, 1] = wrap(error[:, 1])
-    return replace(block, values=values, deviation=block.deviation + error)
+    return truth.drawn(Normal(seed, number * values.shape[2] + np.arange(values.shape[2])), values)
 
 
 def calibrated(truth: Truth, calibrator: Calibrator, block: Block) -> tuple[Calibrated, dict[str, Floats]]:
@@ -115,7 +109,7 @@ def calibrated(truth: Truth, calibrator: Calibrator, block: Block) -> tuple[Cali
     bench = Bench(truth)
     shared = bench.before(block)
     found = calibrator.calibrate(block, np.arange(block.deviation.shape[2]))
-    return found, shared | bench.after(block, found, calibrator.construction, shared)
+    return found, shared | bench.after(block, found, calibrator.construction, calibrator.effects)
 
 
 def held_out(
@@ -137,7 +131,7 @@ def held_out(
     block, bench = same_instrument(room, values, seed, number), Bench(room)
     shared = bench.before(block)
     elsewhere = replace(found, points=np.zeros((*room.state.points.shape, values.shape[2])))
-    after = bench.after(block, elsewhere, construction, shared)
+    after = bench.after(block, elsewhere, construction)
     names = ("error_raw_um", "error_calibrated_um", "error_true_parameters_um")
     return {f"held_out_{name}": (shared | after)[name] for name in names}
 
@@ -187,15 +181,9 @@ def compared(
 
 
 def share(columns: Mapping[str, Floats], prefix: str = "") -> float:
-    """Share of the correctable mean-square error that was removed, over all trials together.
-
-    In mean squares noise and correctable error add, so that no trial has to be left out, as it must be where a ratio
-    of roots has a denominator near zero.
-    """
-    raw, after, perfect = (
-        float(np.nanmean(columns[f"{prefix}error_{name}_um"] ** 2)) for name in ("raw", "calibrated", "true_parameters")
-    )
-    return (raw - after) / (raw - perfect)
+    """Share of the correctable mean-square error that was removed, over all trials together."""
+    raw, after, perfect = (columns[f"{prefix}error_{name}_um"] for name in ("raw", "calibrated", "true_parameters"))
+    return share_of(raw, after, perfect)
 
 
 def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[float, float, float]:

@@ -11,7 +11,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from ltsim.arrays import Floats, Ints
+
 WORD = 2**32
+BLOCK = 256
+"""Trials whose numbers come from one stream; part of what the numbers are, so it never changes."""
 
 
 @lru_cache(maxsize=4096)
@@ -41,3 +45,19 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     # What the sequence makes of seed and key, each a word, in a third of the time.
     words = np.array([seed, 0, 0, 0, *spawn_key], dtype=np.uint32)
     return np.random.default_rng(np.random.SeedSequence(words))
+
+
+def trials_normal(seed: int, trials: Ints, size: int, *key: str | int) -> Floats:
+    """Standard normal numbers (size, B) of trials (B,) for `key`: the same whichever trials are asked for together.
+
+    `BLOCK` consecutive trials share a stream, which gives them their numbers one trial after the other.
+    """
+    blocks, rows = np.divmod(trials, BLOCK)
+    numbers = np.empty((size, len(trials)))
+    for block in np.unique(blocks).tolist():
+        own = blocks == block
+        drawn = stream(seed, *key, *((block,) if block else ())).standard_normal((int(rows[own].max()) + 1, size))
+        if own.all() and len(drawn) == len(trials):
+            return drawn.T if np.array_equal(rows, np.arange(len(rows))) else drawn[rows].T
+        numbers[:, own] = drawn[rows[own]].T
+    return numbers

@@ -28,7 +28,7 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.campaigns.calibrators import Batch, Calibrator, calibrator_of
+from ltsim.campaigns.calibrators import Calibrator, calibrator_of
 from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Engine
@@ -106,7 +106,8 @@ def with_harmonics(truth: Truth, scenario: Scenario, beyond: float) -> Truth:
     sigma = [beyond if "-harmonic-" in p.name else s for p, s in zip(built.parameters, sigma, strict=True)]
     none = np.zeros((1, built.size))
     state = replace(truth.state, instrument=none)
-    return replace(truth, construction=built, mean=none, sigma=np.array([sigma]), state=state)
+    population = replace(truth.population, construction=built, mean=none, sigma=np.array([sigma]))
+    return replace(truth, population=population, state=state)
 
 
 def harmonic_batch(
@@ -117,7 +118,7 @@ def harmonic_batch(
     room = load_scenario(HELD_OUT).model_copy(update={"instrument": scenario.instrument})
     elsewhere = with_harmonics(truth_of(room, campaign.seed, "held out"), scenario, beyond)
     built = of_order(order)
-    calibrator = BatchDistance(truth, built) if method.method == "distance" else Batch(Engine(truth, built))
+    calibrator = BatchDistance(truth, built) if method.method == "distance" else Engine(truth, built)
     return judged(truth, elsewhere, calibrator, campaign.seed, number, width)
 
 

@@ -114,7 +114,7 @@ def figures(kind: str, compared: TwoFaceComparison) -> dict[str, object]:
     row: dict[str, object] = {"pairs": f"{len(compared.before)} {kind}"}
     for k, unit in enumerate(UNITS):
         row |= {f"before {unit}": before[k].round(2), f"after {unit}": after[k].round(2)}
-        row[f"share {unit.split()[-1]}"] = compared.share_removed[k].round(3)
+        row[f"share {unit.split()[-1]}"] = compared.rms_removed[k].round(3)
     return row
 
 
@@ -193,7 +193,7 @@ def pooled(compared: list[TwoFaceComparison]) -> TwoFaceComparison:
 
 
 def medians(compared: list[TwoFaceComparison]) -> dict[str, object]:
-    share = np.median([c.share_removed for c in compared], axis=0)
+    share = np.median([c.rms_removed for c in compared], axis=0)
     return {"median share across": share[1].round(3), "median share elevation": share[2].round(3)}
 
 
@@ -221,9 +221,9 @@ def limits(found: Noise) -> Rows:
         before = two_face(other)
         floor = noise_of_halves(epoch(name, found), before)
         shares = {
-            "default": compare_two_face(other, default.construction, default.applied[0]).share_removed,
-            "six": compare_two_face(other, few.construction, few.values[0]).share_removed,
-            "six fitted to set-up 1": compare_two_face(other, itself.construction, itself.values[0]).share_removed,
+            "default": compare_two_face(other, default.construction, default.applied[0]).rms_removed,
+            "six": compare_two_face(other, few.construction, few.values[0]).rms_removed,
+            "six fitted to set-up 1": compare_two_face(other, itself.construction, itself.values[0]).rms_removed,
             "noise alone left": 1.0 - floor / before.rms,
         }
         rows.append({"epoch": name, **{f"{how}, {axis}": round(100 * float(share[k]), 1)

@@ -60,6 +60,8 @@ class Adjustment(Result):
     """Targets that the whole recording does not place, amid the others in the state."""
     wrong: tuple[KnownTest, ...] = ()
     """Known values that contradict the rest: they were left out, and `recording` states them no more."""
+    axes: tuple[KnownTest, ...] = ()
+    """How the coordinates fit that only give axes; those left out of the datum too."""
     copies: int = 0
     """Rows that repeat others to the last digit: their readings are not counted again."""
     datum: InnerDatum | None = None
@@ -197,7 +199,7 @@ class Adjustment(Result):
     @cached_property
     def known(self) -> tuple[KnownTest, ...]:
         """What the rest says about each known value; those left out first."""
-        return (*self.wrong, *known_tests(self.problem, self.solution))
+        return (*self.wrong, *known_tests(self.problem, self.solution), *self.axes)
 
     @property
     def lost_targets(self) -> tuple[str, ...]:

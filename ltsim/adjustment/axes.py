@@ -21,19 +21,17 @@ from ltsim.geometry.alignment import align, robust_align
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Axes, Target
+from ltsim.recording.setup import LEAST_SIGMA, Axes, Target
 from ltsim.units import MILLIMETRE
 
-GROSS_MM = 2.0
 CLEARLY = 10.0
 SHAPE = 0.05
 """Part of a network's size by which stated coordinates may miss it, as drawings do, and still be of this network."""
-MOST_NAMED = 4
 NOTHING: Mapping[str, Axes] = MappingProxyType({})
 
 
 def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
-    """The recording with its datum at stated coordinates [m] of targets; those that do not fit are left out of it.
+    """The recording with its datum at stated coordinates [m] of targets; `adjust` leaves out those that do not fit.
 
     Raises
     ------
@@ -55,15 +53,7 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     except NetworkError:
         raise RecordError("its targets lie on one line, expected three off it or more", file=source) from None
     _check_shape(here, there, misses, source)
-    limit = max(CLEARLY * float(np.median(misses)), GROSS_MM * MILLIMETRE)
-    kept = [name for name, miss in zip(common, misses, strict=True) if miss <= limit]
-    off = [f"{name} ({miss / MILLIMETRE:.3g} mm)" for name, miss in zip(common, misses, strict=True) if miss > limit]
-    within = misses[misses <= limit].max() / MILLIMETRE
-    said = f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm"
-    if off:
-        more = f" and {len(off) - MOST_NAMED} more" if len(off) > MOST_NAMED else ""
-        said += f"; left out of the datum: {', '.join(off[:MOST_NAMED])}{more}"
-    return _with_datum(recording, {name: points[name] for name in kept}, said)
+    return _with_datum(recording, {name: points[name] for name in common}, source=source)
 
 
 def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:
@@ -91,12 +81,47 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
         raise RecordError(f"the targets {', '.join(three)} of the axes lie on one line, expected three off it")
     places = {origin: np.zeros(3), x_axis: np.array([length, 0, 0]), xy_plane: np.array([ahead, aside, 0.0])}
     held: dict[str, Axes] = {origin: "xyz", x_axis: "yz", xy_plane: "z"}
-    return _with_datum(recording, places, f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}", held)
+    framed = _with_datum(recording, places, held)
+    said = f"coordinates in the axes of {origin}, {x_axis} and {xy_plane}"
+    return framed.replace(notes=(*framed.notes, said))
 
 
 def read_axes(path: Path) -> dict[str, Floats]:
     """Coordinates [m] by target of a list of any dialect, those that have all three; raises RecordError."""
     return read_points(path, strict=False).by_name
+
+
+def with_control(recording: Recording, path: Path) -> Recording:
+    """The recording with the coordinates of a list as known ones, each with its standard deviation.
+
+    A list as of `read_points` with standard deviations; a coordinate that it leaves out is not known.
+
+    Raises
+    ------
+    RecordError
+        For a malformed file, one without standard deviations, or one that names no measured target.
+    """
+    listed, targets, found = read_points(path, strict=False), dict(recording.setup.targets), 0
+    for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
+        known = np.isfinite(place)
+        if name not in recording.targets or not known.any():
+            continue
+        spread = np.where(np.outer(known, known), covariance, np.eye(3)) / MILLIMETRE**2
+        if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= LEAST_SIGMA):
+            message = f"states no standard deviation of {shown(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+            raise RecordError(f"{message}; coordinates without weight go with --frame", file=path, row=line)
+        stated = {
+            "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
+            "known_axes": "".join(axis for axis, is_known in zip("xyz", known, strict=True) if is_known),
+            "known_covariance_mm2": tuple(spread[np.triu_indices(3)].tolist()),
+        }
+        targets[name] = targets.get(name, Target()).model_copy(update=stated)
+        found += 1
+    if not found:
+        raise RecordError("names none of the recording's targets; names must be written alike", file=path)
+    said = f"{found} control points of {path.name}, each with its standard deviation"
+    setup = recording.setup.model_copy(update={"targets": targets})
+    return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, said))
 
 
 def _misses(here: Floats, there: Floats) -> Floats:
@@ -125,7 +150,7 @@ def _check_shape(here: Floats, there: Floats, misses: Floats, source: str) -> No
 
 
 def _with_datum(
-    recording: Recording, places: Mapping[str, Floats], said: str, held: Mapping[str, Axes] = NOTHING
+    recording: Recording, places: Mapping[str, Floats], held: Mapping[str, Axes] = NOTHING, source: str | None = None
 ) -> Recording:
     """The recording with its datum at these places, each along the axes of `held` (default all)."""
     targets = {name: setup.model_copy(update={"datum": False}) for name, setup in recording.setup.targets.items()}
@@ -133,5 +158,4 @@ def _with_datum(
         x, y, z = (place / MILLIMETRE).tolist()
         known = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": held.get(name, "xyz")}
         targets[name] = targets.get(name, Target()).model_copy(update=known)
-    setup = recording.setup.model_copy(update={"targets": targets})
-    return recording.replace(setup=setup, notes=(*recording.notes, said))
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "axes": source}))

@@ -77,7 +77,7 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
         if not known.any():
             break
         centre = tied.places[known.any(axis=1)].mean(axis=0)
-        free = _about(problem.free, centre)
+        free = about(problem.free, centre)
         motion = (rigid_motion(tied.places, centre) @ free)[known.ravel()]
         gap = (tied.stated - tied.places)[known]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
@@ -148,7 +148,7 @@ class InnerDatum:
             return None
         tied, unknowns = Tied.of(problem, state, names), problem.unknowns
         centre = tied.places.mean(axis=0)
-        free = _about(problem.free, centre)
+        free = about(problem.free, centre)
         motion = np.zeros((unknowns.size, free.shape[1]))
         motion[unknowns.target.ravel()] = rigid_motion(state.points, centre) @ free
         motion[unknowns.pose[:, 3:].ravel()] = np.tile(free[3:], (len(unknowns.pose), 1))
@@ -165,7 +165,7 @@ class InnerDatum:
         return moved
 
 
-def _about(free: Floats, centre: Floats) -> Floats:
+def about(free: Floats, centre: Floats) -> Floats:
     """Free motions (6, f) as translations of `centre` and rotations about it, each of unit size."""
     about = free.copy()
     about[:3] += np.cross(free[3:].T, centre).T

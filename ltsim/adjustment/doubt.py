@@ -9,7 +9,9 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.curvature import BENT, curvature
 from ltsim.adjustment.estimate import adjust
+from ltsim.adjustment.frame import ROUGH_PLACE, Frame, upright_alignment
 from ltsim.adjustment.gross import mistakes
+from ltsim.adjustment.mixed_up import mend_stations
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
@@ -26,6 +28,14 @@ HEALED = 0.1
 FEW_KEPT = 0.5
 """Share of its pointings that a station keeps, below which its place is in doubt."""
 MOST_NAMED = 4
+STEEP = 1e-4
+"""Cosine of an elevation below which a pointing is one to the zenith."""
+LEAST_PLACES = 3
+"""Places of a plan that tell a network from its mirror image."""
+CLEARLY = 0.3
+"""Ratio of the misses from which a mirror image fits clearly better."""
+UPRIGHT = 0.9
+"""Cosine of the lean of the stations up to which a plan is compared with the network from above."""
 SLIPS = (
     *(slip for slip in UNIT_SLIPS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     Slip("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
@@ -34,7 +44,12 @@ SLIPS = (
 
 
 def require_result(adjustment: Adjustment) -> None:
-    """NetworkError where most of the recording was left out, or where what is known contradicts the readings."""
+    """NetworkError where most of the recording was left out, or where what is known contradicts the readings.
+
+    ConvergenceError where there is no solution.
+    """
+    _require_one_sense(adjustment)
+    _require_solution(adjustment)
     _require_known_points(adjustment)
     left_out = _left_out(adjustment)
     lost = left_out.sum() > MOST_LEFT_OUT * len(left_out)
@@ -44,6 +59,29 @@ def require_result(adjustment: Adjustment) -> None:
         what = out if lost else f"sigma0 is {adjustment.sigma0:.3g}"
         cure = f"they fit as {fits}" if fits else "check units, sense of the angles and names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
+
+
+def _require_solution(adjustment: Adjustment) -> None:
+    """ConvergenceError where there is no solution; NetworkError that names the pointings to the zenith among them."""
+    steep = np.abs(np.cos(adjustment.recording.readings[:, 2])) < STEEP
+    if not adjustment.solution.converged and steep.any():
+        rows = np.flatnonzero(steep)
+        where = ", ".join(adjustment.recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
+        raise NetworkError(
+            f"the adjustment did not converge; {where}: at the zenith an azimuth means nothing, leave it out"
+        )
+    adjustment.solution.require_success()
+
+
+def _require_one_sense(adjustment: Adjustment) -> None:
+    """NetworkError where a whole set-up was recorded in another unit or sense than the others."""
+    thin = next(_thin_stations(adjustment), "")
+    if thin or not adjustment.solution.converged or adjustment.sigma0 > CONTRADICTION:
+        told = [finding.sentence.rstrip(".") for finding in mend_stations(adjustment.recording)[1]]
+        if told:
+            raise NetworkError(
+                f"{'; '.join(told[:MOST_NAMED])}: read again with what it says, then nothing contradicts"
+            )
 
 
 def _require_known_points(adjustment: Adjustment) -> None:
@@ -61,8 +99,45 @@ def _require_known_points(adjustment: Adjustment) -> None:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = _undecided, _mistakes, _thin_stations, _held, _bent, _contradiction, _copies
+    kinds = _known, _plan, _undecided, _mistakes, _thin_stations, _held, _bent, _contradiction, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
+
+
+def _known(adjustment: Adjustment) -> Iterator[str]:
+    """Known values that contradict the rest."""
+    told = [test.sentence for test in (*adjustment.wrong, *adjustment.axes) if test.left_out or test.rivals]
+    yield from told[:MOST_NAMED]
+    if len(told) > MOST_NAMED:
+        yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
+
+
+def _plan(adjustment: Adjustment) -> Iterator[str]:
+    """Rough places of the stations that do not fit the network, or only its mirror image."""
+    frame, here = Frame.of(adjustment.recording), adjustment.state.position
+    known = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
+    if len(known) < LEAST_PLACES:
+        return
+    here, there = here[known] * [1.0, 1.0, 0.0], frame.plan[known] * [1.0, 1.0, 0.0]
+    misses = []
+    for mirror in (here, here * [1.0, -1.0, 1.0]):
+        turn, shift = upright_alignment(mirror, there)
+        misses.append(float(np.linalg.norm(mirror @ turn.T + shift - there, axis=1).max()))
+    if misses[0] < ROUGH_PLACE or _upside_down(adjustment):
+        return
+    names = _named([adjustment.recording.stations[s] for s in known])
+    if misses[1] < min(ROUGH_PLACE, CLEARLY * misses[0]):
+        yield (
+            f"the stated places of stations {names} fit the mirror image of this network (within {misses[1]:.2g} m; "
+            f"as it is {misses[0]:.2g} m): the azimuths may be clockwise, and all coordinates mirrored"
+        )
+    else:
+        yield f"the stated places of the stations {names} miss the network by up to {misses[0]:.2g} m and were not used"
+
+
+def _upside_down(adjustment: Adjustment) -> bool:
+    """Whether the network stands in axes in which no plan can be compared: its stations do not stand upright."""
+    up = adjustment.state.rotation[:, 2, 2]
+    return bool(np.median(up) < UPRIGHT)
 
 
 def _left_out(adjustment: Adjustment) -> Bools:

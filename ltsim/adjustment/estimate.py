@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.axes_fit import LEAST, fitted_axes
 from ltsim.adjustment.components import Component, Grouping, estimated_components
 from ltsim.adjustment.copies import copied_rows
 from ltsim.adjustment.datum import InnerDatum, moved_to_datum, stated_datum
@@ -133,10 +134,14 @@ def adjust(
         problem, solution, components = estimated_components(*given, find, whole.use)
     untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
     gross &= ~problem.use.any(axis=1)
-    found = Adjustment(problem, solution, gross, components, untied, wrong, int(copied.sum()))
+    found = Adjustment(problem, solution, gross, components, untied, wrong, copies=int(copied.sum()))
     names = _datum_names(found, datum)
     if not names or solution.factor is None or not problem.free.shape[1]:
         return found
+    if recording.setup.axes and datum is None and len(names) >= LEAST:
+        fitted, tests = fitted_axes(found, names)
+        problem = replace(problem, model=replace(problem.model, recording=fitted))
+        found, names = replace(found, problem=problem, axes=tests), stated_datum(problem)
     return _in_datum(found, names)
 
 

@@ -72,7 +72,7 @@ class Frame:
         `turn` (3, 3) has turned the levels of the network upright already.
         """
         here, there = self.common(position, points)
-        if len(here) >= 3 and not _on_a_line(there):
+        if len(here) >= 3 and not on_a_line(there):
             return align(here, there)
         if not self.level.any() or len(here) < 2:
             return None
@@ -127,7 +127,7 @@ class Frame:
         here = np.concatenate([position, points]) * factors
         there = np.concatenate([self.plan[stations], self.near[targets]])
         stated = np.isfinite(there).all(axis=1)
-        if stated.sum() < 3 or _on_a_line(there[stated]):
+        if stated.sum() < 3 or on_a_line(there[stated]):
             return points * factors, False
         rotation, shift = align(here[stated], there[stated])
         return (points * factors) @ rotation.T + shift, True
@@ -175,7 +175,8 @@ def _thickness(points: Floats) -> float:
     return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] / np.sqrt(len(points)))
 
 
-def _on_a_line(points: Floats) -> bool:
+def on_a_line(points: Floats) -> bool:
+    """Whether points (k, 3) lie on a line, or so nearly that it tells no turn about it."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 

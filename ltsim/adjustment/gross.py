@@ -13,12 +13,18 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.motions import exact_target_change
 from ltsim.effects.wrong_unit import WrongUnit
+from ltsim.model.measurement import verticals
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS
+from ltsim.units import MILLIMETRE
 
 CLOSE = 1e-3
 """[m] how near a mended pointing must land."""
+ASIDE = 0.002
+"""Share of a height that a pointing may land aside: nothing else comes down so straight."""
+MOST_ROWS = 6
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,10 @@ def mistakes(adjustment: Adjustment) -> list[Mend]:
     found = _swaps(adjustment, left)
     for finding, *_ in found:
         left[finding.rows] = False
+    heights = _heights(adjustment, left)
+    for finding, *_ in heights:
+        left[finding.rows] = False
+    found += heights
     kinds = (WrongUnit.name, UNIT_SLIPS), (FaceConfusion.name, FACE_SLIPS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.mended(recording.readings)
@@ -135,12 +145,52 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> list[Mend]:
     for (s, a, b), members in pairs.items():
         station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
         gap = float(np.linalg.norm(points[a] - points[b]))
-        sentence = (
-            f"At station {station} the reflectors {names[0]} and {names[1]}, {gap:.2f} m apart, "
-            f"were exchanged in {len(members)} pointings."
-        )
+        booked = sorted(set(recording.target[at[members]].tolist()))
+        if len(booked) == 2:
+            sentence = (
+                f"At station {station} the reflectors {names[0]} and {names[1]}, {gap:.2f} m apart, "
+                f"were exchanged in {len(members)} pointings."
+            )
+        else:
+            told, meant = names if booked[0] == a else names[::-1]
+            rows = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
+            sentence = f"At station {station} what is booked as {told} (row {rows}) is {meant}, {gap:.2f} m away."
         finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
         found.append((finding, recording.readings[at[members]], nearest[members]))
+    return found
+
+
+def _heights(adjustment: Adjustment, rows: Bools) -> list[Mend]:
+    """Pointings that land right above or below their target: a height of target or instrument that is not that."""
+    recording, model = adjustment.recording, adjustment.problem.model
+    at = np.flatnonzero(rows & recording.measured.all(axis=1))
+    if not len(at):
+        return []
+    off = _placed(adjustment, recording.readings[at], at) - adjustment.state.points[recording.target[at]]
+    up = verticals(recording)[recording.station[at]]
+    high = np.einsum("ni,ni->n", off, up)
+    range_ = model.geometry(adjustment.state).range_[at]
+    aside = np.linalg.norm(off - high[:, None] * up, axis=1)
+    upright = (np.abs(high) > CLOSE) & (aside < np.maximum(CLOSE, ASIDE * np.abs(high))) & (aside < range_)
+    lift = np.zeros((len(recording), 3))
+    lift[at] = high[:, None] * up
+    mended = recording.readings - exact_target_change(adjustment.sightings, lift)
+    groups: dict[tuple[int, int, int], list[int]] = {}
+    for i in np.flatnonzero(upright):
+        key = int(recording.station[at[i]]), int(recording.target[at[i]]), round(high[i] / (2.0 * CLOSE))
+        groups.setdefault(key, []).append(int(i))
+    found: list[Mend] = []
+    for (s, t, _), members in groups.items():
+        station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
+        numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
+        where = "above" if size > 0 else "below"
+        sentence = (
+            f"From station {station} the pointing to {target} (row {numbers}) lands {abs(size) / MILLIMETRE:.1f} mm "
+            f"{where} it: a height of the target or the instrument that was not stated so."
+        )
+        rows_ = at[members]
+        finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)
+        found.append((finding, mended[rows_], recording.target[rows_]))
     return found
 
 

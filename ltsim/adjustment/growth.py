@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ltsim.adjustment.fitting import Sight, fit_point, fit_pose
-from ltsim.adjustment.frame import VERTICAL, Frame, upright_alignment
+from ltsim.adjustment.frame import VERTICAL, Frame, on_a_line, upright_alignment
 from ltsim.adjustment.pairs import Pairs
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.adjustment.seeds import LEAST_BEAMS, multilaterate, relative_orientation
@@ -15,7 +15,6 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
-from ltsim.geometry.rigid import holds_pose
 from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.model.measurement import lift_of
 from ltsim.recording.recording import Recording
@@ -356,7 +355,7 @@ class Growth:
             nearest = int(np.argmax(np.where(self._joined, -1, shared)))
             most, own = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
             known = own[self._have[own]]
-            if most >= 3 and not holds_pose(self._known()[known], np.ones(most, dtype=bool)):
+            if most >= 3 and on_a_line(self._known()[known]):
                 what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
             else:
                 what = f"shares only {most} targets with the rest of the network; at least three"

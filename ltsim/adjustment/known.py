@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
@@ -20,31 +21,48 @@ from ltsim.adjustment.reliability import (
     normalised,
     redundancy_of,
     scale_of,
+    single_level,
     surprise,
 )
+from ltsim.adjustment.snooping import snooped
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import State
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import Recording
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
+from ltsim.units import ARCSECOND, MILLIMETRE
 
-Kind = Literal["point", "length", "level"]
-KINDS: tuple[Kind, ...] = ("point", "length", "level")
+Kind = Literal["point", "length", "level", "mark", "axes"]
+WORDS: dict[Kind, str] = {
+    "point": "the known coordinates of",
+    "length": "the known length",
+    "level": "the level of",
+    "mark": "the set-up of",
+    "axes": "the stated coordinates of",
+}
+KINDS: tuple[Kind, ...] = ("point", "length", "level", "mark")
 SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
 """Redundancy below which the rest says nothing about a known value."""
-FELT = 1.0
-"""Whitened residual below which a known value need not be looked at: at 5 sigmas its redundancy would be below 4 %."""
+FELT = 0.2
+"""Whitened residual below which a known value need not be looked at: what is 5 sigmas off has more."""
+FINEST = 0.3
+"""Standard deviation of an exact value, in that of a reading at its target, with which it is tested."""
+AT_ONCE = 64
+"""Known values that are tested together."""
+PLAIN = 20.0
+"""w from which a known value is not compared with several bad readings in its place."""
 RIVAL = 100.0
 """How many times likelier than another the error of one known value must be before it alone is blamed."""
-MOST_OUT = 0.5
+MOST_OUT = 1 / 3
 """Share of the known values of a kind beyond which they contradict each other, and none can be named."""
 
 
 @dataclass(frozen=True)
 class KnownValue:
-    """One known value in the rows of an adjustment: a point's coordinates, a length or a level."""
+    """One known value in the rows of an adjustment: a point, a length, a level, or that a set-up stands on its mark."""
 
     kind: Kind
     name: str
@@ -80,6 +98,8 @@ class KnownTest:
     rank: int
     """How many components the rest checks."""
     left_out: bool = False
+    critical: float = SIGMAS
+    """Limit of `w`."""
     rivals: tuple[str, ...] = ()
     """Other known values that may as well be the wrong one: then all of them are kept."""
 
@@ -89,9 +109,27 @@ class KnownTest:
         return float(np.sqrt(self.drop))
 
     @property
-    def size(self) -> float:
-        """Length of the estimated error [m or rad]."""
-        return float(np.linalg.norm(self.error))
+    def off(self) -> str:
+        """By how much it is wrong, in words."""
+        size = float(np.linalg.norm(self.error))
+        along = self.error / size if size else np.zeros(len(self.error))
+        sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
+        unit, factor = ("arcsec", ARCSECOND) if self.kind == "level" else ("mm", MILLIMETRE)
+        return with_sigma(size / factor, sigma / factor, unit)
+
+    @property
+    def sentence(self) -> str:
+        """What is to be said of a known value that contradicts the rest."""
+        what = f"{WORDS[self.kind]} {self.name}"
+        if self.kind == "mark":
+            mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
+            return f"set-up {self.name} stands {self.off} beside {mark} (w = {self.w:.3g}): given a place of its own"
+        if self.rivals:
+            both = ", ".join((self.name, *self.rivals))
+            return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
+        rest = "by what the others say: left out of the datum" if self.kind == "axes" else "not its readings: left out"
+        verb = "are" if self.kind in ("point", "axes") else "is"
+        return f"{what} {verb} off by {self.off} (w = {self.w:.3g}), {rest}"
 
     @property
     def redundancy(self) -> Floats:
@@ -102,6 +140,26 @@ class KnownTest:
     def minimal_detectable(self) -> Floats:
         """Smallest error of each component that the test finds with 80 %; infinite where nothing checks it."""
         return np.sqrt(noncentrality(level=FAMILY_LEVEL)) * self.sigma_error
+
+
+def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
+    """The problem with what is said to be exact known as well as `FINEST` of a reading, so that it can be tested."""
+    geometry = problem.model.geometry(state)
+    across = geometry.range_[:, None]
+    sizes = problem.sigma * np.concatenate([np.ones_like(across), across, across], axis=1)
+    if not problem.use.any():
+        return problem
+    floor = FINEST * float(np.median(sizes[problem.use]))
+    turn = floor / float(np.median(geometry.range_[problem.use.any(axis=1)]))
+    levels = replace(problem.levels, sigma=np.maximum(problem.levels.sigma, turn))
+    control, marks = problem.control.no_finer(floor), problem.known_marks.no_finer(floor)
+    if (
+        control is problem.control
+        and marks is problem.known_marks
+        and np.array_equal(levels.sigma, problem.levels.sigma)
+    ):
+        return problem
+    return replace(problem, control=control, known_marks=marks, levels=levels)
 
 
 def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
@@ -128,19 +186,40 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
         sigma = np.full(2, problem.levels.sigma[i])
         name, rows = recording.stations[problem.levels.station[i]], first + 2 * i + np.arange(2)
         yield KnownValue("level", name, "", sigma, tilt, rows, np.diag(1.0 / sigma))
+    yield from _centrings(problem, state)
+
+
+def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+    """Set-ups over marks that something else shows too: each is said to stand there exactly."""
+    marks, recording = problem.marks, problem.model.recording
+    shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
+    if not shared.any():
+        return
+    number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
+    by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
+    for s in np.flatnonzero(shared):
+        own = problem.use & (recording.station == s)[:, None]
+        if own.any():
+            name = recording.stations[s]
+            yield KnownValue("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
 
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
     """The test of each known value of an adjustment whose whitened residual is `least` at least."""
+    if not least and solution.factor is not None:
+        problem, given = loosened(problem, solution.x), problem
+        solution = solution if problem is given else solve(problem, solution.x)
     if solution.factor is None:
         return []
     residual, tests = problem.residual(solution.x), []
-    for value in known_values(problem, solution.x):
-        own = residual[value.rows]
-        if float(np.linalg.norm(own)) >= least:
-            inside = as_dense(solution.system.design[value.rows]).T @ value.signature
-            left = value.signature.T @ value.signature - inside.T @ solution.factor.covariance_columns(inside)
-            tests.append(_test(value, left, value.signature.T @ own))
+    values = [v for v in known_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
+    for some in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
+        inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in some])
+        response, first = solution.factor.covariance_columns(inside), 0
+        for value in some:
+            own = slice(first, first := first + value.signature.shape[1])
+            left = value.signature.T @ value.signature - inside[:, own].T @ response[:, own]
+            tests.append(_test(value, left, value.signature.T @ residual[value.rows]))
     return tests
 
 
@@ -166,22 +245,29 @@ def _test(value: KnownValue, left: Floats, pull: Floats) -> KnownTest:
 
 
 def judged(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind] = KINDS
+    problem: NetworkProblem,
+    solution: Solution[State],
+    kinds: Collection[Kind] = KINDS,
+    spared: frozenset[tuple[Kind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[State], tuple[KnownTest, ...]]:
     """The problem without the known values that contradict the rest, its solution, and what contradicts.
 
     One at a time, by the fall of chi-square; single readings that explain more are set aside while the rest is judged.
     """
-    given, out, aside = (problem, solution), [], problem
+    given, out, aside = (problem, solution), [], loosened(problem, solution.x)
+    if solution.factor is not None and aside is not problem:
+        solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
-        found = _most_suspect(aside, solution, kinds)
+        found = _most_suspect(aside, solution, kinds, spared)
         if found is None:
             break
         if isinstance(found, KnownTest):
             out.append(found)
-            if found.rivals:
+            if not found.left_out:
                 break
-            aside = aside.on(replace(aside.model, recording=without(aside.model.recording, found)))
+            aside = loosened(
+                aside.on(replace(aside.model, recording=without(aside.model.recording, found))), solution.x
+            )
         else:
             aside = aside.using(aside.use & ~found)
         solution = solve(aside, solution.x)
@@ -190,15 +276,47 @@ def judged(
         return *given, ()
     if not gone:
         return *given, tuple(out)
-    kept = aside.using(given[0].use)
-    return kept, solve(kept, solution.x), tuple(out)
+    kept = problem.on(aside.model)
+    ended = solve(kept, solution.x)
+    usual = {kind: _usual(kept, ended, kind) for kind in {test.kind for test in gone}}
+    weak = {(test.kind, test.name) for test in gone if test.w < SIGMAS * usual[test.kind]}
+    if weak:
+        return judged(*given, kinds, spared | weak)
+    off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
+    if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
+        return *given, ()
+    return kept, ended, tuple(_settled(test, off[test.kind, test.name]) for test in out)
+
+
+def _settled(test: KnownTest, off: Floats) -> KnownTest:
+    """The test of a known value that was left out with what it is off by in the end."""
+    return replace(test, residual=off, error=off) if test.left_out and test.kind != "mark" else test
+
+
+def _usual(problem: NetworkProblem, solution: Solution[State], kind: Kind) -> float:
+    """How many stated standard deviations known values of a kind are off usually; 1 at least."""
+    tests = [test for test in known_tests(problem, solution) if test.kind == kind]
+    return float(np.sqrt(max(1.0, sum(t.drop for t in tests) / max(sum(t.rank for t in tests), 1))))
+
+
+def _price(problem: NetworkProblem, solution: Solution[State], gone: Sequence[KnownTest]) -> float:
+    """Chi-square without the readings that do not belong, and what each of these and of the known values `gone` costs.
+
+    What one known value explains, a few readings may explain as well: each is paid for as its own test asks for.
+    """
+    kept, ended = snooped(problem, solution.x)
+    readings = int(problem.use.sum())
+    count = len(list(known_values(problem, solution.x))) + len(gone)
+    paid = sum(float(special.chdtri(test.rank, single_level(count, FAMILY_LEVEL))) for test in gone)
+    return ended.cost + paid + critical_w(readings) ** 2 * (readings - int(kept.use.sum()))
 
 
 def _most_suspect(
-    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind]
+    problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], spared: Collection[tuple[Kind, str]]
 ) -> KnownTest | Bools | None:
     """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
     tests = [test for test in known_tests(problem, solution, FELT) if test.kind in kinds and test.rank]
+    tests = [test for test in tests if (test.kind, test.name) not in spared]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None
@@ -219,9 +337,11 @@ def _most_suspect(
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     if unlikely(float(np.nan_to_num(w).flat[worst] ** 2), 1, int(problem.use.sum()))[0] <= chance:
-        rivals = [test.name for test, other in zip(tests, chances, strict=True) if other[0] > chance - np.log(RIVAL)]
-        rivals.remove(tests[best].name)
-        return replace(tests[best], left_out=not rivals, rivals=tuple(rivals))
+        alike = [k for k, (other, _) in enumerate(chances) if other > chance - np.log(RIVAL)]
+        marks = all(tests[k].kind == "mark" for k in alike)  # Either way they stand apart: the later one goes.
+        chosen = alike[-1] if marks else best
+        rivals = tuple(tests[k].name for k in alike if k != chosen)
+        return replace(tests[chosen], left_out=marks or not rivals, rivals=rivals)
     reading = np.zeros(w.shape, dtype=bool)
     reading.flat[worst] = True
     return reading
@@ -230,7 +350,7 @@ def _most_suspect(
 def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[KnownTest]) -> bool:
     every = [value.kind for value in known_values(problem, solution.x)]
     gone = [test.kind for test in out]
-    return any(gone.count(kind) > MOST_OUT * every.count(kind) for kind in KINDS)
+    return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)
 
 
 def without(recording: Recording, test: KnownTest) -> Recording:
@@ -240,9 +360,9 @@ def without(recording: Recording, test: KnownTest) -> Recording:
         gauge = recording.gauge
         left = tuple(d for d in gauge.distance if f"{d.from_}-{d.to}" != test.name)
         return recording.replace(setup=setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": left})}))
-    if test.kind == "level":
-        stations = dict(setup.stations)
-        stations[test.name] = stations[test.name].model_copy(update={"levelled": False})
+    if test.kind in ("level", "mark"):
+        stations, change = dict(setup.stations), {"levelled": False} if test.kind == "level" else {"over": None}
+        stations[test.name] = stations[test.name].model_copy(update=change)
         return recording.replace(setup=setup.model_copy(update={"stations": stations}))
     targets = dict(setup.targets)
     told = targets[test.name]

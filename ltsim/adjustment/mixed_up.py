@@ -33,7 +33,9 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         One a station; empty where every shape agrees or nothing explains the difference.
     """
     findings: list[GrossFinding] = []
-    odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE) if len(recording.stations) > 2 else ()
+    odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE)
+    if len(recording.stations) == 2:
+        return recording, _mirrored_pair(recording) if len(odd) else findings
     for s in odd:
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.at(name):
@@ -48,6 +50,18 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
                 recording = mended
                 break
     return recording, findings
+
+
+def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
+    """Of two stations that see each other's targets in a mirror nobody can tell which has its azimuths clockwise."""
+    readings = recording.readings.copy()
+    rows = np.flatnonzero(recording.station == 1)
+    readings[rows, 1] *= -1.0
+    if not _misfit(recording.with_readings(readings))[1] < WRONG_SHAPE:
+        return []
+    a, b = recording.stations
+    sentence = f"Stations {a} and {b} saw mirror images: the azimuths of one of them are clockwise."
+    return [GrossFinding(WrongUnit.name, rows, (a, b), (), ("azimuth",), 0.0, sentence)]
 
 
 def mend_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:

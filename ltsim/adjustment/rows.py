@@ -128,6 +128,17 @@ class ControlRows:
         """Number of known coordinates."""
         return int(self.axes.sum())
 
+    def no_finer(self, floor: float) -> ControlRows:
+        """The same places, none known better than `floor` [m]."""
+        roots = self.root.copy()
+        for i, axes in enumerate(self.axes):
+            at = np.ix_(axes, axes)
+            inverse = np.linalg.inv(roots[i][at])
+            covariance = inverse @ inverse.T
+            if np.diag(covariance).min() < floor**2:
+                roots[i][at] = np.linalg.inv(np.linalg.cholesky(covariance + floor**2 * np.eye(len(covariance))))
+        return self if np.array_equal(roots, self.root) else replace(self, root=roots)
+
     def residual(self, points: Floats) -> Floats:
         """Whitened residuals (count,) where the places are at `points` (T or S, 3)."""
         gap = np.where(self.axes, self.points - points[self.target], 0.0)

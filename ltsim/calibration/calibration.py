@@ -14,6 +14,7 @@ from ltsim.adjustment.verdict import Verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.determined import determined
 from ltsim.calibration.schema import (
+    KNOWN,
     NOISE,
     OUTLIERS,
     PARAMETERS,
@@ -24,6 +25,7 @@ from ltsim.calibration.schema import (
     DeterminedEntry,
     Fit as Fit,
     FittedEffectEntry,
+    KnownEntry,
     NoiseRow as NoiseRow,
     OutlierRow as OutlierRow,
     ParameterEntry,
@@ -79,6 +81,8 @@ class Calibration(Result):
     """Whether readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()
     """The noise found, where it was estimated from the readings."""
+    known: tuple[KnownEntry, ...] = ()
+    """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Measured targets that the readings in use do not determine; they have no coordinates."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
@@ -169,6 +173,7 @@ class Calibration(Result):
             "stations": self._stations,
             "outliers": lambda: OUTLIERS.filled(self.outliers),
             "noise": lambda: NOISE.filled(self.noise),
+            "known": lambda: KNOWN.filled(self.known),
         }
         return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
 

@@ -71,7 +71,17 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         "stations",
         "outliers",
     )
-    same += ("robust", "noise", "noise_estimated", "lost_targets", "informed", "correction", "effects", "notes")
+    same += (
+        "robust",
+        "known",
+        "noise",
+        "noise_estimated",
+        "lost_targets",
+        "informed",
+        "correction",
+        "effects",
+        "notes",
+    )
     return CalibrationFile(
         construction=calibration.construction.name,
         covariance=(calibration.covariance / np.outer(factors, factors)).tolist(),

@@ -22,7 +22,9 @@ from ltsim.calibration.result import (
     directions_of,
     fit_of,
     frame_of,
+    known_of,
     noise_of,
+    notes_on_axes,
     notes_on_hand,
     notes_on_modes,
     outliers_of,
@@ -128,7 +130,6 @@ def _adjusted(
     grouping: Grouping | None = "instrument" if noise_from_data else None
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     found = adjust(recording, construction, effects=effects, **how)
-    found.solution.require_success()
     require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
@@ -163,8 +164,9 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         verdict=verdict_of(adjustment),
         robust=robust,
         noise=noise_of(adjustment),
+        known=known_of(adjustment),
         lost_targets=adjustment.lost_targets,
         recording=SourceEntry.of(source),
-        notes=(*notes_on_modes(adjustment), *notes_on_hand(adjustment)),
+        notes=(*notes_on_axes(adjustment), *notes_on_modes(adjustment), *notes_on_hand(adjustment)),
         adjustment=adjustment,
     )

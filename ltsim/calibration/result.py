@@ -8,11 +8,13 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment, observable_name
 from ltsim.adjustment.frame import Frame
+from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.screening import gross_pointings
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose
+from ltsim.calibration.schema import KnownEntry
 from ltsim.chances import AGREES
 from ltsim.effects.motions import exact_target_change
 from ltsim.errors import NetworkError
@@ -142,6 +144,41 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     return tuple(rows)
 
 
+def known_of(adjustment: Adjustment) -> tuple[KnownEntry, ...]:
+    """Every known value with its test, one entry a component."""
+    return tuple(_known_entry(test, k) for test in adjustment.known for k in range(len(test.error)))
+
+
+def _known_entry(test: KnownTest, k: int) -> KnownEntry:
+    unit, factor = ("arcsec", ARCSECOND) if test.kind == "level" else ("mm", MILLIMETRE)
+    one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
+    return KnownEntry(
+        kind=test.kind,
+        name=test.name,
+        component="" if one else (test.axes or "xy")[k],
+        residual=float(test.residual[k]) / factor,
+        error=float(test.error[k]) / factor,
+        sigma_error=float(test.sigma_error[k]) / factor if sure else None,
+        minimal_detectable=float(test.minimal_detectable[k]) / factor if sure else None,
+        unit=unit,
+        redundancy=float(test.redundancy[k]),
+        w=test.w,
+        left_out=test.left_out,
+    )
+
+
+def notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
+    """How the coordinates fit that only give the axes."""
+    kept = [test for test in adjustment.axes if not test.left_out]
+    if not kept:
+        return ()
+    within = max(float(np.linalg.norm(test.residual)) for test in kept) / MILLIMETRE
+    source = adjustment.recording.setup.axes
+    out = [f"{test.name} ({test.off})" for test in adjustment.axes if test.left_out]
+    said = f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm"
+    return (f"{said}; left out of the datum: {named(out)}" if out else said,)
+
+
 def frame_of(adjustment: Adjustment) -> str:
     """A sentence: what the coordinates refer to."""
     problem, recording = adjustment.problem, adjustment.recording
@@ -164,7 +201,8 @@ def _free_axes(adjustment: Adjustment, first: str) -> str:
     """What stands for the motions that no observation determines."""
     state, frame = adjustment.state, Frame.of(adjustment.recording)
     if adjustment.datum is not None and _stated(adjustment):
-        return "the axes in which coordinates of the datum's targets are stated"
+        source = adjustment.recording.setup.axes
+        return f"the axes of {source}" if source else "the axes in which coordinates of the datum's targets are stated"
     if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
         return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
     return f"the frame of station {first}"
@@ -224,7 +262,9 @@ def criteria_of(
         if not construction.size:
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
-        return evaluate(recording, construction, applied, use=use)
+        model, state = adjustment.problem.model, adjustment.state
+        shift = model.linearised(state).by_extra @ state.extra if len(state.extra) else None
+        return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None
 

@@ -314,6 +314,36 @@ PARAMETERS = Table(
         name={"name": "parameter"},
     ),
 )
+
+
+class KnownEntry(Entry):
+    """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
+
+    kind: Literal["point", "length", "level", "mark", "axes"]
+    """What is known."""
+    name: str
+    """Target, both ends of a length, or station."""
+    component: str = ""
+    """x, y or z of a point; the two tilts of a level are x and y."""
+    residual: Finite
+    """Stated less adjusted."""
+    error: Finite
+    """By how much it is wrong by what the rest says."""
+    sigma_error: Sigma = None
+    """Standard deviation of the error; null where the rest says nothing."""
+    minimal_detectable: Known = None
+    """Smallest error that the test finds with 80 %."""
+    unit: str
+    """Of residual, error and what follows them."""
+    redundancy: Finite
+    """Share of an error that the residual shows."""
+    w: Finite
+    """Root of the fall of chi-square without the whole known value."""
+    left_out: bool = False
+    """It contradicts the rest and had no say."""
+
+
+KNOWN = Table("known.csv", "known values, each tested by the rest", columns_of(KnownEntry))
 OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
 NOISE = Table("noise.csv", "noise found from the readings", columns_of(NoiseRow, factor={"sigma": "factor_sigma"}))
 STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
@@ -357,6 +387,8 @@ class CalibrationFile(ResultFile):
     """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()
     """Which test to trust."""
+    known: tuple[KnownEntry, ...] = ()
+    """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     correction: Correction | None = None

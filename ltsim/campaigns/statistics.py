@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,15 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
-from ltsim.campaigns.design import Factor, factors_of_settings
+from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED
 from ltsim.campaigns.rows import CHECKED
-from ltsim.campaigns.schema import LEVELS, ManifestFile, summary_table
+from ltsim.campaigns.schema import LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.recording.result_table import ResultTable
 from ltsim.results import Columns, Result, by_row
-from ltsim.units import unit_of_key
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -34,9 +34,10 @@ IMPROVEMENTS = ("distance", "coordinate")
 
 @dataclass(frozen=True)
 class Spread:
-    """A column over the trials of one cell and method.
+    """A statistic over the trials of one cell and method.
 
-    `low` and `high` bound the mean with 95 % confidence; `quantiles` belong to `LEVELS`.
+    `low` and `high` bound the mean with 95 % confidence, also where cells stop by what they hold; `quantiles` belong to
+    `LEVELS`. A share has a mean and an interval alone: it is one of all trials together.
     """
 
     cell: int
@@ -44,12 +45,52 @@ class Spread:
     column: str
     trials: int
     mean: float
-    deviation: float
     low: float
     high: float
-    least: float
-    largest: float
-    quantiles: tuple[float, ...]
+    deviation: float | None = None
+    least: float | None = None
+    largest: float | None = None
+    quantiles: tuple[float | None, ...] = (None,) * len(LEVELS)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`."""
+
+    settings: Mapping[str, Any]
+    """What both have in common."""
+    first: str
+    second: str
+    statistic: str
+    unit: str
+    trials: int
+    difference: float
+    low: float
+    high: float
+    """95 % interval of the difference."""
+
+
+@dataclass(frozen=True, repr=False)
+class Paired(Result):
+    """Differences on common draws."""
+
+    entries: tuple[Difference, ...]
+
+    def _lines(self) -> list[str]:
+        return [
+            f"{e.statistic}, {e.first} less {e.second}: {e.difference:.4g} {e.unit} "
+            f"(95 %: {e.low:.4g} to {e.high:.4g}; {e.trials} trials"
+            + "".join(f", {name} {value}" for name, value in e.settings.items())
+            + ")"
+            for e in self.entries
+        ]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"differences": lambda: by_row([dict(e.settings) | _plain(e) for e in self.entries])}
+
+
+def _plain(entry: Difference) -> dict[str, Any]:
+    return {name: value for name, value in vars(entry).items() if name != "settings"}
 
 
 @dataclass(frozen=True)
@@ -98,7 +139,7 @@ class Results(Result):
     levels : list of dict
         Their values in each cell, by name.
     columns : tuple of str
-        The columns that hold results.
+        The columns that hold results, and the shares of all trials together.
     units : dict
         Units of columns that have one, by name.
 
@@ -111,7 +152,8 @@ class Results(Result):
     def __init__(self, folder: Path) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
-        self.factors, self.levels = _factors(self.manifest)
+        self.factors = tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in self.manifest.factors)
+        self.levels = [cell.levels for cell in self.manifest.cells]
         shards = store.shards()
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
@@ -119,15 +161,12 @@ class Results(Result):
         self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
         source = f"read_parquet([{', '.join(map(_literal, shards))}], union_by_name = true)"
         try:
-            store.verify(self.manifest.fingerprint)
+            store.verify({cell.cell: cell.mark for cell in self.manifest.cells})
             self._base.register("cells", self._cells())
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
-            if not {factor.name for factor in self.factors} <= set(names):  # rows of an earlier version
-                source += " JOIN (SELECT * EXCLUDE label FROM cells) USING (cell)"
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
-            self.columns: tuple[str, ...] = tuple(
-                row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"
-            )
+            held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
+            self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(_errors_of(name)) <= {*held}))
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
@@ -199,15 +238,37 @@ class Results(Result):
         kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
         return f"{kind}({value}, [{', '.join(str(level) for level in LEVELS)}])"
 
+    def _interval(self, count: int, deviation: float) -> float:
+        """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""
+        stops = bool(self.manifest.settings.get("stop"))
+        level = level_of(self.manifest.trials, self.manifest.shard or 1, stops=stops)
+        return quantile(count, level) * deviation / math.sqrt(count)
+
     def spread(self, column: str) -> list[Spread]:
         """Mean, spread and quantiles of a column in every cell and for every method."""
         name = self._known(column)
+        if column in SHARES:
+            return [self._share(column, row) for row in self.query(_SHARE.format(*_terms(column)))]
         found = self.query(
             f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
             f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
             "ORDER BY cell, method"
         )
-        return [_spread(column, row) for row in found]
+        return [
+            Spread(
+                cell, method, column, count, mean, mean - half, mean + half, _number(sd), low, high, tuple(quantiles)
+            )
+            for cell, method, count, mean, sd, low, high, quantiles in found
+            for half in [self._interval(count, _number(sd))]
+        ]
+
+    def _share(self, column: str, row: tuple[Any, ...]) -> Spread:
+        """A ratio of means with the interval of its linear form (delta method)."""
+        cell, method, count, gained, correctable, by_gained, by_both, by_correctable = row
+        value = gained / correctable if correctable > 0 else math.nan
+        variance = _number(by_gained) - 2 * value * _number(by_both) + value**2 * _number(by_correctable)
+        half = self._interval(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
+        return Spread(cell, method, column, count, value, value - half, value + half)
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
@@ -243,17 +304,69 @@ class Results(Result):
         )
         return [Checked(*row) for row in rows]
 
-    def paired(self, column: str, first: str, second: str) -> list[Spread]:
-        """`first` less `second` method on the same draws, trial by trial."""
-        name = self._known(column)
-        words = [method.replace("'", "''") for method in (first, second)]
-        found = self.query(
-            f"WITH gap AS (SELECT a.cell AS cell, a.{name} - b.{name} AS d FROM rows a JOIN rows b "
-            f"ON a.cell = b.cell AND a.trial = b.trial AND a.method = '{words[0]}' AND b.method = '{words[1]}') "
-            "SELECT cell, '', count(d), avg(d), stddev_samp(d), min(d), max(d), "
-            f"{self._quantiles('d')} FROM gap WHERE d IS NOT NULL GROUP BY cell ORDER BY cell"
+    def paired(self, statistic: str, **between: tuple[Any, Any]) -> Paired:
+        """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
+
+        Parameters
+        ----------
+        statistic : str
+            A column of the rows, or a share.
+        **between
+            One of ``method=("distance", "network")`` or a factor with two of its levels, ``faces=(1, 2)``: the first
+            less the second, for every combination of the other settings.
+
+        Raises
+        ------
+        ModelError
+            When there is no such statistic, method, factor or level.
+        """
+        self._known(statistic)
+        if len(between) != 1:
+            raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
+        ((along, (first, second)),) = between.items()
+        found = []
+        for common, one, other in self._pairs(along, first, second):
+            values = [self._terms(statistic, *place) for place in (one, other)]
+            both = np.isin(values[0][0], values[1][0]), np.isin(values[1][0], values[0][0])
+            a, b = (terms[1][:, keep] for terms, keep in zip(values, both, strict=True))
+            (mean, scatter), (less, other_scatter) = _linear(a), _linear(b)
+            count, gap = a.shape[1], mean - less
+            half = self._interval(count, float(np.std(scatter - other_scatter, ddof=1))) if count > 1 else math.inf
+            unit = self.units.get(statistic, "")
+            found.append(
+                Difference(common, str(first), str(second), statistic, unit, count, gap, gap - half, gap + half)
+            )
+        return Paired(tuple(found))
+
+    def _pairs(self, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
+        """What two places (cell, method) have in common, and both."""
+        methods = self.manifest.methods
+        known = methods if along == "method" else [level.get(along) for level in self.levels]
+        if along != "method" and along not in {f.name for f in self.factors}:
+            raise unknown_name("factor of this campaign", along, ("method", *(f.name for f in self.factors)))
+        for level in (first, second):
+            if level not in known:
+                raise unknown_name(f"level of {along}", str(level), [str(k) for k in dict.fromkeys(known)])
+        for cell, own in enumerate(self.levels):
+            if along == "method":
+                yield dict(own), (cell, first), (cell, second)
+            elif own[along] == first:
+                rest = {name: value for name, value in own.items() if name != along}
+                twin = next((k for k, level in enumerate(self.levels) if level == own | {along: second}), None)
+                for method in methods if twin is not None else ():
+                    several = {"method": method} if len(methods) > 1 else {}
+                    yield rest | several, (cell, method), (twin, method)
+
+    def _terms(self, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
+        """Trials (N,) of a place and what is averaged of each, (1, N), or (2, N) of a share."""
+        terms = _terms(statistic) if statistic in SHARES else (f'"{statistic}"',)
+        words = method.replace("'", "''")
+        rows = self.query(
+            f"SELECT trial, {', '.join(terms)} FROM rows WHERE cell = {cell} AND method = '{words}' "
+            f"AND {terms[0]} IS NOT NULL ORDER BY trial"
         )
-        return [_spread(f"{column}: {first} less {second}", row) for row in found]
+        table = np.array(rows, dtype=np.float64).reshape(len(rows), 1 + len(terms)).T
+        return table[0], table[1:]
 
     def summary(self) -> dict[str, Any]:
         """Everything a report needs, as plain data."""
@@ -268,6 +381,7 @@ class Results(Result):
             ],
             "ends": [asdict(entry) for entry in self.checked()],
             "levels": LEVELS,
+            "meanings": {c: known.meaning for c in wanted if (known := column_of(c))},
             "columns": [
                 asdict(entry) | {"unit": self.units.get(column, "")}
                 for column in wanted
@@ -293,19 +407,38 @@ def _tidy(summary: Mapping[str, Any]) -> tuple[ResultTable, Columns]:
     return table, fixed | quantiles
 
 
-def _factors(manifest: ManifestFile) -> tuple[tuple[Factor, ...], list[dict[str, Any]]]:
-    """What differs between cells, and its values in each; of an earlier version's folder by its settings."""
-    if manifest.factors:
-        return tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in manifest.factors), [
-            cell.levels for cell in manifest.cells
-        ]
-    found = factors_of_settings([cell.settings for cell in manifest.cells])
-    return found, [{f.name: cell.settings.get(f.keys[0]) for f in found} for cell in manifest.cells]
+Place = tuple[int, str]
+"""Cell and method."""
+_SHARE = (
+    "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
+    "FROM (SELECT cell, method, {0} AS a, {1} AS b FROM rows) WHERE a IS NOT NULL AND b IS NOT NULL "
+    "GROUP BY cell, method ORDER BY cell, method"
+)
+
+
+def _errors_of(share: str) -> tuple[str, str, str]:
+    """The columns that a share is made of: raw, calibrated, with the true parameters."""
+    prefix = share.removesuffix("share_removed")
+    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
+
+
+def _terms(share: str) -> tuple[str, str]:
+    """SQL of the mean square that was removed, and of that which could be."""
+    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in _errors_of(share))
+    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
+
+
+def _linear(terms: Floats) -> tuple[float, Floats]:
+    """A mean of (1, N), or a ratio of means of (2, N), and how far each trial draws it (N,)."""
+    if len(terms) == 1:
+        return float(np.mean(terms)), terms[0]
+    ratio = float(terms[0].mean() / terms[1].mean())
+    return ratio, (terms[0] - ratio * terms[1]) / terms[1].mean()
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:
-    """Units in the metadata of a shard's columns; the added improvements are in percent."""
-    said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() or unit_of_key(f.name) for f in schema}
+    """Units in the metadata of a shard's columns, and of the improvements that are added."""
+    said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
     return {name: unit for name, unit in (said | added).items() if unit}
 
@@ -328,15 +461,6 @@ def _improvements(names: list[str]) -> str:
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-def _spread(column: str, row: tuple[Any, ...]) -> Spread:
-    cell, method, count, mean, deviation, least, largest, quantiles = row
-    spread = _number(deviation)
-    within = NORMAL_95 * spread / math.sqrt(count)
-    return Spread(
-        cell, method, column, count, mean, spread, mean - within, mean + within, least, largest, tuple(quantiles)
-    )
 
 
 def _damaged(folder: Path, problem: Exception) -> SetupError:

@@ -60,6 +60,15 @@ FrameFile = Annotated[
         'origin = "T01", x_axis = "T02", xy_plane = "T03".',
     ),
 ]
+ControlFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--control",
+        metavar="FILE",
+        help="Control points with weight: a table target, x_mm, y_mm, z_mm and sigma_mm (or sigma_x_mm, sigma_y_mm, "
+        "sigma_z_mm); an empty coordinate is not known. One that the readings contradict is named and left out.",
+    ),
+]
 Robust = Annotated[
     bool, typer.Option("--robust", help="Leave out readings that do not belong; each is tested again at the end.")
 ]
@@ -173,10 +182,15 @@ class FramedReading(Reading):
     """The same, with the axes of the results."""
 
     frame: FrameFile = None
+    control: ControlFile = None
 
     def of(self, path: Path, *, growing: bool = False) -> Recording:
-        """The recording, in the axes of `frame` if given; raises RecordError."""
+        """The recording, in the axes of `frame` or with the points of `control` if given; raises RecordError."""
         found = super().of(path, growing=growing)
+        if self.control is not None:
+            from ltsim.adjustment.axes import with_control
+
+            found = with_control(found, self.control)
         return found if self.frame is None else in_axes(found, self.frame)
 
 

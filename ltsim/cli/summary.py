@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
 from ltsim.cli.terminal import Terminal, table
-from ltsim.notation import with_sigma
+from ltsim.notation import number, with_sigma
 from ltsim.units import MICROMETRE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ltsim.calibration import Calibration
+    from ltsim.calibration.schema import KnownEntry
     from ltsim.evaluation import Comparison, Criteria
 
 METHODS = {
@@ -24,6 +27,9 @@ METHODS = {
     "equation-9-l1": "distances, the minimum of the paper's eq. 9, least absolute deviations",
 }
 MOST_SHOWN = 12
+MOST_KNOWN = 12
+CONSPICUOUS = 3.0
+"""w from which a level is shown among the known values."""
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
@@ -57,6 +63,9 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
     if calibration.undetermined:
         terminal.say()
         show_undetermined(terminal, calibration)
+    if calibration.known:
+        terminal.say()
+        show_known(terminal, calibration.known)
     if calibration.outliers:
         terminal.say()
         show_outliers(terminal, calibration)
@@ -170,6 +179,30 @@ def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
         )
     if len(calibration.outliers) > MOST_SHOWN:
         terminal.say(f"  and {len(calibration.outliers) - MOST_SHOWN} more")
+
+
+def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
+    """Known values by their tests, the worst first: how far each is from what the rest says."""
+    told = [entry for entry in known if entry.kind not in ("level", "mark") or entry.left_out or entry.w > CONSPICUOUS]
+    if not told:
+        return
+    worst = sorted(told, key=lambda entry: (not entry.left_out, -entry.w))
+    rows = [
+        [
+            f"{entry.kind} {entry.name} {entry.component}".rstrip(),
+            number(entry.residual),
+            with_sigma(entry.error if entry.sigma_error else None, entry.sigma_error),
+            entry.unit,
+            number(entry.redundancy, 2),
+            number(entry.w, 2),
+            "left out" if entry.left_out else "",
+        ]
+        for entry in worst[:MOST_KNOWN]
+    ]
+    terminal.say("known values (stated less adjusted; error by what the rest says):")
+    terminal.say(table(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
+    if len(known) > len(rows):
+        terminal.say(f"  and {len(known) - len(rows)} more in calibration.json")
 
 
 def criteria_table(criteria: Criteria) -> str:

@@ -23,7 +23,7 @@ Sight = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 
 def sight_of(space: ResidualSpace, cards: Cards) -> Sight:
-    """Effects that can be found here, and those that cannot, with the error of the targets that these would hide.
+    """Effects that can be found here, and those that cannot, with the error of the targets they hide, worst first.
 
     Of several parameters that one is told that needs the smallest multiple of its plausible size, at a middling place.
 
@@ -40,7 +40,7 @@ def sight_of(space: ResidualSpace, cards: Cards) -> Sight:
             found.append(best)
         else:
             hidden.append(_undetectable(space, places[(len(places) - 1) // 2][0], times))
-    return tuple(found), tuple(hidden)
+    return tuple(found), tuple(sorted(hidden, key=lambda one: -(one.hides_um or 0.0)))
 
 
 def _seen(places: Sequence[tuple[Effect, Floats, Floats]]) -> list[tuple[Effect, Floats, float, int, Floats]]:
@@ -60,7 +60,8 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
     hides = max(_hidden_error(space, effect, size) for size in sizes)
     size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would show {size}"
-    return Undetectable(effect=effect.name, reason=reason, hides_um=hides, cure=advice("cause"))
+    seen = times if np.isfinite(times) else None
+    return Undetectable(effect=effect.name, reason=reason, hides_um=hides, shows_at=seen, cure=advice("cause"))
 
 
 def _hidden_error(space: ResidualSpace, effect: Effect, values: Floats) -> float:

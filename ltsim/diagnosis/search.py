@@ -77,7 +77,7 @@ class Searcher:
         self.probe = Probe.of(space, seed, trials)
         self.large = self.probe.sampled
         self._most = FEW if self.large else REFINED
-        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
+        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings, space.adjustment.recording.instruments))
         self.panels: list[Panel] = panels(space)
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}

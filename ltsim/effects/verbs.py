@@ -67,3 +67,41 @@ def catalogue(*names: str) -> Catalogue:
 def _meaning(effect: type[Effect]) -> str:
     """What the effect is, in a sentence."""
     return (inspect.getdoc(effect) or "").partition("\n")[0]
+
+
+def add_effect(kind: type[Effect]) -> type[Effect]:
+    """Add an effect of your own for this session; also as a decorator of its class.
+
+    From then on its name works wherever that of an effect does: in scenarios, in `with_effects`, in campaigns (their
+    workers are told), in a diagnosis. A card is not needed; for other sessions put the class into a package.
+
+    Parameters
+    ----------
+    kind : type of Effect
+        With a name, a stage, parameters and `design`.
+
+    Raises
+    ------
+    ModelError
+        Why it cannot be an effect, or that the name is taken.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import ltsim as lt
+    >>> @lt.add_effect
+    ... @dataclass(frozen=True)
+    ... class CableDrag(lt.effects.Effect):
+    ...     name = "cable-twist"
+    ...     stage = lt.effects.Stage.AXES
+    ...     parameters = (lt.effects.Parameter("twist", "urad", "azimuth per turn of the head", 5e-6),)
+    ...
+    ...     def design(self, sightings):
+    ...         column = 0 * sightings.raw[:, :, None]
+    ...         column[:, 1, 0] = self.mask(sightings) * sightings.azimuth
+    ...         return column
+    >>> changes = {"effects": [{"name": "cable-twist", "values": {"twist": 6.0}}]}
+    >>> lt.simulate("paper-workshop", changes=changes).truth.effects[0].effect.name
+    'cable-twist'
+    """
+    return CATALOGUE.add(kind)

@@ -226,6 +226,7 @@ def evaluate(
     construction: Construction | None = None,
     values: Floats | None = None,
     *,
+    shift: Floats | None = None,
     use: Bools | None = None,
 ) -> Criteria:
     """The criteria of a recording, before and after calibration.
@@ -235,6 +236,8 @@ def evaluate(
     recording : Recording
     construction, values
         The parameters (p,) or (n, p) [SI] that correct it; without them there is no "after".
+    shift : (n, 3) float, optional [m, rad, rad]
+        What effects that were estimated too change the readings by: "after" takes it out.
     use : (n,) bool, optional
         Pointings to use; faces and repeats of a target from a station are averaged.
 
@@ -253,7 +256,8 @@ def evaluate(
     before = station_means(recording, measured_points(recording), use)
     after = None
     if construction is not None and values is not None:
-        after = station_means(recording, measured_points(recording, construction, values), use)
+        corrected = recording if shift is None else recording.with_readings(recording.readings - shift)
+        after = station_means(recording, measured_points(corrected, construction, values), use)
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.reliability import surprise
-from ltsim.arrays import Bools, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import station_design
 from ltsim.effects.range_drift import RangeDrift
@@ -32,6 +32,8 @@ MOST_GROSS = 0.1
 """Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
 WITNESSES = 3
 """Targets on both sides of a gap that a motion of the station needs: one alone may itself have moved."""
+CAUSES = ("mistake", "bump", "drift")
+"""What is named first: two faces that differ and scatter follow from it."""
 TESTS = 6
 """Tests of one set-up."""
 
@@ -75,8 +77,10 @@ class Check(Result):
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """Every item, set-up by set-up."""
-        return (*(item for setup in self.setups for item in setup.items), *self.network)
+        """Every item: mistakes of the work first, then set-up by set-up."""
+        mistakes = (item for item in self.network if item.kind == "mistake")
+        rest = (item for item in self.network if item.kind != "mistake")
+        return (*mistakes, *(item for setup in self.setups for item in setup.items), *rest)
 
     @property
     def passed(self) -> bool:
@@ -86,7 +90,7 @@ class Check(Result):
     @property
     def sentence(self) -> str:
         """Go or no-go and why."""
-        failed = [item for item in self.items if not item.passed]
+        failed = sorted((item for item in self.items if not item.passed), key=lambda item: item.kind not in CAUSES)
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             return f"no-go: {failed[0].sentence}{more}"
@@ -135,7 +139,9 @@ def _set_up(whole: Recording, station: int, family: Family, mpe: Mpe | None) -> 
     items += [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
     if bump is not None:
         visit = visit.without(bump.design(visit.sightings))
-    items += [_drift(visit, family), _instrument_drift(visit, family), _closure(visit, family)]
+    drift = _drift(visit, family)
+    steady = visit if drift.passed else visit.without(_creep(visit))
+    items += [drift, _instrument_drift(steady, family), _closure(visit, family)]
     return SetUp(name, tuple(items), faces, visit, rows)
 
 
@@ -148,8 +154,10 @@ def _events(visit: Visit, construction: Construction, family: Family) -> tuple[l
         alone = surprise(drop, rank) - np.log(len(visit.use))
         worst = int(np.argmax(alone))
         bump, explained, gaps = best_bump(visit)
-        bump = bump if visit.p_value(explained) * gaps < family.share else None
-        enough = alone[worst] <= -np.log(family.share) or len(gross) >= most
+        creep = _surprise(visit.explained(_creep(visit)))
+        steady = creep >= _surprise(explained) - np.log(gaps)
+        bump = None if steady or visit.p_value(explained) * gaps >= family.share else bump
+        enough = alone[worst] <= max(-np.log(family.share), creep if steady else 0.0) or len(gross) >= most
         if enough or (bump is not None and alone[worst] <= _surprise(explained) - np.log(gaps)):
             return gross, bump, visit
         gross.append(worst)
@@ -200,15 +208,18 @@ def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family)
     between = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     numbers = int(rows[pair[0]]), int(rows[pair[1]])
     chance = family.adjusted(visit.p_value(explained), len(order) - 1)
-    sentence = bump_sentence(recording, between, numbers, explained.values)
+    sentence = bump_sentence(recording, between, numbers, explained)
     return Item(name, "bump", False, sentence, chance, rows=numbers, between=between)
 
 
-def _drift(visit: Visit, family: Family) -> Item:
+def _creep(visit: Visit) -> Floats:
+    """Change (n, 3, 6) of the readings by an even motion of the station, as large as its end."""
     duration = max(float(np.ptp(visit.recording.time)), 1e-9)
-    explained = visit.explained(
-        station_design(visit.sightings) * (visit.sightings.station_time / duration)[:, None, None]
-    )
+    return np.asarray(station_design(visit.sightings) * (visit.sightings.station_time / duration)[:, None, None])
+
+
+def _drift(visit: Visit, family: Family) -> Item:
+    explained = visit.explained(_creep(visit))
     p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
     return Item(visit.recording.stations[0], "drift", passed, drift_sentence(visit.recording, explained, passed), p)

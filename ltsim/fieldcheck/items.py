@@ -7,7 +7,7 @@ from typing import Literal
 
 from scipy import special
 
-Kind = Literal["two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level"]
+Kind = Literal["two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,12 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.estimate import adjust
-from ltsim.errors import NetworkError
+from ltsim.adjustment.gross import mistakes
+from ltsim.adjustment.known import Kind
+from ltsim.arrays import Bools
+from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
 from ltsim.notation import with_sigma
@@ -16,6 +20,8 @@ from ltsim.units import ARCSECOND
 
 NETWORK_TESTS = 2
 """Tests of all stations together: common targets, and levels."""
+TESTED: tuple[Kind, ...] = ("point", "length")
+"""Known values that may be left out; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
 
@@ -29,30 +35,42 @@ def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
     except NetworkError as problem:
         return (Item("", "network", True, f"the stations are not compared: {problem}"),)
     try:
-        found = adjust(recording, built, robust=True)
-    except NetworkError:
-        return ()
+        plain = adjust(recording, judging=TESTED)
+        require_result(plain)
+        found = adjust(recording, built, robust=True, judging=TESTED)
+    except (NetworkError, ConvergenceError) as problem:
+        return (Item("", "network", False, f"the set-ups make no network: {problem}"),)
+    mistaken = [
+        Item(", ".join(told.stations), "mistake", False, told.sentence, targets=told.targets, rows=tuple(told.rows + 1))
+        for told, *_ in mistakes(plain)
+    ]
+    wrong = [Item("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
     if not found.solution.converged or found.dof < 1:
-        return ()
-    return (_of_targets(found, family), *_of_levels(found, family))
+        return (*mistaken, *wrong)
+    known = np.zeros(len(recording), dtype=bool)
+    known[[row - 1 for item in mistaken for row in item.rows]] = True
+    return (*mistaken, *wrong, *_of_targets(found, known, family), *_of_levels(found, family))
 
 
-def _of_targets(found: Adjustment, family: Family) -> Item:
-    recording, out = found.recording, found.rejected.any(axis=1)
+def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
+    """Whether the stations agree, pointings whose mistake is `known` (n,) aside; the worst pointing is named first."""
+    recording, out = found.recording, found.rejected.any(axis=1) & ~known
     p, less = two_sided(found.chi2, found.dof)
     p = family.adjusted(p)
     scatter = f"sigma0 {found.sigma0:.2f} where the stated noise gives 1 ({found.dof} degrees of freedom)"
     if not out.any():
         passed = less or p >= family.level
         verb = "agree" if passed else "disagree"
-        return Item("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)
+        return [Item("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
+    size = np.nan_to_num(np.abs(found.residuals / found.problem.sigma)).max(axis=1)
     rows = np.flatnonzero(out)
+    rows = rows[np.argsort(-size[rows], kind="stable")]
     station, target = recording.station[rows[0]], recording.target[rows[0]]
     first = f"{recording.stations[station]} to {recording.targets[target]}, row {rows[0] + 1}"
     many = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
-    sentence = f"{many} the other stations ({first}{', is the first' if len(rows) > 1 else ''})"
+    sentence = f"{many} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
     targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
-    return Item("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))
+    return [Item("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
 
 
 def _of_levels(found: Adjustment, family: Family) -> list[Item]:

@@ -24,18 +24,32 @@ FELT = 0.1
 """Directions of the instrument's errors that change no reading by this part of its sigma are left out."""
 REDUNDANT = 0.05
 """Redundancy below which an error of a reading does not show."""
+SEEN = 0.999
+"""Share of a parameter that the directions which readings feel must hold before it has a value."""
 HELD = 1e-6
 """Singular value of whitened columns, against the largest, from which they count as one direction less."""
 
 
 @dataclass(frozen=True)
 class Explained:
-    """What columns explain: fall of chi-square, how many directions, the estimate and its covariance."""
+    """What columns explain: fall of chi-square, how many directions, the estimate and its covariance.
+
+    The covariance is infinite for what no target that was measured again tells.
+    """
 
     drop: float
     rank: int
     values: Floats
     covariance: Floats
+
+    def size(self, which: slice) -> tuple[float, float]:
+        """Length of some of the values, and its standard deviation."""
+        part, spread = self.values[which], self.covariance[which, which]
+        length = float(np.linalg.norm(part))
+        if not np.isfinite(np.diag(spread)).all():
+            return length, float("inf")
+        along = part / length if length else np.full(len(part), 1.0 / np.sqrt(len(part)))
+        return length, float(np.sqrt(max(along @ spread @ along, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -113,7 +127,10 @@ class Visit:
         good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
         amount = left[:, good].T @ self.whitened.ravel()
         back = (right[good].T / size[good]) / np.where(kept, length, np.inf)[:, None]
-        return Explained(float(amount @ amount), int(good.sum()), back @ amount, back @ back.T)
+        covariance = back @ back.T
+        unseen = np.sum(right[good] ** 2, axis=0) < SEEN
+        covariance[unseen, unseen] = np.inf
+        return Explained(float(amount @ amount), int(good.sum()), back @ amount, covariance)
 
     def p_value(self, explained: Explained) -> float:
         """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""

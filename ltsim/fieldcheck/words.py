@@ -7,14 +7,20 @@ from datetime import datetime, time as clock, timedelta
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Ints
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.visit import Explained, Visit
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN
+from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 
-ZEROS = (("range", "um", MICROMETRE), ("vertical index", "arcsec", ARCSECOND))
+ZEROS = (("range", "um", MICROMETRE, MILLIMETRE), ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND))
+"""Zeros of an instrument, and the standard deviation from which a recording says nothing of them."""
+SHIFT, TILT, TURN = slice(0, 3), slice(3, 5), slice(5, 6)
+VAGUE = 100 * MICRORADIAN
+"""Standard deviation of a level from which a recording says nothing of it."""
+TOLD = 2.0
+"""Standard deviations from which a part of a motion is told."""
 
 
 def moment(recording: Recording, time: float) -> str:
@@ -63,15 +69,22 @@ def gross_sentence(visit: Visit, gross: Sequence[int], rows: Ints) -> str:
     if not gross:
         return f"{name}: no pointing stands out"
     first = recording.targets[recording.target[gross[0]]]
-    away = f"{plain(visit.miss(gross[0]) / MICROMETRE)} um from the other pointings to it"
+    again = np.flatnonzero(recording.target == recording.target[gross[0]])
     more = f"; {len(gross)} such pointings in all" if len(gross) > 1 else ""
+    miss = visit.miss(gross[0])
+    if not np.isfinite(miss):
+        return f"{name} to {first}, row {rows[gross[0]]}: its readings do not fit the others{more}: measure again"
+    if len(again) == 2:
+        pair = f"rows {rows[again[0]]} and {rows[again[1]]} are {length(miss)} apart, one of them is wrong"
+        return f"{name} to {first}: {pair}{more}: measure again"
+    away = f"{length(miss)} from the other pointings to it"
     return f"{name} to {first}, row {rows[gross[0]]}: {away}{more}: measure again"
 
 
-def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], motion: Floats) -> str:
+def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], found: Explained) -> str:
     """When a station moved at once, and by how much."""
     when = f"between {moment(recording, between[0])} and {moment(recording, between[1])}"
-    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}): {_motion(motion)}"
+    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion(found)}"
 
 
 def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
@@ -80,10 +93,11 @@ def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> 
     minutes = float(np.ptp(recording.time)) / 60
     within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
     if not passed:
-        return f"{name} drifts: {_motion(explained.values)} {within}"
-    lean = np.hypot(*explained.values[3:5]) / MICRORADIAN
-    sigma = np.sqrt(max(float(explained.covariance[3, 3] + explained.covariance[4, 4]), 0.0)) / MICRORADIAN
-    level = with_sigma(float(lean), float(sigma), "urad")
+        return f"{name} drifts {within}{_motion(explained)}"
+    lean, sigma = explained.size(TILT)
+    if not sigma < VAGUE:
+        return f"{name}: no drift of the station shows {within}; what was measured again tells little of its level"
+    level = with_sigma(lean / MICRORADIAN, sigma / MICRORADIAN, "urad")
     return f"{name}: no drift of the station {within} (level {level})"
 
 
@@ -93,17 +107,33 @@ def instrument_sentence(recording: Recording, explained: Explained, passed: bool
     spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
     parts = [
         f"{what} by {with_sigma(value * duration / unit, sigma * duration / unit, name)}"
-        for value, sigma, (what, name, unit) in zip(explained.values, spread, ZEROS, strict=True)
+        for value, sigma, (what, name, unit, most) in zip(explained.values, spread, ZEROS, strict=True)
+        if sigma * duration < most
     ]
-    said = ", ".join(parts) + " over the visit"
-    return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'} ({said})"
+    said = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
+    return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{said}"
 
 
-def _motion(values: Floats) -> str:
-    """A motion of a station in words."""
-    shift, turn = np.linalg.norm(values[:3]) / MICROMETRE, values[3:] / MICRORADIAN
-    lean = float(np.hypot(turn[0], turn[1]))
-    return f"by {plain(float(shift))} um, turned by {plain(abs(turn[2]))} urad, level by {plain(lean)} urad"
+def _motion(found: Explained) -> str:
+    """A motion of a station in words: what the targets that were measured again tell of it."""
+    kinds = (
+        ("shifted", SHIFT, "um", MICROMETRE),
+        ("turned", TURN, "urad", MICRORADIAN),
+        ("leaning", TILT, "urad", MICRORADIAN),
+    )
+    sizes = [(what, *found.size(which), unit, one) for what, which, unit, one in kinds]
+    told = [
+        f"{what} by {with_sigma(size / one, sigma / one, unit)}"
+        for what, size, sigma, unit, one in sizes
+        if size > TOLD * sigma
+    ]
+    return f": {', '.join(told)}" if told else ""
+
+
+def length(metres: float) -> str:
+    """A length in the unit that a person would use."""
+    unit, one = ("mm", MILLIMETRE) if metres > MILLIMETRE else ("um", MICROMETRE)
+    return f"{plain(metres / one)} {unit}"
 
 
 def plain(value: float, digits: int = 3) -> str:

@@ -8,11 +8,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.calibration.calibration import Calibration
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
 from ltsim.pages import figures
 from ltsim.pages.figures.check import check_figure
+from ltsim.pages.residuals import Residuals
+from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
 from ltsim.tasks.congruence import Congruence
 
@@ -45,6 +48,17 @@ def _(result: Criteria) -> Figure:
 @figure_of.register
 def _(result: Check) -> Figure:
     return check_figure(result)
+
+
+@figure_of.register
+def _(result: Diagnosis) -> Figure:
+    """The curve or the residuals of the first finding; of a consistent recording its residuals."""
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    for finding in result.findings[:1]:
+        figure = finding_figure(finding, before, after)
+        if figure is not None:
+            return figure
+    return figures.residuals_by_covariate(after)
 
 
 @figure_of.register

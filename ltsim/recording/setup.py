@@ -296,6 +296,9 @@ class Setup(Section):
     """Free text."""
     started: str = ""
     """When the time of the recording is 0: date and clock in ISO form, or the clock alone."""
+    axes: Line | None = None
+    """Where the coordinates of the datum's targets come from: each is a claim that the others check, and one that they
+    contradict is left out of the datum and named."""
     report: About | None = None
     """Who measured what for whom, for the head of a report."""
     instrument: Instrument = Instrument()

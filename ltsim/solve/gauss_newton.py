@@ -41,6 +41,7 @@ class Status(Enum):
     STALLED = "no step, however damped, lowers the sum of squares further"
     CAPPED = "the cap on iterations was reached before the steps became small"
     SINGULAR = "some unknowns are not determined by the observations and their stated noise"
+    LOST = "the observations contradict each other so far that no step leads on, although they determine every unknown"
     PLANNED = "nothing was solved: the state is where the observations are planned"
 
 
@@ -92,12 +93,13 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
         Converged when the squared length of the step, measured by the normal matrix (that is in standard
         deviations), falls below it.
     """
-    x, damping, before = start, 0.0, float("inf")
+    x, damping, before, held = start, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, cap + 1):
         step, factor, damping = _damped_step(system, damping)
+        held = held or (step is not None and not damping)
         if step is None or factor is None:
-            return Solution(x, system.cost, iteration, Status.SINGULAR, None, system)
+            return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
         length = _length(system, step)
         if not damping and length < ROUNDED and length > before / 4:
             return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
@@ -117,12 +119,12 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
             if whole and length < tolerance:
-                return _finish(x, system, iteration, Status.CONVERGED)
+                return _finish(x, system, iteration, Status.CONVERGED, held=held)
         elif damping > 1e8:
-            return _finish(x, system, iteration, Status.STALLED)
+            return _finish(x, system, iteration, Status.STALLED, held=held)
         else:
             damping = max(10 * damping, 1e-6)
-    return _finish(x, system, cap, Status.CAPPED)
+    return _finish(x, system, cap, Status.CAPPED, held=held)
 
 
 def _length(system: BlockSystem, step: Floats) -> float:
@@ -166,9 +168,9 @@ def _damped_step(system: BlockSystem, damping: float) -> tuple[Floats | None, Fa
     return factor.step(), factor, damping
 
 
-def _finish(x: X, system: BlockSystem, iteration: int, status: Status) -> Solution[X]:
+def _finish(x: X, system: BlockSystem, iteration: int, status: Status, *, held: bool) -> Solution[X]:
     try:
         factor = Factor(system)
     except SingularSystemError:
-        return Solution(x, system.cost, iteration, Status.SINGULAR, None, system)
+        return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
     return Solution(x, system.cost, iteration, status, factor, system)

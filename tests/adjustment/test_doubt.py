@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.campaign.workshop import workshop
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.curvature import BENT, curvature
@@ -19,6 +18,8 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Noise, Station, Target
+from tests.campaigns.workshop import workshop
+from tests.networks import STATIONS, network
 
 
 def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:
@@ -201,3 +202,27 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
     assert (inside < 0.8 * trials) == bent
     assert any("targets of station S5 hold its pose so weakly" in doubt for doubt in doubts(found)) == bent
     assert not curvature(found)[:4].any()
+
+
+@pytest.mark.parametrize("stations", [2, 4])
+def test_a_set_up_that_is_the_mirror_image_of_the_others_is_no_solution(stations: int) -> None:
+    recording, _ = network(seed=9, stations=stations)
+    readings = recording.readings.copy()
+    readings[recording.station == 1, 1] *= -1.0
+    who = "Stations S1 and S2 saw mirror images" if stations == 2 else "Station S2 was recorded with"
+    with pytest.raises(NetworkError, match=f"{who}.*clockwise"):
+        adjust_network(recording.with_readings(readings))
+
+
+def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:
+    recording, _ = network(seed=9)
+    places = {n: Station(position_mm=tuple(1e3 * p)) for n, p in zip(recording.stations, STATIONS, strict=True)}
+    planned = recording.replace(setup=recording.setup.model_copy(update={"stations": places}))
+    assert doubts(adjust(planned)) == ()
+    mirrored = planned.readings * [1.0, -1.0, 1.0]
+    (said,) = doubts(adjust(planned.with_readings(mirrored)))
+    assert "fit the mirror image of this network" in said
+    elsewhere = {n: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, n in enumerate(recording.stations)}
+    lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
+    (said,) = doubts(adjust(lost))
+    assert "miss the network by up to" in said

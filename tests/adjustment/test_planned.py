@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.campaign.workshop import workshop
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.problem import NetworkProblem
@@ -10,6 +9,7 @@ from ltsim.errors import NetworkError
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel
 from ltsim.solve.gauss_newton import Status
+from tests.campaigns.workshop import workshop
 
 
 def test_a_planned_adjustment_has_the_precision_of_the_solved_one() -> None:

@@ -268,3 +268,23 @@ def test_real_networks(tmp_path: Path, name: str, counts: int) -> None:
     assert list(recording.measured.sum(axis=0)) == [counts] * 3
     write(recording, tmp_path / "out.gkf", "gama-local")
     agree(recording, read(tmp_path / "out.gkf"))
+
+
+def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
+    """Points with adj="xy" were adjusted in three dimensions, or refused, without a word."""
+    body = (
+        '<point id="A" x="0" y="0" fix="xy" /><point id="B" x="0" y="50" adj="XY" /><point id="C" adj="xy" />'
+        '<obs from="A"><direction to="B" val="0" /><direction to="C" val="50" />'
+        '<z-angle to="C" from_dh="1.6" to_dh="1.2" val="101" />'
+        '<distance to="C" from_dh="1.6" to_dh="1.2" val="70" /></obs>'
+    )
+    stated = 'direction-stdev="6" distance-stdev="1" zenith-angle-stdev="50"'
+    text = f"{HEAD}<network><points-observations {stated}>{body}</points-observations></network></gama-local>\n"
+    (tmp_path / "a.gkf").write_text(text)
+    found = read(tmp_path / "a.gkf")
+    assert len(found) == 2 and not found.measured[:, 2].any() and found.is_horizontal[1]
+    targets = found.setup.targets
+    assert [targets[name].known_axes for name in "ABC"] == ["xyz", "z", "z"]
+    assert (targets["B"].datum, targets["B"].datum_axes, targets["B"].height_mm) == (True, "xy", 0.0)
+    assert any("2 points" in note or "3 points" in note for note in found.notes if "adjusted in plan only" in note)
+    assert any("1 observations that need heights are left out, as Gama does" in note for note in found.notes)

@@ -149,14 +149,10 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
 
 def _known_values(content: CalibrationFile) -> list[Table]:
     """How control points and other known values fit."""
-    entries = getattr(content, "known", ())
-    note = "Residual: known value minus what the other readings say of it."
-    fields = (
-        [name for name in getattr(type(entries[0]), "model_fields", {}) if name not in ("unit", "sigma")]
-        if entries
-        else []
-    )
-    return table_of("How known values fit", entries, *fields, note=note, folds=False)
+    note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
+    shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
+    fields = ("kind", "name", "component", "residual", "error", "minimal_detectable", "redundancy", "w", "left_out")
+    return table_of("How known values fit", shown, *fields, note=note, folds=False)
 
 
 def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:

@@ -1,0 +1,180 @@
+"""Known values are observations: a wrong one is named and left out, not the readings that meet it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.axes import in_axes_of_points, with_control
+from ltsim.adjustment.doubt import doubts
+from ltsim.calibration import adjust_network, calibrate_network
+from ltsim.calibration.files import calibration_file
+from ltsim.errors import RecordError
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Station, Target
+from tests.networks import mesh, network
+
+SIX = ("T01", "T06", "T12", "T16", "T20", "T25")
+SIGMA = 0.01
+
+
+def controlled(seed: int, off: dict[str, float] | None = None, *, stations: int = 5, faces: int = 1) -> Recording:
+    """The workshop with six control points, some of them `off` by so many mm in a direction of their own."""
+    recording, _ = network(seed=seed, stations=stations, faces=faces)
+    rng, targets = stream(seed, "control"), dict(recording.setup.targets)
+    for name in SIX:
+        place = 1e3 * mesh()[recording.targets.index(name)] + SIGMA * rng.standard_normal(3)
+        away = rng.standard_normal(3)
+        place = place + (off or {}).get(name, 0.0) * away / np.linalg.norm(away)
+        known = {"known_mm": tuple(place.tolist()), "known_sigma_mm": SIGMA}
+        targets[name] = targets[name].model_copy(update=known)
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+
+
+def without_point(recording: Recording, name: str) -> Recording:
+    targets = dict(recording.setup.targets)
+    targets[name] = targets[name].model_copy(update={"known_mm": None})
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+
+
+def with_length(recording: Recording, number: int, more_mm: float) -> Recording:
+    assert recording.setup.gauge is not None
+    lengths = list(recording.setup.gauge.distance)
+    lengths[number] = lengths[number].model_copy(update={"length_mm": lengths[number].length_mm + more_mm})
+    gauge = recording.setup.gauge.model_copy(update={"distance": tuple(lengths)})
+    return recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("size", [0.3, 1.0, 10.0, 200.0])
+def test_a_wrong_control_point_is_named_and_the_readings_stay(size: float, robust: bool) -> None:
+    for i, name in enumerate(SIX):
+        recording = controlled(10 + i, {name: size}, stations=3)
+        found, sound = adjust(recording, robust=robust), adjust(without_point(recording, name), robust=robust)
+        (wrong,) = found.wrong
+        assert (wrong.kind, wrong.name, wrong.left_out) == ("point", name, True)
+        assert float(np.linalg.norm(wrong.error)) == pytest.approx(1e-3 * size, abs=0.1e-3)
+        assert found.rejected.sum() == sound.rejected.sum()
+        miss, least = (np.sqrt(np.mean((x.state.points - mesh()) ** 2)) for x in (found, sound))
+        assert miss < 1.2 * least
+        assert f"the known coordinates of {name} are off by" in doubts(found)[0]
+
+
+def test_two_wrong_control_points_and_a_bad_reading() -> None:
+    recording = controlled(3, {"T06": 4.0, "T20": 0.5})
+    readings = recording.readings.copy()
+    readings[17, 0] += 0.2e-3
+    found = adjust(recording.with_readings(readings), robust=True)
+    assert sorted(test.name for test in found.wrong) == ["T06", "T20"]
+    assert np.argwhere(found.rejected).tolist() == [[17, 0]]
+
+
+def test_sound_networks_keep_every_known_value() -> None:
+    for seed in range(12):
+        found = adjust(controlled(100 + seed, stations=3))
+        assert found.wrong == ()
+        normal = [test.drop for test in found.known if test.kind == "point"]
+        assert 1.0 < np.mean(normal) < 6.5  # chi-square with three degrees of freedom
+
+
+@pytest.mark.long
+def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
+    assert sum(bool(adjust(controlled(1000 + seed, stations=3)).wrong) for seed in range(100)) <= 5
+    blamed = 0
+    for seed in range(100):
+        recording = network(seed=seed, stations=3)[0]
+        noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
+        points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
+        blamed += any(test.left_out for test in adjust(in_axes_of_points(recording, points, "hall.csv")).axes)
+    assert blamed <= 5
+
+
+@pytest.mark.parametrize("more", [0.1, 1.0])
+def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
+    recording = with_length(network(seed=2)[0], 2, more)
+    found = adjust_network(recording)
+    assert found.outliers == ()
+    assert next((k.kind, k.name, k.left_out) for k in found.known) == ("length", "T25-T28", True)
+    assert found.known[0].error == pytest.approx(more, abs=0.01)
+    assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
+    assert found.verdict is not None
+    assert "The known length T25-T28 is off by" in found.verdict.sentence
+
+
+def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
+    recording, _ = network(seed=6, faces=2)
+    stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in recording.stations}
+    levelled = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+    assert adjust(levelled).wrong == ()
+    tilted = {**stations, "S3": stations["S3"].model_copy(update={"vertical": (2e-4, 0.0, 1.0)})}
+    found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"stations": tilted})))
+    assert [(test.kind, test.name) for test in found.wrong] == [("level", "S3")]
+    heights = dict(recording.setup.targets)
+    for name in SIX:
+        z = 1e3 * float(mesh()[recording.targets.index(name), 2]) + (1020.0 if name == "T16" else 0.0)
+        heights[name] = Target(known_mm=(0.0, 0.0, z), known_axes="z", known_sigma_mm=0.05)
+    found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"targets": heights})))
+    assert [(test.kind, test.name, test.axes) for test in found.wrong] == [("point", "T16", "z")]
+    assert found.wrong[0].error[0] == pytest.approx(1.02, abs=1e-3)
+
+
+def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> None:
+    recording = controlled(4, {"T06": 3.0})
+    for name in ("T12", "T16", "T20", "T25"):
+        recording = without_point(recording, name)
+    found = adjust(recording)
+    (test,) = found.wrong
+    assert {test.name, *test.rivals} == {"T01", "T06"}
+    assert not test.left_out
+    assert "nobody can tell which is wrong" in doubts(found)[0]
+
+
+def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
+    found = calibrate_network(controlled(5, {"T12": 1.0}, faces=2), advise=False)
+    content = calibration_file(found).content()
+    entries = [e for e in content["known"] if e["name"] == "T12"]
+    assert [e["component"] for e in entries] == ["x", "y", "z"]
+    assert all(e["left_out"] and e["unit"] == "mm" for e in entries)
+    assert len(content["known"]) == 3 * len(SIX) + 6
+    others = [e for e in content["known"] if e["kind"] == "point" and not e["left_out"]]
+    assert all(0.0 < e["redundancy"] < 1.0 and e["minimal_detectable"] > 0.0 for e in others)
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 10.0, 200.0])
+def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(size: float) -> None:
+    recording = network(seed=4, stations=3)[0]
+    noise = 2e-5 * stream(4, "axes").standard_normal(mesh().shape)
+    places = mesh() @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + [12.0, -4.0, 7.0]
+    for name in SIX:
+        points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
+        points[name] = points[name] + 1e-3 * size * np.array([0.48, -0.6, 0.64])
+        found = adjust(in_axes_of_points(recording, points, "hall.csv"))
+        assert [test.name for test in found.axes if test.left_out] == [name]
+        rest = {n: place for n, place in points.items() if n != name}
+        sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
+        np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)
+
+
+def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
+    recording = network(seed=8, stations=3)[0]
+    lines = ["target,x_mm,y_mm,z_mm,sigma_x_mm,sigma_y_mm,sigma_z_mm"]
+    for name in SIX:
+        x, y, z = 1e3 * mesh()[recording.targets.index(name)]
+        lines.append(f"{name},{x},{y},{z + (5.0 if name == 'T20' else 0.0)},0.02,0.02,0.05")
+    lines.append("T02,,,5900,1,1,0.05")
+    file = tmp_path / "control.csv"
+    file.write_text("\n".join(lines))
+    found = adjust(with_control(recording, file))
+    assert [test.name for test in found.wrong] == ["T20"]
+    assert {test.name: test.axes for test in found.known}["T02"] == "z"
+    assert "frame of the control points" in adjust_network(with_control(recording, file)).frame
+    file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
+    with pytest.raises(RecordError, match="states no standard deviation of T01"):
+        with_control(recording, file)
+    file.write_text("target,x_mm,y_mm,z_mm,sigma_mm\nX01,1,2,3,0.1\n")
+    with pytest.raises(RecordError, match="none of the recording's targets"):
+        with_control(recording, file)

@@ -1,0 +1,66 @@
+"""Slips of the office: a set-up beside its mark, a height that was not stated, a point under another name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.gross import mistakes
+from ltsim.geometry.polar import from_polar, to_polar
+from ltsim.model.construction import ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Station
+from tests.networks import STATIONS, mesh, network
+
+
+def two_days(beside: float, seed: int = 1) -> Recording:
+    """Four levelled set-ups, the last one a second day over the mark of the first, `beside` it by so many metres."""
+    recording, truth = network(stations=4)
+    stations = {n: Station(levelled=True, over="M1" if n in ("S1", "S4") else None) for n in recording.stations}
+    stated = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+    position = STATIONS[:4].copy()
+    position[3] = position[0] + beside * np.array([0.8, 0.6, 0.0])
+    state = State(position, truth.state.rotation, mesh(), np.zeros((1, 0)))
+    exact = stated.with_readings(MeasurementModel(stated, ideal()).predict(state))
+    noise = stream(seed, "noise").standard_normal(exact.readings.shape)
+    return exact.with_readings(exact.readings + exact.sigma() * noise)
+
+
+def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
+    for seed in range(5):
+        assert adjust(two_days(0.0, seed)).wrong == ()
+    found = adjust(two_days(1.5e-3))
+    (wrong,) = found.wrong
+    assert wrong.kind == "mark"
+    assert (wrong.name, wrong.rivals, wrong.left_out) == ("S4", ("S1",), True)
+    assert np.linalg.norm(wrong.error) == pytest.approx(1.5e-3, abs=0.05e-3)
+    assert "stands 1.50" in doubts(found)[0] or "stands 1.49" in doubts(found)[0]
+    assert found.sigma0 == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("height", [1.02, -0.1, 0.004])
+def test_a_height_that_was_not_stated_is_told_with_its_size(height: float) -> None:
+    recording, _ = network(seed=3, stations=3)
+    readings = recording.readings.copy()
+    raised = from_polar(readings[[30]]) + [0.0, 0.0, height]
+    readings[30] = to_polar(raised)[0]
+    found = adjust(recording.with_readings(readings))
+    ((told, mended, _),) = mistakes(found)
+    assert told.rows.tolist() == [30]
+    assert told.size == pytest.approx(abs(height), abs=0.05e-3)
+    assert f"{1e3 * abs(height):.0f}." in told.sentence
+    np.testing.assert_allclose(mended[0], recording.readings[30], atol=2e-5)
+    assert found.sigma0 == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_point_under_another_name_is_no_exchange() -> None:
+    recording, _ = network(seed=3, stations=3)
+    target = recording.target.copy()
+    booked, meant = (recording.targets[t] for t in ((target[12] + 5) % 28, target[12]))
+    target[12] = (target[12] + 5) % 28
+    (said,) = doubts(adjust(recording.replace(target=target)))
+    assert said.startswith(f"At station S1 what is booked as {booked} (row 13) is {meant}")
