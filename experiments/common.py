@@ -255,19 +255,19 @@ def changes() -> str | None:
 def write_manifest(here: Path, given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
     words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
-    content = {
-        "command": " ".join(["python -m experiments", *words]),
-        "seed": made.seed,
-        "trials": made.trials,
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in USED},
-        "commit": commit(),
-        "uncommitted_changes": bool(changes()),
-        "settings": {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))},
-    }
+    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))}
+    own = {"seed": made.seed, "trials": made.trials} | {"settings": settings} | dict(made.more)
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(content | dict(made.more), indent=1) + "\n"
+    text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **own), indent=1) + "\n"
     (folder / manifest_name(given.words if made.folder is None else ())).write_text(text, encoding="utf-8")
+
+
+def manifest(command: str, **more: Any) -> dict[str, Any]:
+    """Where results come from: command, versions, commit, and whether its sources had been changed."""
+    versions = {"python": platform.python_version()} | {name: version(name) for name in USED}
+    made = {"command": command, "versions": versions, "commit": commit(), "uncommitted_changes": bool(changes())}
+    return made | more
 
 
 def manifest_name(words: Sequence[str]) -> str:
