@@ -124,7 +124,7 @@ def main() -> None:
     if sys.argv[1:]:
         folder = Path(sys.argv[1])
         write_text(folder / "install_cost.md", text)
-        versions = {name: version(name) for name in declared()}
+        versions = {name: version(name) for name in declared() if needs(name, {})}
         made = manifest(f"python -m benchmarks.install_cost {folder}", versions=versions)
         write_text(folder / "manifest.json", json.dumps(made, indent=1) + "\n")
 
