@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
-from ltsim.cli.terminal import Terminal, table
-from ltsim.notation import number, with_sigma
+from ltsim.cli.terminal import Terminal
+from ltsim.notation import aligned, number, with_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ltsim.calibration import Calibration
-    from ltsim.calibration.schema import KnownEntry
+    from ltsim.calibration.known_values import KnownEntry
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
@@ -198,6 +198,6 @@ def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
         for entry in worst[:MOST_KNOWN]
     ]
     terminal.say("known values (stated less adjusted; error by what the rest says):")
-    terminal.say(table(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
+    terminal.say(aligned(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
     if len(known) > len(rows):
         terminal.say(f"  and {len(known) - len(rows)} more in calibration.json")
