@@ -10,8 +10,7 @@ import zlib
 from functools import lru_cache
 
 import numpy as np
-
-from ltsim.arrays import Floats, Ints
+from numpy.typing import NDArray
 
 WORD = 2**32
 BLOCK = 256
@@ -47,7 +46,7 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
-def trials_normal(seed: int, trials: Ints, size: int, *key: str | int) -> Floats:
+def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers (size, B) of trials (B,) for `key`: the same whichever trials are asked for together.
 
     Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
