@@ -51,18 +51,22 @@ def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | i
 
     Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
     """
+    first, count = int(trials[0]), len(trials)
+    if count == BLOCK and not first % BLOCK and np.array_equal(trials, np.arange(first, first + BLOCK)):
+        return _block(seed, first // BLOCK, size, *key)
+    if count == 1 and not first:
+        return stream(seed, *key).standard_normal((size, 1))
     blocks, places = np.divmod(trials, BLOCK)
-    numbers = []
+    numbers = np.empty((size, count))
     for block in np.unique(blocks).tolist():
-        own = places[blocks == block]
-        drawn = np.zeros((size, BLOCK))
-        if block or np.any(own):
-            drawn = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
-        if not block:
-            drawn[:, 0] = stream(seed, *key).standard_normal(size)
-        whole = len(own) == BLOCK and np.array_equal(own, np.arange(BLOCK))
-        numbers.append(drawn if whole else drawn[:, own])
-    if len(numbers) == 1:
-        return numbers[0]
-    order = np.argsort(np.argsort(blocks, kind="stable"), kind="stable")
-    return np.concatenate(numbers, axis=1)[:, order]
+        own = blocks == block
+        numbers[:, own] = _block(seed, block, size, *key)[:, places[own]]
+    return numbers
+
+
+def _block(seed: int, block: int, size: int, *key: str | int) -> NDArray[np.float64]:
+    """All trials (size, BLOCK) of a block."""
+    numbers = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
+    if not block:
+        numbers[:, 0] = stream(seed, *key).standard_normal(size)
+    return numbers
