@@ -60,6 +60,7 @@ def fit_of(adjustment: Adjustment) -> Fit:
         iterations=adjustment.solution.iterations,
         status=status.name.lower(),
         sentence=status.value,
+        chi2_sigma=None,
     )
 
 
