@@ -20,6 +20,7 @@ from ltsim.pages.words import natural
 from ltsim.pages.workshop import Workshop
 from ltsim.recording import Recording
 
+TRUTH = "truth.json"
 Pair = tuple[Adjustment, Adjustment]
 """The network without and with the instrument's parameters."""
 
