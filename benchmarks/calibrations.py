@@ -74,12 +74,14 @@ def peers(trials: int) -> None:
     engine, bench = Engine(truth, misalignment()), Bench(truth)
     block = truth.draw(SEED, 0)
     found = engine.calibrate(block)
-    bench.after(block, found, engine.construction, bench.before(block))
+    bench.before(block)
+    bench.after(block, found, engine.construction)
 
     def everything() -> None:
         drawn = truth.draw(SEED, 1)
         fitted = engine.calibrate(drawn)
-        bench.after(drawn, fitted, engine.construction, bench.before(drawn))
+        bench.before(drawn)
+        bench.after(drawn, fitted, engine.construction)
 
     n, (*_, unknowns) = len(truth.recording), engine.network.sizes
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")

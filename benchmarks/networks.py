@@ -12,8 +12,10 @@ from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import State, sightings_of
+from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Gauge, GaugeDistance, Setup
+from ltsim.simulation.draws import Population
 from ltsim.simulation.scenario import load_scenario
 
 
@@ -56,6 +58,14 @@ def room(stations: int, targets: int) -> Truth:
     built = misalignment()
     state = State(position, rotation, points, np.zeros((1, built.size)))
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    known = np.full(len(lengths), 2.5e-6)
-    sightings = sightings_of(recording, state)
-    return Truth(recording, state, sightings, built, 0 * sigma, sigma, recording.sigma(), known)
+    population = Population(
+        sightings=sightings_of(recording, state),
+        construction=built,
+        instruments=("",),
+        mean=0 * sigma,
+        sigma=sigma,
+        noise=recording.sigma(),
+        lengths=KnownLengths.of(recording),
+        names=names,
+    )
+    return Truth(recording, state, population)

@@ -3,22 +3,31 @@
 python -m experiments                     the list
 python -m experiments 02 --jobs 2         one of them, into results/<its name>
 python -m experiments 11 transfer         some steps of one that has steps
+python -m experiments all                 those of all.toml one after another; goes on where it was broken off
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import subprocess
 import sys
+import time
+import tomllib
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 # Before numpy is imported for the first time: processes, not threads, share the work.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 HERE = Path(__file__).resolve().parent
+RESULTS = HERE.parent / "results"
+LIST = HERE / "all.toml"
+MARKS = HERE.parent / "build" / "experiments"
+"""What `all` has done, by commit."""
 FOLDERS = {folder.name[:2]: folder for folder in sorted(HERE.glob("[0-9][0-9]_*"))}
 
 
@@ -27,26 +36,75 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m experiments", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("number", nargs="?", choices=list(FOLDERS), help="which; without it all are listed")
-    parser.add_argument("words", nargs="*", metavar="WORD", help="steps, a plan or a folder, where its README says so")
+    parser.add_argument("number", nargs="?", choices=["all", *FOLDERS], help="which; without it all are listed")
+    parser.add_argument("words", nargs="*", metavar="WORD", help="steps, a plan or a round, where its README says so")
     parser.add_argument("--trials", type=int, help="instead of those of its config.toml")
     parser.add_argument("--jobs", type=int, default=1, help="processes; the results do not depend on it")
     parser.add_argument("--out", type=Path, help="folder of the results; default results/<its name>")
     given = parser.parse_args(arguments)
     if given.number is None:
-        sys.stdout.writelines(f"{number}  {_question(folder)}\n" for number, folder in FOLDERS.items())
-        return
-    from experiments.common import ROOT, Options, write_manifest
+        sys.stdout.writelines(
+            f"{number}  {_question(folder)} [{_settings(folder)}]\n" for number, folder in FOLDERS.items()
+        )
+    elif given.number == "all":
+        run_all(given.out or RESULTS, given.jobs)
+    else:
+        run_one(given.number, given.words, given.trials, given.jobs, given.out)
 
-    folder = FOLDERS[given.number]
-    module = import_module(f"experiments.{folder.name}.run")
-    options = Options(given.trials, given.jobs, given.out or ROOT / "results" / folder.name, tuple(given.words))
-    write_manifest(folder, options, module.run(options))
+
+def run_one(number: str, words: Sequence[str], trials: int | None, jobs: int, out: Path | None) -> None:
+    """Run one experiment, and write beside its results where they came from."""
+    from experiments.common import Options, refuse_changes, write_manifest
+
+    folder = FOLDERS[number]
+    options = Options(trials, jobs, (out or RESULTS / folder.name).resolve(), tuple(words))
+    refuse_changes(options.out)
+    write_manifest(folder, options, import_module(f"experiments.{folder.name}.run").run(options))
+
+
+def run_all(out: Path, jobs: int) -> None:
+    """Run every line of all.toml in a process of its own; what this commit has made already is left as it is."""
+    from experiments.common import changes, commit, refuse_changes
+
+    refuse_changes(out.resolve())
+    whole, state = time.perf_counter(), f"{commit()} {bool(changes())} {out}"
+    for line in lines_of_all():
+        words, folder = [*line["words"]], FOLDERS[line["words"][0]]
+        said = f"{' '.join(words)}, about {line['minutes']:g} min"
+        if not (HERE.parents[1] / line.get("needs", "")).exists():
+            print(f"{said}: left out, {line['needs']} is not beside the project", flush=True)
+            continue
+        mark = MARKS / out.name / "-".join(words)
+        if mark.is_file() and mark.read_text(encoding="utf-8") == state:
+            print(f"{said}: made by this commit already", flush=True)
+            continue
+        start, trials = time.perf_counter(), line.get("trials")
+        command = [sys.executable, "-m", "experiments", *words, "--jobs", str(jobs), "--out", str(out / folder.name)]
+        done = subprocess.run([*command, *([] if trials is None else ["--trials", str(trials)])], cwd=HERE.parent)
+        if done.returncode:
+            sys.exit(f"{said}: failed; the same command goes on with it")
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.write_text(state, encoding="utf-8")
+        print(f"{said}: took {(time.perf_counter() - start) / 60:.1f} min", flush=True)
+    print(f"all took {(time.perf_counter() - whole) / 60:.1f} min", flush=True)
+
+
+def lines_of_all() -> list[dict[str, Any]]:
+    """What `all` runs."""
+    with LIST.open("rb") as file:
+        found: list[dict[str, Any]] = tomllib.load(file)["run"]
+    return found
 
 
 def _question(folder: Path) -> str:
     """The first line of what the experiment says of itself."""
     return (folder / "run.py").read_text(encoding="utf-8").partition("\n")[0].strip('"')
+
+
+def _settings(folder: Path) -> str:
+    """Its TOML files; of the examination its plans."""
+    files = sorted(f.relative_to(HERE).as_posix() for f in folder.glob("**/*.toml"))
+    return ", ".join(files) or "no TOML"
 
 
 if __name__ == "__main__":

@@ -23,12 +23,14 @@ from ltsim.campaigns.cell import fitted_construction, truth_of
 from ltsim.campaigns.engine import Bench, Calibrated
 from ltsim.campaigns.spec import Campaign, Method, load_campaign
 from ltsim.campaigns.truth import Block, Truth
-from ltsim.geometry.polar import wrap
+from ltsim.evaluation.share_removed import share as share_of
 from ltsim.model.construction import Construction
 from ltsim.pages.style import svg
+from ltsim.simulation.draws import Normal
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "results"
 HELD_OUT = ROOT / "experiments" / "held_out.toml"
 """Another day in the same workshop: stations and reflectors that nobody calibrated with."""
 USED = ("ltsim", "numpy", "scipy", "numba")
@@ -99,14 +101,7 @@ def same_instrument(truth: Truth, values: Floats, seed: int, number: int) -> Blo
     seed, number : int
         Of the draws; another seed than that of the first place, or the noise would be the same.
     """
-    still = replace(truth, mean=np.zeros_like(truth.mean), sigma=np.zeros_like(truth.sigma))
-    block = still.draw(seed, number, values.shape[2])
-    sightings, nominal = truth.sightings, truth.recording.readings
-    error = np.empty_like(block.deviation)
-    for trial in range(values.shape[2]):
-        error[:, :, trial] = truth.construction.readings(sightings.local, sightings.face, values[0, :, trial]) - nominal
-    error[:, 1] = wrap(error[:, 1])
-    return replace(block, values=values, deviation=block.deviation + error)
+    return truth.drawn(Normal(seed, number * values.shape[2] + np.arange(values.shape[2])), values)
 
 
 def calibrated(truth: Truth, calibrator: Calibrator, block: Block) -> tuple[Calibrated, dict[str, Floats]]:
@@ -114,7 +109,7 @@ def calibrated(truth: Truth, calibrator: Calibrator, block: Block) -> tuple[Cali
     bench = Bench(truth)
     shared = bench.before(block)
     found = calibrator.calibrate(block, np.arange(block.deviation.shape[2]))
-    return found, shared | bench.after(block, found, calibrator.construction, shared)
+    return found, shared | bench.after(block, found, calibrator.construction, calibrator.effects)
 
 
 def held_out(
@@ -136,7 +131,7 @@ def held_out(
     block, bench = same_instrument(room, values, seed, number), Bench(room)
     shared = bench.before(block)
     elsewhere = replace(found, points=np.zeros((*room.state.points.shape, values.shape[2])))
-    after = bench.after(block, elsewhere, construction, shared)
+    after = bench.after(block, elsewhere, construction)
     names = ("error_raw_um", "error_calibrated_um", "error_true_parameters_um")
     return {f"held_out_{name}": (shared | after)[name] for name in names}
 
@@ -186,15 +181,9 @@ def compared(
 
 
 def share(columns: Mapping[str, Floats], prefix: str = "") -> float:
-    """Share of the correctable mean-square error that was removed, over all trials together.
-
-    In mean squares noise and correctable error add, so that no trial has to be left out, as it must be where a ratio
-    of roots has a denominator near zero.
-    """
-    raw, after, perfect = (
-        float(np.nanmean(columns[f"{prefix}error_{name}_um"] ** 2)) for name in ("raw", "calibrated", "true_parameters")
-    )
-    return (raw - after) / (raw - perfect)
+    """Share of the correctable mean-square error that was removed, over all trials together."""
+    raw, after, perfect = (columns[f"{prefix}error_{name}_um"] for name in ("raw", "calibrated", "true_parameters"))
+    return share_of(raw, after, perfect)
 
 
 def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[float, float, float]:
@@ -205,6 +194,19 @@ def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[flo
     raw, after, perfect = (np.nanmean(columns[name][rows] ** 2, axis=1) for name in names)
     low, high = np.percentile((raw - after) / (raw - perfect), [2.5, 97.5])
     return round(share(columns, prefix), 4), round(float(low), 4), round(float(high), 4)
+
+
+def beside_floor(columns: Mapping[str, Floats]) -> Row:
+    """What no calibration touches, the error with the true parameters, and what is left above it (rms, in quadrature).
+
+    Held-out errors hold the noise of the readings that new points are measured with: two methods are compared by what
+    is above it.
+    """
+    error, floor = (
+        float(np.nanmean(columns[f"held_out_error_{k}_um"] ** 2)) for k in ("calibrated", "true_parameters")
+    )
+    above = round(max(error - floor, 0.0) ** 0.5, 2)
+    return {"held_out_floor_um": round(floor**0.5, 2), "held_out_above_floor_um": above}
 
 
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
@@ -237,23 +239,45 @@ def write_figure(path: Path, figure: Figure) -> None:
     path.write_text(svg(figure), encoding="utf-8")
 
 
+def refuse_changes(out: Path) -> None:
+    """Leave with a word where results are to be committed that no commit could have made."""
+    changed = changes()
+    if changed and RESULTS in (out, *out.parents):
+        files = ", ".join(line.split()[-1] for line in changed.splitlines()[:3])
+        sys.exit(f"the sources are not committed ({files}, ...): commit them first, or name another folder with --out")
+
+
+def changes() -> str | None:
+    """Sources that differ from the commit."""
+    return _git("status", "--porcelain", "--", "ltsim", "experiments", "benchmarks", "pyproject.toml")
+
+
 def write_manifest(here: Path, given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
     words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
-    content = {
-        "command": " ".join(["python -m experiments", *words]),
-        "seed": made.seed,
-        "trials": made.trials,
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in USED},
-        "commit": _git("rev-parse", "HEAD"),
-        "uncommitted_changes": bool(_git("status", "--porcelain", "--", "ltsim", "experiments")),
-        "settings": {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))},
-    }
+    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))}
+    own = {"seed": made.seed, "trials": made.trials} | {"settings": settings} | dict(made.more)
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(content | dict(made.more), indent=1) + "\n"
-    some = "-".join(["", *given.words]) if made.folder is None else ""  # steps of a whole have manifests of their own
-    (folder / f"manifest{some}.json").write_text(text, encoding="utf-8")
+    text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **own), indent=1) + "\n"
+    (folder / manifest_name(given.words if made.folder is None else ())).write_text(text, encoding="utf-8")
+
+
+def manifest(command: str, **more: Any) -> dict[str, Any]:
+    """Where results come from: command, versions, commit, and whether its sources had been changed."""
+    versions = {"python": platform.python_version()} | {name: version(name) for name in USED}
+    made = {"command": command, "versions": versions, "commit": commit(), "uncommitted_changes": bool(changes())}
+    return made | more
+
+
+def manifest_name(words: Sequence[str]) -> str:
+    """Steps of a whole have manifests of their own."""
+    return f"manifest{'-'.join(['', *words])}.json"
+
+
+def commit() -> str | None:
+    """The commit that is checked out."""
+    return _git("rev-parse", "HEAD")
 
 
 def _git(*words: str) -> str | None:

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
         verify as verify,
     )
     from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
-    from ltsim.campaigns.recovering import recover as recover
+    from ltsim.campaigns.recovering import recover as recover, recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
     from ltsim.effects.made import Effect as Effect
-    from ltsim.effects.verbs import catalogue as catalogue
+    from ltsim.effects.verbs import add_effect as add_effect, catalogue as catalogue
     from ltsim.evaluation.verbs import bench as bench
     from ltsim.fieldcheck.verbs import check as check
     from ltsim.files import convert as convert, read as read, write as write
@@ -44,12 +44,12 @@ _ROOMS = {
     "calibration.verbs": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
-    "campaigns.recovering": ("recover",),
+    "campaigns.recovering": ("recover", "recovery_checks"),
     "campaigns.injecting": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),
     "effects.made": ("Effect",),
-    "effects.verbs": ("catalogue",),
+    "effects.verbs": ("add_effect", "catalogue"),
     "tasks.verbs": ("compare", "uncertainty"),
     "acceptance.verbs": ("accept",),
     "evaluation.verbs": ("bench",),

@@ -11,7 +11,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from ltsim.arrays import Floats, Ints
+
 WORD = 2**32
+BLOCK = 256
+"""Trials whose numbers come from one stream; part of what the numbers are, so it never changes."""
 
 
 @lru_cache(maxsize=4096)
@@ -41,3 +45,25 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     # What the sequence makes of seed and key, each a word, in a third of the time.
     words = np.array([seed, 0, 0, 0, *spawn_key], dtype=np.uint32)
     return np.random.default_rng(np.random.SeedSequence(words))
+
+
+def trials_normal(seed: int, trials: Ints, size: int, *key: str | int) -> Floats:
+    """Standard normal numbers (size, B) of trials (B,) for `key`: the same whichever trials are asked for together.
+
+    Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
+    """
+    blocks, places = np.divmod(trials, BLOCK)
+    numbers = []
+    for block in np.unique(blocks).tolist():
+        own = places[blocks == block]
+        drawn = np.zeros((size, BLOCK))
+        if block or np.any(own):
+            drawn = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
+        if not block:
+            drawn[:, 0] = stream(seed, *key).standard_normal(size)
+        whole = len(own) == BLOCK and np.array_equal(own, np.arange(BLOCK))
+        numbers.append(drawn if whole else drawn[:, own])
+    if len(numbers) == 1:
+        return numbers[0]
+    order = np.argsort(np.argsort(blocks, kind="stable"), kind="stable")
+    return np.concatenate(numbers, axis=1)[:, order]

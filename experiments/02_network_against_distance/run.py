@@ -16,6 +16,7 @@ from experiments.common import (
     Options,
     Row,
     batches,
+    beside_floor,
     calibrator_for,
     cells_of,
     compared,
@@ -66,7 +67,7 @@ def parameter_rows(campaign: Campaign, cell: Cell, drawn: dict[str, Columns]) ->
     rows = []
     for k, parameter in enumerate(truth.construction.parameters):
         row: Row = {"cell": cell.title, "parameter": parameter.name, "unit": parameter.unit}
-        row["drawn_sigma"] = round(float(truth.sigma[0, k] / parameter.factor), 4)
+        row["drawn_sigma"] = round(float(truth.population.sigma[0, k] / parameter.factor), 4)
         row["cramer_rao_bound"] = round(float(bound[k] / parameter.factor), 4)
         for name in ("eq. 9", "distance", "network"):
             miss = drawn[name][f"miss:{parameter.name}"]
@@ -80,7 +81,11 @@ def parameter_rows(campaign: Campaign, cell: Cell, drawn: dict[str, Columns]) ->
 def judged_row(columns: Columns) -> Row:
     """Errors on new points, and the share of the correctable error that was removed, with 95 % intervals."""
     out, raw = summary(columns["held_out_error_calibrated_um"]), summary(columns["held_out_error_raw_um"])
-    row: Row = {f"held_out_error_{k}_um": out[k] for k in ("mean", "low", "high")} | {"as_read_um": raw["mean"]}
+    row: Row = (
+        {f"held_out_error_{k}_um": out[k] for k in ("mean", "low", "high")}
+        | {"as_read_um": raw["mean"]}
+        | beside_floor(columns)
+    )
     row |= dict(zip(("share", "share_low", "share_high"), share_interval(columns, "held_out_"), strict=True))
     worse = columns["held_out_error_calibrated_um"] > columns["held_out_error_raw_um"]
     return row | {"worse_than_as_read_percent": round(100 * float(np.mean(worse)), 1), "trials": out["trials"]}
@@ -142,11 +147,11 @@ def beyond_rows(given: Options, campaign: Campaign, cells: dict[str, Cell], law:
     """Coefficients of the D-H chain beyond the 16 parameters, larger than the fit expects them."""
     cell, rows = cells[law["cell"]], []
     truth = truth_of(cell.scenario, campaign.seed, "campaign")
-    sigma = truth.sigma
+    sigma = truth.population.sigma
     units = np.array([p.unit for p in truth.construction.parameters])
     small = sigma[0] < 0.1 * np.array([sigma[0, units == unit].max() for unit in units])
     for factor in law["factors"]:
-        larger = replace(truth, sigma=np.where(small, factor * sigma, sigma))
+        larger = replace(truth, population=replace(truth.population, sigma=np.where(small, factor * sigma, sigma)))
         for method in (m for m in campaign.methods if m.title in law["methods"]):
             tasks = [(campaign, cell, larger, method, *block) for block in batches(campaign.trials)]
             columns = stacked(spread_out(in_new_places, tasks, given.jobs))

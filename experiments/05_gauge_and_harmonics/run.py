@@ -15,6 +15,7 @@ from experiments.common import (
     Made,
     Options,
     batches,
+    beside_floor,
     calibrated,
     cells_of,
     held_out,
@@ -27,7 +28,7 @@ from experiments.common import (
     write_table,
 )
 from ltsim.arrays import Floats
-from ltsim.campaigns.calibrators import Batch, Calibrator, calibrator_of
+from ltsim.campaigns.calibrators import Calibrator, calibrator_of
 from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Engine
@@ -105,7 +106,8 @@ def with_harmonics(truth: Truth, scenario: Scenario, beyond: float) -> Truth:
     sigma = [beyond if "-harmonic-" in p.name else s for p, s in zip(built.parameters, sigma, strict=True)]
     none = np.zeros((1, built.size))
     state = replace(truth.state, instrument=none)
-    return replace(truth, construction=built, mean=none, sigma=np.array([sigma]), state=state)
+    population = replace(truth.population, construction=built, mean=none, sigma=np.array([sigma]))
+    return replace(truth, population=population, state=state)
 
 
 def harmonic_batch(
@@ -116,7 +118,7 @@ def harmonic_batch(
     room = load_scenario(HELD_OUT).model_copy(update={"instrument": scenario.instrument})
     elsewhere = with_harmonics(truth_of(room, campaign.seed, "held out"), scenario, beyond)
     built = of_order(order)
-    calibrator = BatchDistance(truth, built) if method.method == "distance" else Batch(Engine(truth, built))
+    calibrator = BatchDistance(truth, built) if method.method == "distance" else Engine(truth, built)
     return judged(truth, elsewhere, calibrator, campaign.seed, number, width)
 
 
@@ -130,7 +132,7 @@ def row_of(columns: dict[str, Floats]) -> Row:
         "held_out_p5_um": out["p5"],
         "held_out_p95_um": out["p95"],
         "held_out_raw_um": summary(columns["held_out_error_raw_um"])["mean"],
-        "held_out_true_parameters_um": summary(columns["held_out_error_true_parameters_um"])["mean"],
+        **beside_floor(columns),
         "held_out_share": round(share(columns, "held_out_"), 4),
         "in_sample_distance_um": summary(columns["distance_after_mean_um"])["mean"],
         "in_sample_coordinate_um": summary(columns["coordinate_after_mean_um"])["mean"],

@@ -19,7 +19,8 @@ from ltsim.planning.criteria import a_criterion, d_criterion, e_criterion, g_cri
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.making import make_plan
+from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
 from ltsim.planning.search import Searcher
 from ltsim.planning.spec import PlanFile, load_plan
@@ -249,8 +250,8 @@ def run(given: Options) -> Made:
                 checks += rows
                 summaries.append(summary)
                 tell(str(summary))
-            figure = floor_plan(from_scenario(candidate.scenario))
-            write_figure(given.out / f"floor_{cone}_{candidate.name.split(',')[0].split()[0]}.svg", figure)
+            if candidate.name.startswith("searched"):
+                write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(from_scenario(candidate.scenario)))
     for name, table in (
         ("layouts", layouts), ("unsearched", lots), ("tradeoff", curve), ("stations", stations),
         ("parameters", checks), ("check", summaries),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Made, Options, run_steps, show_table
+from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
 from ltsim.calibration.choice import Choice
@@ -25,7 +25,6 @@ from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_fa
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import Construction, misalignment
 from ltsim.pages.figures.history import history_figure
-from ltsim.pages.style import svg
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
 
@@ -115,7 +114,7 @@ def figures(kind: str, compared: TwoFaceComparison) -> dict[str, object]:
     row: dict[str, object] = {"pairs": f"{len(compared.before)} {kind}"}
     for k, unit in enumerate(UNITS):
         row |= {f"before {unit}": before[k].round(2), f"after {unit}": after[k].round(2)}
-        row[f"share {unit.split()[-1]}"] = compared.share_removed[k].round(3)
+        row[f"share {unit.split()[-1]}"] = compared.rms_removed[k].round(3)
     return row
 
 
@@ -129,7 +128,8 @@ def course(out: Path) -> None:
         content = told.content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
         known = [course for course in told.parameters if course.constant.dof]
-        (out / f"history_{label}.svg").write_text(svg(history_figure(history.labels, known)))
+        if construction is SIX:  # sixteen courses are a table
+            write_figure(out / f"history_{label}.svg", history_figure(history.labels, known))
         show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
              "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed"])}
@@ -193,7 +193,7 @@ def pooled(compared: list[TwoFaceComparison]) -> TwoFaceComparison:
 
 
 def medians(compared: list[TwoFaceComparison]) -> dict[str, object]:
-    share = np.median([c.share_removed for c in compared], axis=0)
+    share = np.median([c.rms_removed for c in compared], axis=0)
     return {"median share across": share[1].round(3), "median share elevation": share[2].round(3)}
 
 
@@ -221,9 +221,9 @@ def limits(found: Noise) -> Rows:
         before = two_face(other)
         floor = noise_of_halves(epoch(name, found), before)
         shares = {
-            "default": compare_two_face(other, default.construction, default.applied[0]).share_removed,
-            "six": compare_two_face(other, few.construction, few.values[0]).share_removed,
-            "six fitted to set-up 1": compare_two_face(other, itself.construction, itself.values[0]).share_removed,
+            "default": compare_two_face(other, default.construction, default.applied[0]).rms_removed,
+            "six": compare_two_face(other, few.construction, few.values[0]).rms_removed,
+            "six fitted to set-up 1": compare_two_face(other, itself.construction, itself.values[0]).rms_removed,
             "noise alone left": 1.0 - floor / before.rms,
         }
         rows.append({"epoch": name, **{f"{how}, {axis}": round(100 * float(share[k]), 1)

@@ -11,7 +11,8 @@ from ltsim.pages.planned import from_scenario
 from ltsim.planning.criteria import d_criterion
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.planner import Plan, make_plan
+from ltsim.planning.making import make_plan
+from ltsim.planning.planner import Plan
 from ltsim.planning.spec import load_plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
@@ -66,10 +67,7 @@ def run(given: Options) -> Made:
     write_table(given.out / "layouts.csv", rows)
     lost = visibility_of(full).lost(tuple(full.stations), full.target_names)
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
-    for name, scenario in (
-        ("paper_empty", empty), ("paper_machine", full), ("plan_empty", moved),
-        ("plan_empty_machine", with_machine(moved)), ("plan_machine", planned_scenario(plans["machine"])),
-    ):  # fmt: skip
+    for name, scenario in (("paper_machine", full), ("plan_machine", planned_scenario(plans["machine"]))):
         write_figure(given.out / f"{name}.svg", floor_plan(from_scenario(scenario)))
     reasons = {name: plan_file(plan).reasons for name, plan in plans.items()}
     return Made(file.search.seed, file.search.starts, {"machine": MACHINE.model_dump(), "reasons": reasons})

@@ -16,7 +16,7 @@ from ltsim.pages.figures.reflector_changes import reflector_changes
 from ltsim.pages.planned import from_scenario
 from ltsim.planning.changes import Change
 from ltsim.planning.files import plan_file, planned_scenario
-from ltsim.planning.planner import make_plan
+from ltsim.planning.making import make_plan
 from ltsim.planning.spec import load_plan
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Target

@@ -1,7 +1,7 @@
 """Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
 
 python -m experiments 21                  rounds 1 and 2: diagnosed today, both against the truth
-python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3; scored as soon as its truth is there
+python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3, its truth sealed
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def scores(scenario: Scenario, seed: int, number: int, width: int) -> dict[str, 
     engine, block = Engine(truth, truth.construction), truth.draw(seed, number, width)
     found = engine.calibrate(block)
     z = z_scores(truth, block, found, truth.construction, truth.recording.instruments)
-    left = (found.sigma / truth.sigma).reshape(1, -1)
+    left = (found.sigma / truth.population.sigma).reshape(1, -1)
     return z | {LEFT: left, APART: np.array([engine.difference(block, 0, found)])}
 
 

@@ -226,7 +226,7 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
 def _test(value: KnownValue, left: Floats, pull: Floats) -> KnownTest:
     """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
+    size = np.where(size > 0, size, 1.0)  # no reading feels the height of a mark in a plan
     share, turned = np.linalg.eigh(left / np.outer(size, size))
     checked = share > CHECKED
     share, turned = share[checked], turned[:, checked]

@@ -58,6 +58,7 @@ def fit_of(adjustment: Adjustment) -> Fit:
         iterations=adjustment.solution.iterations,
         status=status.name.lower(),
         sentence=status.value,
+        chi2_sigma=None,
     )
 
 
@@ -237,7 +238,9 @@ def criteria_of(
         if not construction.size:
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
-        return evaluate(recording, construction, applied, use=use)
+        model, state = adjustment.problem.model, adjustment.state
+        shift = model.linearised(state).by_extra @ state.extra if len(state.extra) else None
+        return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None
 

@@ -312,13 +312,18 @@ PARAMETERS = Table(
         ParameterEntry,
         "name instrument value sigma unit prior_sigma held applied",
         value={"sigma": "sigma"},
+        prior_sigma={"shown": ".3g"},
         name={"name": "parameter"},
     ),
 )
 
 
 OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
-NOISE = Table("noise.csv", "noise found from the readings", columns_of(NoiseRow, factor={"sigma": "factor_sigma"}))
+NOISE = Table(
+    "noise.csv",
+    "noise found from the readings",
+    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
+)
 STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 
 

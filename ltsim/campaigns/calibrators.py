@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 from ltsim.arrays import Ints
@@ -12,6 +11,7 @@ from ltsim.campaigns.engine import Calibrated, Engine
 from ltsim.campaigns.single import Single
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
 
@@ -24,6 +24,11 @@ class Calibrator(Protocol):
         """Whose parameters are estimated."""
         ...
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Further effects that are estimated."""
+        ...
+
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; trials that are not wanted may be left out (NaN)."""
         ...
@@ -31,26 +36,6 @@ class Calibrator(Protocol):
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
         """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
         ...
-
-
-@dataclass(frozen=True)
-class Batch:
-    """The batched network adjustment."""
-
-    engine: Engine
-
-    @property
-    def construction(self) -> Construction:
-        """Whose parameters are estimated."""
-        return self.engine.construction
-
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
-        """Calibrate a block whole."""
-        return self.engine.calibrate(block)
-
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """Largest difference [sigma] from the full solver."""
-        return self.engine.difference(block, trial, found)
 
 
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
@@ -62,4 +47,4 @@ def calibrator_of(method: Method, truth: Truth) -> Calibrator:
         return Single(truth, construction, effects, method.method)
     if method.method != "network":
         return BatchDistance(truth, construction, method.method)
-    return Batch(Engine(truth, construction, effects))
+    return Engine(truth, construction, effects)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -20,20 +20,22 @@ import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.cell import fitted_construction, fitted_effects
-from ltsim.campaigns.design import label
-from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
+from ltsim.campaigns.design import Factor, label
+from ltsim.campaigns.rows import JUDGE, Task, rows_of, run_task, task_of
 from ltsim.campaigns.schema import CellEntry, FactorEntry, ManifestFile
-from ltsim.campaigns.spec import Campaign, cad_files, cells_of, fingerprint, load_campaign, read_cad, scenario_file
+from ltsim.campaigns.spec import Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
 from ltsim.campaigns.stopping import Shard, neighbours, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
+from ltsim.recording.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import idle_effects
 from ltsim.workers import parallel
 
 DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose version can change a row's bytes."""
+GROWS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
+"""Keys of the file that may say more while its rows stay."""
 Progress = Callable[[int], None]
 
 
@@ -71,9 +73,10 @@ def run_campaign(
     workers: Workers | None = None,
     resume: bool = False,
     force: bool = False,
+    changes: Mapping[str, Any] | None = None,
     progress: Progress = lambda trials: None,
 ) -> Outcome:
-    """Run or continue the campaign of a file.
+    """Run, continue or extend the campaign of a file.
 
     Parameters
     ----------
@@ -83,9 +86,12 @@ def run_campaign(
     workers : Workers, optional
         Default: one process, this one. The rows do not depend on it.
     resume : bool
-        Continue what the folder holds.
+        Continue what the folder holds. Where the file has further levels, trials or statistics by now, only what is
+        missing is done.
     force : bool
         Begin anew in a folder that holds a campaign or other files of the same names; they are lost.
+    changes : mapping, optional
+        As of `load_campaign`.
     progress : callable
         Told the number of trials that were done.
 
@@ -94,27 +100,27 @@ def run_campaign(
     SetupError
         In one sentence, for a file that cannot be run, a folder that holds another campaign or cannot be written to.
     """
-    campaign, scenarios = load_campaign(file)
-    factors, levels = cells_of(campaign, scenarios)
-    idle = _check(campaign, scenarios, [label(factors, own) for own in levels], file)
-    store, mark = Store(folder), fingerprint(campaign, scenarios)
-    sources = _sources(campaign, scenarios, file)
+    campaign, scenarios = load_campaign(file, changes)
+    factors, cells = cells_of(campaign, scenarios, file)
+    notes, store = _check(campaign, factors, cells, file), Store(folder)
+    sources = _sources(campaign, cells, file, changes)
     taken = [] if store.begun or force else store.taken(sources)
     if taken:
         listed = ", ".join(taken)
         raise SetupError(f"{folder}: holds {listed} but no campaign; name another --out, or replace them with --force")
     with store.lock():
-        notes = idle
         if force and not resume:
             store.clear()
         if store.begun:
-            notes += _check_same(store, campaign, mark, file, resume=resume)
-        else:
-            store.begin(_manifest(campaign, scenarios, mark), sources)
+            campaign, cells = _grown(store, campaign, cells, file, resume=resume)
+            notes += _check_same(store)
+        manifest = _manifest(campaign, factors, cells)
+        if not store.begun or _without_place(store.manifest()) != _without_place(manifest):
+            store.begin(manifest, sources)
         store.sweep()
         done, kept = 0, 0
-        for wanted in rounds(campaign, len(scenarios), neighbours(levels), store.rows):
-            waiting, damaged = _waiting(store, campaign, scenarios, mark, wanted, progress)
+        for wanted in rounds(campaign, len(cells), neighbours([cell.levels for cell in cells]), store.rows):
+            waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
             notes += damaged
             done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
             try:
@@ -123,61 +129,93 @@ def run_campaign(
                     progress(rows_of(campaign, task.shard))
             except WorkerError as problem:
                 raise SetupError(f"{folder}: {problem}; finished shards are kept: go on with --resume") from None
-    spared = len(scenarios) * campaign.shards - done - kept
+    spared = len(cells) * campaign.shards - done - kept
     if spared:
-        share = 100 * spared / (len(scenarios) * campaign.shards)
+        share = 100 * spared / (len(cells) * campaign.shards)
         notes.append(f"{folder}: {spared} shards ({share:.0f} % of all) were not needed, since their cells stopped")
     return Outcome(folder, done, kept, tuple(notes))
 
 
-def _sources(campaign: Campaign, scenarios: tuple[Scenario, ...], file: Path) -> dict[str, bytes]:
-    """The files that the campaign was given, to be kept with its rows: scenario, CAD files, the file itself."""
-    scenario = scenario_file(campaign, file)
-    beside = (scenario or file).resolve().parent
-    kept = {} if scenario is None else {scenario.name: scenario.read_bytes()}
-    for path in cad_files(scenarios):
+def _sources(
+    campaign: Campaign, cells: Sequence[Cell], file: Path, changes: Mapping[str, Any] | None
+) -> dict[str, bytes]:
+    """The files that the campaign was given, to be kept with its rows: scenarios, points, CAD, the file itself."""
+    named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := beside(name, file))]
+    kept, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
+    for path in cad_files([place for cell in cells for place in (cell.scenario, cell.judge) if place is not None]):
         whole = path.resolve()
-        name = whole.relative_to(beside).as_posix() if whole.is_relative_to(beside) else path.name
+        name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         kept[name] = read_cad(path)
-    return kept | {SOURCE: file.read_bytes()}
+    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return kept | {SOURCE: to_toml(said).encode() if changes else file.read_bytes()}
 
 
-def _check(campaign: Campaign, scenarios: tuple[Scenario, ...], labels: list[str], file: Path) -> list[str]:
+def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
     """What would stop every trial is said before the first; gives notes on effects that find nothing to act on."""
     idle = []
     for method in campaign.methods:
         fitted_construction(method)
         fitted_effects(method)
-    for number, (words, scenario) in enumerate(zip(labels, scenarios, strict=True), start=1):
-        where = f"cell {number} ({words})"
+    for number, cell in enumerate(cells, start=1):
+        where = f"cell {number} ({label(factors, cell.levels)})"
         try:
-            idle += [f"{where}: {note}" for note in idle_effects(fieldwork(scenario, campaign.seed, "campaign"))]
+            idle += [f"{where}: {note}" for note in idle_effects(fieldwork(cell.scenario, campaign.seed))]
+            if cell.judge is not None:
+                fieldwork(cell.judge, campaign.seed, JUDGE)
         except SetupError as problem:
             raise SetupError(f"{file}: {where}: {problem}") from None
     return idle
 
 
-def _check_same(store: Store, campaign: Campaign, mark: str, file: Path, *, resume: bool) -> list[str]:
-    """Continue only what was begun, with the versions it was begun with; a remark where code or processor differ."""
+def _grown(
+    store: Store, campaign: Campaign, cells: tuple[Cell, ...], file: Path, *, resume: bool
+) -> tuple[Campaign, tuple[Cell, ...]]:
+    """The campaign that the folder holds with what the file adds to it: old cells keep their numbers.
+
+    Raises SetupError where the file would change rows that are there.
+    """
     if not resume:
         raise SetupError(
             f"{store.folder}: holds a campaign; continue it with --resume, name another --out, "
             "or begin anew with --force"
         )
     manifest = store.manifest()
-    now = campaign.model_dump(mode="json", by_alias=True)
-    if manifest.settings and not now.keys() <= manifest.settings.keys():
+    if not all(old.mark for old in manifest.cells):
         raise SetupError(
-            f"{store.folder}: begun by an earlier version of ltsim; its rows can be read and reported, for "
-            "further trials begin anew with another --out"
+            f"{store.folder}: begun by an earlier version of ltsim; begin anew with another --out, or with --force"
         )
-    if manifest.fingerprint != mark:
-        before = manifest.settings
-        changed = [key for key in now if before.get(key) != now[key]] or ["the scenario"]
+    left = list(cells)
+    kept = [next((cell for cell in left if cell.mark == old.mark), None) for old in manifest.cells]
+    if any(cell is None for cell in kept):
+        now, before = campaign.model_dump(mode="json", by_alias=True), manifest.settings
+        changed = [key for key in now if key not in GROWS and before.get(key) != now[key]] or ["the scenario"]
         raise SetupError(
             f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
             f"continue with {store.folder / SOURCE}, or begin anew with another --out"
         )
+    for cell in kept:
+        left.remove(cell)  # type: ignore[arg-type]
+    if [*manifest.cells[0].levels] != [*cells[0].levels]:
+        raise SetupError(
+            f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, the campaign in {store.folder} "
+            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a further factor needs another --out"
+        )
+    before = manifest.settings
+    more = {
+        "trials": max(campaign.trials, manifest.trials),
+        "statistics": tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics))),
+    }
+    return campaign.model_copy(update=more), (*(cell for cell in kept if cell is not None), *left)
+
+
+def _without_place(manifest: ManifestFile) -> ManifestFile:
+    """What of a manifest decides the rows."""
+    return manifest.model_copy(update={"commit": None, "processor": "", "versions": {}})
+
+
+def _check_same(store: Store) -> list[str]:
+    """Continue only with the versions it was begun with; a remark where code or processor differ."""
+    manifest = store.manifest()
     then, today = manifest.versions, _versions()
     for name in DECIDING:
         if then.get(name) != today[name]:
@@ -226,39 +264,33 @@ def commit() -> str | None:
     return done.stdout.strip() or None if done.returncode == 0 else None
 
 
-def _manifest(campaign: Campaign, scenarios: tuple[Scenario, ...], mark: str) -> ManifestFile:
-    factors, levels = cells_of(campaign, scenarios)
+def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell]) -> ManifestFile:
     return ManifestFile(
         title=campaign.title,
-        fingerprint=mark,
         seed=campaign.seed,
         trials=campaign.trials,
         shard=campaign.shard,
         methods=tuple(method.title for method in campaign.methods),
         factors=tuple(FactorEntry(name=f.name, keys=f.keys, unit=f.unit, kind=f.kind) for f in factors),
         cells=tuple(
-            CellEntry(cell=i, label=label(factors, own), settings=changes, levels=own)
-            for i, (changes, own) in enumerate(zip(campaign.combinations(), levels, strict=True))
+            CellEntry(cell=i, label=label(factors, c.levels), settings=c.settings, levels=c.levels, mark=c.mark)
+            for i, c in enumerate(cells)
         ),
         versions=_versions(),
         processor=processor(),
         commit=commit(),
         settings=campaign.model_dump(mode="json", by_alias=True),
-        scenarios=tuple(scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios),
+        scenarios=tuple(cell.scenario.model_dump(mode="json", by_alias=True) for cell in cells),
     )
 
 
 def _waiting(
-    store: Store,
-    campaign: Campaign,
-    scenarios: tuple[Scenario, ...],
-    mark: str,
-    wanted: list[Shard],
-    progress: Progress,
+    store: Store, campaign: Campaign, cells: Sequence[Cell], wanted: list[Shard], progress: Progress
 ) -> tuple[list[Task], list[str]]:
     """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
     waiting, notes, known = [], [], store.digests()
-    first = {cell: task_of(campaign, scenarios[cell], mark, cell, 0) for cell in dict.fromkeys(c for c, _ in wanted)}
+    numbers = dict.fromkeys(cell for cell, _ in wanted)
+    first = {k: task_of(campaign, cells[k].scenario, cells[k].mark, k, 0, cells[k].judge) for k in numbers}
     for cell, shard in wanted:
         task = replace(first[cell], shard=shard)
         state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import TrueEffect, Truth
+from ltsim.campaigns.truth import Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
-from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
-from ltsim.simulation.lengths import certified_by, true_lengths
-from ltsim.simulation.physics import effect_from, instrument_law, resolution_of, stated_noise
+from ltsim.simulation.physics import effect_from, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure
+from ltsim.simulation.simulator import error_free, population_of
 from ltsim.simulation.workshop import Layout
 
 
@@ -34,7 +31,7 @@ def truth_of(
     scenario : Scenario
     seed : int
     *key : str or int
-        Of the geometry.
+        Of the geometry; without it that of the recording which `simulate` makes.
     like : Truth, optional
         Of the same scenario with another geometry; saves stating the set-up anew where the same targets are seen.
     plan : Layout, optional
@@ -51,25 +48,19 @@ def truth_of(
     work = fieldwork(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
         raise SetupError("reflectors: trials in batch measure with one ball; give all balls of the scenario one radius")
-    if like is not None and _same_names(work, like):
-        state, noise = _start_frame(work, like.mean), stated_noise(scenario, work.sightings)
-        return replace(like, recording=_like(work, like), state=state, sightings=work.sightings, noise=noise)
-    recording, known = _template(work, seed, *key)
-    mean, sigma = instrument_law(scenario, work.construction)
-    effects = _true_effects(work, known)
+    if like is not None and not scenario.lengths and _same_names(work, like):
+        there = replace(like.population, sightings=work.sightings, noise=stated_noise(scenario, work.sightings))
+        state = _start_frame(work, there.mean)
+        return replace(like, recording=_like(work, like), state=state, population=there, work=work)
+    recording = error_free(work)
+    population = population_of(work, recording)
     return Truth(
         recording=recording,
-        state=_start_frame(work, mean),
-        sightings=work.sightings,
-        construction=work.construction,
-        mean=mean,
-        sigma=sigma,
-        noise=stated_noise(scenario, work.sightings),
-        gauge_sigma=scenario.cmm.noise_factor * known.factor * known.certificate,
-        recorded=np.isin(OBSERVABLES, [*next(iter(read))]),
-        gauge_shared=np.array([*known.shared.values()]).T,
-        effects=effects,
+        state=_start_frame(work, population.mean),
+        population=population,
         step=resolution_of(scenario),
+        recorded=np.isin(OBSERVABLES, [*next(iter(read))]),
+        work=work,
     )
 
 
@@ -80,14 +71,6 @@ def _start_frame(work: Fieldwork, mean: Floats) -> State:
         return State(s.position, s.rotation, s.points, mean)
     origin, turn = s.position[0], s.rotation[0]
     return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
-
-
-def _template(work: Fieldwork, seed: int, *key: str | int) -> tuple[Recording, KnownLengths]:
-    """The recording with nominal readings and error-free lengths, and these."""
-    recording = measure(work, seed, *key)[0].with_readings(work.sightings.raw)
-    stated = KnownLengths.of(recording)
-    exact = certified_by(recording, true_lengths(work, stated) / stated.factor)
-    return exact, KnownLengths.of(exact)
 
 
 def _same_names(work: Fieldwork, known: Truth) -> bool:
@@ -109,23 +92,6 @@ def _like(work: Fieldwork, known: Truth) -> Recording:
         covariates=s.covariates,
         notes=work.notes,
     )
-
-
-def _true_effects(work: Fieldwork, known: KnownLengths) -> tuple[TrueEffect, ...]:
-    """The scenario's effects with the law of their values; entries and effects are in the same order."""
-    entries, seen, found = work.scenario.effects, Counter[tuple[str, str]](), []
-    for i, effect in enumerate(work.effects):
-        entry = entries[i] if i < len(entries) else None
-        place = effect.place
-        seen[effect.name, place] += 1
-        given = {} if entry is None else entry.values
-        mean = np.array([given.get(p.name, 0.0) * p.factor for p in effect.parameters])
-        free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
-        sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
-        key = f"{place} {seen[effect.name, place]}"
-        by_length = effect.gauge_design(known.first, known.second, work.sightings.points)
-        found.append(TrueEffect(effect, mean, sigma, key, by_length))
-    return tuple(found)
 
 
 def fitted_construction(method: Method) -> Construction:

@@ -9,14 +9,12 @@ import pyarrow as pa
 
 from ltsim.campaigns.cell import fitted_construction
 from ltsim.campaigns.design import Factor
+from ltsim.campaigns.schema import OF_PARAMETER, column_of
 from ltsim.campaigns.spec import Campaign
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction
-from ltsim.units import unit_of_key
 
 TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
-VALUES = ("estimate", "sigma", "true")
-"""Columns that begin so hold values of a parameter in its unit: ``estimate:beam-tilt``."""
 PER_INSTRUMENT, PER_PLACE = "@", " "
 """What follows a parameter's name where there are several instruments or places."""
 
@@ -28,13 +26,14 @@ def parameter_units(campaign: Campaign, true: Construction, effects: Sequence[Ef
     return found | {f"{effect.name}:{p.name}": p.unit for effect in effects for p in effect.parameters}
 
 
-def unit_of_column(name: str, parameters: Mapping[str, str]) -> str:
-    """The unit of a column of the rows; empty for a pure number."""
-    kind, _, rest = name.partition(":")
-    if rest:
-        own = rest.partition(PER_INSTRUMENT)[0].partition(PER_PLACE)[0]
-        return parameters.get(own, "") if kind in VALUES else ""
-    return unit_of_key(name)
+def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
+    """Unit and meaning of a column of the rows."""
+    known = column_of(name)
+    if known is None:
+        return {"unit": "", "meaning": ""}
+    own = name.partition(":")[2].partition(PER_INSTRUMENT)[0].partition(PER_PLACE)[0]
+    unit = parameters.get(own, "") if known.unit == OF_PARAMETER else known.unit
+    return {"unit": unit, "meaning": known.meaning}
 
 
 def with_settings(
@@ -47,7 +46,7 @@ def with_settings(
     said = {f.name: {"unit": f.unit, "keys": " ".join(f.keys)} for f in factors}
     whole = cell | own | columns
     fields = [
-        pa.field(name, column.type, metadata=said.get(name, {"unit": unit_of_column(name, parameters)}))
+        pa.field(name, column.type, metadata=said.get(name) or _metadata(name, parameters))
         for name, column in whole.items()
     ]
     return pa.table(list(whole.values()), schema=pa.schema(fields))

@@ -115,14 +115,6 @@ def factors_of(names: Sequence[str], link: Mapping[str, Sequence[str]], scenario
     )
 
 
-def factors_of_settings(cells: Sequence[Mapping[str, Any]]) -> tuple[Factor, ...]:
-    """The factors of cells of which only the settings are known: the keys whose values differ."""
-    keys = dict.fromkeys(key for cell in cells for key in cell)
-    varied = [key for key in keys if len({json.dumps(cell.get(key)) for cell in cells}) > 1]
-    names = short_names(varied)
-    return tuple(Factor(names[key], (key,), unit_of_key(key), kind_of(key)) for key in varied)
-
-
 def short_names(keys: Sequence[str]) -> dict[str, str]:
     """The last words of dotted keys, as many as tell them apart from each other and from other columns."""
     depth = dict.fromkeys(keys, 1)

@@ -28,6 +28,7 @@ from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.single import Single
 from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction, ideal
@@ -46,6 +47,8 @@ class BatchDistance:
     construction: Construction
     method: str = "distance"
     """`distance`: least squares; `distance-l1`: least absolute deviations."""
+    effects: tuple[Effect, ...] = ()
+    """None: the method estimates instrument parameters only."""
 
     @cached_property
     def single(self) -> Single:

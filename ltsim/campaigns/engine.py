@@ -5,7 +5,8 @@ Where the time of a trial goes (paper's workshop: 420 readings, 130 unknowns, on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -15,12 +16,13 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.judge import Columns, Judge
 from ltsim.campaigns.network import BatchNetwork
-from ltsim.campaigns.truth import BLOCK, Block, Truth
+from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction
+from ltsim.randomness import BLOCK
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.simulation.lengths import certified_by
@@ -48,6 +50,10 @@ class Calibrated:
     """(B,)."""
     status: Ints
     """(B,): index into `STATUSES`."""
+    extra: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(q, B) [SI]: parameters of further effects; empty for none."""
+    extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    """(q, 1) or (q, B) [SI]."""
 
 
 def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
@@ -106,11 +112,14 @@ class Engine:
         """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
         return suspects(deviation, self.truth.sightings.local[:, :, None])
 
-    def calibrate(self, block: Block) -> Calibrated:
-        """Calibrate a block; trials for which the batch is not enough go to the full solver."""
+    def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
+        """Calibrate a block whole; trials for which the batch is not enough go to the full solver."""
         fit = self.network.fit(block.deviation, block.gauge_error)
         status = np.zeros(len(fit.chi2), dtype=np.int64)
-        found = Calibrated(fit.values, self.network.sigma_values, fit.points, fit.chi2, status)
+        network = self.network
+        found = Calibrated(
+            fit.values, network.sigma_values, fit.points, fit.chi2, status, fit.extra, network.sigma_extra[:, None]
+        )
         for trial in np.flatnonzero(~fit.converged | self.suspect(block.deviation)):
             self._by_full_solver(block, int(trial), found)
         return found
@@ -119,7 +128,7 @@ class Engine:
         adjustment = self.full(block, trial)
         if adjustment is None or not adjustment.solution.converged:
             found.status[trial] = STATUSES.index(FAILED)
-            for array in (found.values, found.points, found.chi2):
+            for array in (found.values, found.points, found.chi2, found.extra):
                 array[..., trial] = np.nan
             return
         found.status[trial] = STATUSES.index(FULL)
@@ -127,6 +136,7 @@ class Engine:
         truth = self.truth.state.points
         found.points[:, :, trial] = placed_on(adjustment, truth) - truth
         found.chi2[trial] = adjustment.chi2
+        found.extra[:, trial] = adjustment.state.extra
 
     def full(self, block: Block, trial: int) -> Adjustment | None:
         """One trial by the full solver, from its readings alone; None where it gives up."""
@@ -172,6 +182,10 @@ class Bench:
         truth = self.truth
         return Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
 
+    def nowhere(self, trials: int) -> Floats:
+        """Points (T, 3, B) of a method that adjusted none here."""
+        return np.full((*self.truth.state.points.shape, trials), np.nan)
+
     def before(self, block: Block) -> Columns:
         """Columns that all methods share: criteria and error before, error with the true parameters."""
         raw = self.judge.clouds(block.deviation)
@@ -181,14 +195,16 @@ class Bench:
         columns["error_true_parameters_um"] = self.judge.cloud_error(perfect)
         return columns
 
-    def after(self, block: Block, found: Calibrated, construction: Construction, shared: Columns) -> Columns:
-        """Columns of a method: criteria and errors after, share of the correctable error removed."""
-        calibrated = self.judge.clouds(block.deviation, construction, found.values)
+    def after(
+        self, block: Block, found: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
+    ) -> Columns:
+        """Columns of a method: criteria and errors after its parameters and the effects that it estimated."""
+        deviation = block.deviation
+        if effects:
+            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
+        calibrated = self.judge.clouds(deviation, construction, found.values)
         columns: Columns = self.judge.criteria(calibrated, "after") if self.judge.comparable else {}
-        error = self.judge.cloud_error(calibrated)
-        columns["error_calibrated_um"] = error
-        correctable = shared["error_raw_um"] - shared["error_true_parameters_um"]
-        columns["share_removed"] = (shared["error_raw_um"] - error) / np.where(correctable > 0, correctable, np.nan)
+        columns["error_calibrated_um"] = self.judge.cloud_error(calibrated)
         columns["target_error_um"] = self.judge.target_error(found.points)
         return columns
 
@@ -198,6 +214,20 @@ def parameter_columns(construction: Construction, instruments: tuple[str, ...], 
     names = construction.names_of(instruments)
     shown = (values / np.array([p.factor for p in construction.parameters])[:, None]).reshape(-1, values.shape[2])
     return {f"{prefix}:{name}": own for name, own in zip(names, shown, strict=True)}
+
+
+def effect_columns(effects: Sequence[Effect], values: Floats, prefix: str) -> Columns:
+    """Parameters (q, B) [SI] of effects in display units, with place and number: ``true:head-sag:sag S2``."""
+    columns: Columns = {}
+    rows = iter(values)
+    for effect in effects:
+        for parameter in effect.parameters:
+            name = f"{prefix}:{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
+            again = sum(known == name or known.startswith(f"{name} #") for known in columns)
+            columns[f"{name} #{again + 1}" if again else name] = next(rows) / (
+                1.0 if prefix == "z" else parameter.factor
+            )
+    return columns
 
 
 def trials_of(number: int) -> Ints:

@@ -8,6 +8,8 @@ Kernels live in one file because the compiler's cache watches only the file of t
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
@@ -379,3 +381,9 @@ def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: 
         hx[t] += vy * az[t] - vz * ay[t]
         hy[t] += vz * ax[t] - vx * az[t]
         hz[t] += vx * ay[t] - vy * ax[t]
+
+
+def compiled_before() -> bool:
+    """Whether machine code of these kernels lies where this installation keeps it."""
+    place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
+    return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

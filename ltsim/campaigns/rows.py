@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -15,24 +15,39 @@ from threadpoolctl import threadpool_limits
 
 from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.calibrators import Calibrator, calibrator_of
-from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.cell import fitted_effects, truth_of
 from ltsim.campaigns.columns import parameter_units, with_settings
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import FAILED, STATUSES, Bench, Calibrated, parameter_columns, trials_of
+from ltsim.campaigns.engine import (
+    FAILED,
+    STATUSES,
+    Bench,
+    Calibrated,
+    effect_columns,
+    parameter_columns,
+    trials_of,
+)
 from ltsim.campaigns.judge import Columns
-from ltsim.campaigns.spec import Campaign, group_of
+from ltsim.campaigns.schema import column_of
+from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.stack import StackCalibrator, stacks
 from ltsim.campaigns.store import encoded
-from ltsim.campaigns.truth import BLOCK, Block, Truth
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects import CATALOGUE
+from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
-from ltsim.randomness import stream
+from ltsim.randomness import BLOCK, stream
+from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.simulator import place_key
 from ltsim.simulation.workshop import Layout, planned
 
 TOGETHER = 64
 """Trials with geometries of their own that are done side by side, as far as their stations see the same."""
+JUDGE = "judge"
+"""Key of the draws in the place of `judge_in`."""
 CHECKED = "full_difference_sigma"
 """Column of the trials that were calibrated once more by the full solver: largest difference in sigmas."""
 
@@ -44,14 +59,20 @@ class Task:
     campaign: str
     scenario: str
     """As JSON."""
-    fingerprint: str
+    mark: str
+    """Of the cell."""
     cell: int
     shard: int
+    judge: str = ""
+    """The scenario of `judge_in`, as JSON; empty for none."""
+    effects: tuple[type[Effect], ...] = ()
+    """Classes of the session, which a worker does not know."""
 
     @property
     def key(self) -> dict[str, str]:
         """What the shard's file says of itself."""
-        return {"campaign": self.fingerprint, "cell": str(self.cell), "shard": str(self.shard)}
+        held = " ".join(json.loads(self.campaign)["statistics"])
+        return {"campaign": self.mark, "cell": str(self.cell), "shard": str(self.shard), "statistics": held}
 
 
 @dataclass(frozen=True)
@@ -60,7 +81,7 @@ class Ready:
 
     truth: Truth
     bench: Bench
-    calibrators: list[Calibrator]
+    calibrators: Sequence[Calibrator]
 
 
 @dataclass(frozen=True)
@@ -69,12 +90,20 @@ class Prepared:
 
     campaign: Campaign
     scenario: Scenario
+    judge: Scenario | None = None
 
     @cached_property
     def shared(self) -> Ready:
         """The geometry that all trials share, with the calibrators in the order of the file's methods."""
-        truth = truth_of(self.scenario, self.campaign.seed, "campaign")
+        truth = truth_of(self.scenario, self.campaign.seed)
         return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
+
+    @cached_property
+    def elsewhere(self) -> Bench | None:
+        """The place of `judge_in`, where the same instruments measure what no calibration used."""
+        if self.judge is None:
+            return None
+        return Bench(truth_of(self.judge, self.campaign.seed, JUDGE))
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
@@ -90,7 +119,8 @@ class Prepared:
     @cached_property
     def units(self) -> dict[str, str]:
         """Units of the parameters in the rows."""
-        return parameter_units(self.campaign, construction_of(self.scenario), effects_of(self.scenario))
+        fitted = [effect for method in self.campaign.methods for effect in fitted_effects(method)]
+        return parameter_units(self.campaign, construction_of(self.scenario), [*effects_of(self.scenario), *fitted])
 
     @cached_property
     def _plan(self) -> Layout:
@@ -116,26 +146,31 @@ class Prepared:
         found = {}
         for trial in trials:
             with suppress(SetupError):
-                key = self.campaign.seed, "campaign", trial
-                found[trial] = truth_of(self.scenario, *key, like=self.shared.truth, plan=self._plan)
+                key = place_key(trial, self.campaign.geometry)
+                found[trial] = truth_of(
+                    self.scenario, self.campaign.seed, *key, like=self.shared.truth, plan=self._plan
+                )
         return found
 
 
 @lru_cache(maxsize=4)
-def prepared(campaign: str, scenario: str) -> Prepared:
+def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
     """The prepared cell of a task; kept, since a worker sees many shards of the same cell."""
-    return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario))
+    there = Scenario.model_validate_json(judge) if judge else None
+    return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
 def run_task(task: Task) -> bytes:
     """A shard as the bytes of its file; one thread, so that sums keep their order on any worker."""
+    for kind in task.effects:
+        CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
         return encoded(shard_rows(task), task.key)
 
 
 def shard_rows(task: Task) -> pa.Table:
     """The rows of a shard: by method, then by trial."""
-    cell = prepared(task.campaign, task.scenario)
+    cell = prepared(task.campaign, task.scenario, task.judge)
     campaign = cell.campaign
     first = task.shard * campaign.shard
     last = min(first + campaign.shard, campaign.trials)
@@ -145,10 +180,9 @@ def shard_rows(task: Task) -> pa.Table:
     for ready, block, numbers in cell.blocks(first, last):
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing -= set(numbers[wanted].tolist())
-        places = wanted[np.isin(numbers[wanted], checked)]
-        shared = ready.bench.before(block)
+        work = Work(campaign, ready.bench, block, cell.elsewhere, wanted, wanted[np.isin(numbers[wanted], checked)])
         for part, calibrator in zip(parts, ready.calibrators, strict=True):
-            columns = {"trial": numbers} | _by_method(campaign, ready.bench, block, calibrator, shared, wanted, places)
+            columns = {"trial": numbers} | work.columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
     if missing:
         for part in parts:
@@ -158,16 +192,70 @@ def shard_rows(task: Task) -> pa.Table:
     return with_settings(whole, cell.factors, cell.levels, cell.units)
 
 
-def _by_method(
-    campaign: Campaign, bench: Bench, block: Block, calibrator: Calibrator, shared: Columns, wanted: Ints, checked: Ints
-) -> Columns:
-    """The columns of a method on a block."""
-    found = calibrator.calibrate(block, wanted)
-    columns = _columns(campaign, bench, block, found, calibrator.construction, shared)
-    columns[CHECKED] = np.full(block.deviation.shape[2], np.nan)
-    for place in checked:
-        columns[CHECKED][place] = calibrator.difference(block, int(place), found)
-    return columns
+@dataclass(frozen=True)
+class Work:
+    """A block that every method calibrates."""
+
+    campaign: Campaign
+    bench: Bench
+    block: Block
+    elsewhere: Bench | None
+    wanted: Ints
+    checked: Ints
+    """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
+
+    @cached_property
+    def shared(self) -> Columns:
+        """Columns that all methods share."""
+        return self.bench.before(self.block)
+
+    @cached_property
+    def new_points(self) -> tuple[Bench, Block, Columns] | None:
+        """The same instruments elsewhere: noise of their own, the same amounts of the effects that act there too."""
+        if self.elsewhere is None:
+            return None
+        there = Normal(self.campaign.seed, self.block.trials)
+        block = self.elsewhere.truth.drawn(there, self.block.values, apart=JUDGE)
+        return self.elsewhere, block, self.elsewhere.before(block)
+
+    def columns(self, calibrator: Calibrator) -> Columns:
+        """The columns of a method that the campaign wants."""
+        found, wanted = calibrator.calibrate(self.block, self.wanted), self.campaign.statistics
+        construction, effects = calibrator.construction, calibrator.effects
+        truth, block = self.bench.truth, self.block
+        names = truth.recording.instruments
+        columns: Columns = {"status": found.status, "chi2": found.chi2}
+        columns[CHECKED] = np.full(len(found.chi2), np.nan)
+        for place in self.checked:
+            columns[CHECKED][place] = calibrator.difference(block, int(place), found)
+        judged = (
+            self.shared | self.bench.after(block, found, construction, effects) | self._elsewhere(found, calibrator)
+        )
+        columns |= {name: own for name, own in judged.items() if (known := column_of(name)) and known.group in wanted}
+        if "z-scores" in wanted:
+            columns |= z_scores(truth, block, found, construction, names)
+            columns |= _effect_z_scores(truth, block, found, effects)
+        if "estimates" in wanted:
+            columns |= parameter_columns(construction, names, found.values, "estimate")
+            spread = np.broadcast_to(_per_trial(found.sigma), found.values.shape)
+            columns |= parameter_columns(construction, names, spread, "sigma")
+            columns |= effect_columns(effects, found.extra, "estimate")
+            columns |= effect_columns(effects, np.broadcast_to(found.extra_sigma, found.extra.shape), "sigma")
+        if "truth" in wanted:
+            columns |= parameter_columns(truth.construction, names, block.values, "true")
+            amounts = np.concatenate([*block.amounts, np.empty((0, len(found.chi2)))])
+            columns |= effect_columns([law.effect for law in truth.effects], amounts, "true")
+        return columns
+
+    def _elsewhere(self, found: Calibrated, calibrator: Calibrator) -> Columns:
+        """Errors of new points."""
+        if self.new_points is None:
+            return {}
+        bench, block, before = self.new_points
+        after = bench.after(
+            block, replace(found, points=bench.nowhere(len(found.chi2))), calibrator.construction, calibrator.effects
+        )
+        return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
 
 
 def _failed(trials: int) -> Columns:
@@ -180,34 +268,6 @@ def _checked_trials(campaign: Campaign, shard: int, first: int, last: int) -> In
     """Trials of a shard that the full solver repeats: a sample drawn by key."""
     draw = stream(campaign.seed, "campaign", "verify", shard)
     return first + draw.choice(last - first, size=min(campaign.verify, last - first), replace=False)
-
-
-def _columns(
-    campaign: Campaign,
-    bench: Bench,
-    block: Block,
-    found: Calibrated,
-    construction: Construction,
-    shared: Columns,
-) -> Columns:
-    """The columns that the campaign wants of a method on a block."""
-    wanted, truth = campaign.statistics, bench.truth
-    names = truth.recording.instruments
-    columns: Columns = {"status": found.status, "chi2": found.chi2}
-    judged = shared | bench.after(block, found, construction, shared)
-    columns |= {name: column for name, column in judged.items() if group_of(name) in wanted}
-    if "z-scores" in wanted:
-        columns |= z_scores(truth, block, found, construction, names)
-    if "estimates" in wanted:
-        columns |= parameter_columns(construction, names, found.values, "estimate")
-        spread = np.broadcast_to(_per_trial(found.sigma), found.values.shape)
-        columns |= parameter_columns(construction, names, spread, "sigma")
-    if "truth" in wanted:
-        columns |= parameter_columns(truth.construction, names, block.values, "true")
-        for entry, amount in zip(truth.effects, block.amounts, strict=True):
-            for k, parameter in enumerate(entry.effect.parameters):
-                columns[f"true:{entry.effect.name}:{parameter.name} {entry.key}"] = amount[k] / parameter.factor
-    return columns
 
 
 def _per_trial(sigma: Floats) -> Floats:
@@ -226,6 +286,21 @@ def z_scores(
         z = (found.values[:, fitted] - block.values[:, true]) / _per_trial(found.sigma)[:, fitted]
     flat = np.array(construction.names_of(names)).reshape(len(names), construction.size)[:, fitted].ravel()
     return {f"z:{name}": own for name, own in zip(flat, z.reshape(len(flat), z.shape[2]), strict=True)}
+
+
+def _effect_z_scores(truth: Truth, block: Block, found: Calibrated, effects: Sequence[Effect]) -> Columns:
+    """The same of fitted effects that are among the true ones."""
+    if not effects:
+        return {}
+    both = [(law.effect, own) for law, own in zip(truth.effects, block.amounts, strict=True) if law.effect in effects]
+    columns: Columns = {}
+    parts = np.split(np.arange(len(found.extra)), np.cumsum([len(e.parameters) for e in effects])[:-1])
+    for effect, rows in zip(effects, parts, strict=True):
+        true = next((own for other, own in both if other == effect), None)
+        if true is not None:
+            z = (found.extra[rows] - true) / found.extra_sigma[rows]
+            columns |= effect_columns([effect], z, "z")
+    return columns
 
 
 def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:
@@ -252,14 +327,18 @@ def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:
     return pa.table(columns)
 
 
-def task_of(campaign: Campaign, scenario: Scenario, fingerprint: str, cell: int, shard: int) -> Task:
+def task_of(
+    campaign: Campaign, scenario: Scenario, mark: str, cell: int, shard: int, judge: Scenario | None = None
+) -> Task:
     """A task as plain data."""
     return Task(
         campaign.model_dump_json(by_alias=True),
         json.dumps(scenario.model_dump(mode="json", by_alias=True)),
-        fingerprint,
+        mark,
         cell,
         shard,
+        "" if judge is None else json.dumps(judge.model_dump(mode="json", by_alias=True)),
+        CATALOGUE.of_session,
     )
 
 

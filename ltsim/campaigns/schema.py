@@ -3,21 +3,116 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from ltsim.recording.result_file import Entry, Known, ResultFile
-from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.results import Column, Table, numbers, texts
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Of the quantiles."""
 
 SUMMARY = "summary.csv"
+OF_PARAMETER = "of the parameter"
+Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
+BY_READING = (
+    "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
+    "station's points fitted rigidly to the true ones; the noise of these readings is in it"
+)
+NEW_POINT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
+POOLED = (
+    "(R - C) / (R - P) of the mean squares, over all trials of a cell and method, of {0}error_raw_um, "
+    "{0}error_calibrated_um and {0}error_true_parameters_um: 1 for a calibration that found the true parameters, 0 for "
+    "one that did nothing, below 0 for one that did harm; its interval is that of a ratio of means"
+)
 
 
-def summary_table(factors: Mapping[str, str]) -> ResultTable:
+@dataclass(frozen=True)
+class RowColumn(Column):
+    """A result in the rows of a campaign; one whose name ends in `:` stands for a column a parameter."""
+
+    group: Statistic | None = None
+    """Which of the statistics of the campaign's file it belongs to; None for what all rows have."""
+
+
+def _column(name: str, unit: str, group: Statistic | None, meaning: str) -> RowColumn:
+    return RowColumn(name, meaning, unit=unit, group=group)
+
+
+def _criterion(kind: str, what: str) -> list[RowColumn]:
+    return [
+        _column(f"{kind}_{when}_{which}_um", "um", "criteria", f"{word} of {what}, {said}")
+        for when, said in (("before", "readings as they are"), ("after", "readings corrected"))
+        for which, word in (("mean", "mean"), ("max", "largest"))
+    ] + [
+        _column(
+            f"{kind}_improvement_percent", "%", "criteria", f"100 (1 - after / before) of the mean {kind} criterion"
+        ),
+    ]
+
+
+def _errors(prefix: str, what: str) -> list[RowColumn]:
+    return [
+        _column(f"{prefix}error_raw_um", "um", "errors", f"{what}; readings as they are"),
+        _column(f"{prefix}error_calibrated_um", "um", "errors", f"{what}; readings corrected as found"),
+        _column(
+            f"{prefix}error_true_parameters_um",
+            "um",
+            "errors",
+            f"{what}; readings corrected by the true parameters: the floor of noise, and of what no parameter removes",
+        ),
+        _column(f"{prefix}share_removed", "", "errors", POOLED.format(prefix)),
+    ]
+
+
+COLUMNS: tuple[RowColumn, ...] = (
+    _column("chi2", "", None, "least sum of squares of the weighted residuals"),
+    _column(
+        "full_difference_sigma", "sigma", None, "largest difference of parameters and targets from the full solver"
+    ),
+    *_criterion("distance", "the distance criterion: deviations of distances from their mean over stations"),
+    *_criterion("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
+    *_errors("", BY_READING),
+    _column(
+        "target_error_um",
+        "um",
+        "errors",
+        "rms over targets of the 3D distance from the true point to the adjusted one, all fitted rigidly to the true "
+        "ones; the noise of the readings that were adjusted is in it",
+    ),
+    *_errors("new_point_", NEW_POINT + BY_READING),
+    _column("z:", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
+    _column("estimate:", OF_PARAMETER, "estimates", "estimate of a parameter"),
+    _column("sigma:", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
+    _column("true:", OF_PARAMETER, "truth", "true value of a parameter"),
+)
+"""Every result that rows and statistics can hold, defined once: for files, docs and report."""
+SHARES = tuple(column.name for column in COLUMNS if column.name.endswith("share_removed"))
+"""Statistics of all trials together, which no single row has."""
+
+
+def column_of(name: str) -> RowColumn | None:
+    """The definition of a column of the rows, or of a statistic; None for a setting."""
+    return next((c for c in COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None)
+
+
+ROWS = Table(
+    "rows/cell-*/shard-*.parquet",
+    "one row a trial and method; settings of the cell stand behind its number",
+    (
+        *numbers(cell="number"),
+        *texts(method="name"),
+        *numbers(trial="number: `ltsim simulate --trial` writes its recording"),
+        *texts(status="converged, full solver (the batch was not enough), failed"),
+        *COLUMNS,
+    ),
+)
+
+
+def summary_table(factors: Mapping[str, str]) -> Table:
     """`summary.csv` of a campaign: one row a cell, method and column of the rows; factors are names with kinds."""
     about = "setting of the cell, in the unit that manifest.json says"
     settings = [
@@ -25,7 +120,7 @@ def summary_table(factors: Mapping[str, str]) -> ResultTable:
         for name, kind in factors.items()
         for column in (numbers if kind in ("number", "integer") else texts)(**{name: about})
     ]
-    return ResultTable(
+    return Table(
         SUMMARY,
         "every statistic over the trials of a cell and method, with the settings of the cell",
         (
@@ -40,18 +135,17 @@ def summary_table(factors: Mapping[str, str]) -> ResultTable:
     )
 
 
-def trials_table(parameters: tuple[str, ...]) -> ResultTable:
-    """`trials.csv` of a recovery: one row a trial that converged."""
-    return ResultTable(
-        "trials.csv",
-        "errors over their stated sigmas, one row a trial",
-        (
-            *numbers(trial="number, from 0"),
-            *numbers(".6g", **dict.fromkeys(parameters, "error of the parameter over its sigma")),
-            *numbers(".6g", chi2="of the fit", dof="degrees of freedom"),
-            *numbers(".6g", targets="mean square of errors over sigmas", stations="as targets"),
-        ),
-    )
+TRIALS = Table(
+    "trials.csv",
+    "what was found in each trial that gave a result, one row a trial and parameter",
+    (
+        *numbers(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
+        *texts(parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"),
+        *numbers("r", truth="true value", estimate="what the calibrator found", sigma="that it states"),
+        *numbers(".6g", z="(estimate - truth) / sigma"),
+        *numbers("r", ltsim_estimate="what ltsim found in the same recording, where another calibrator is checked"),
+    ),
+)
 
 
 class FactorEntry(Entry):
@@ -78,18 +172,18 @@ class CellEntry(Entry):
     """Value of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """What it changes, by dotted key."""
+    mark: str = ""
+    """Digest of all that decides its rows; each of its shards says it too."""
 
 
 class ManifestFile(ResultFile):
-    """`manifest.json`: what a campaign is, written before its first row."""
+    """`manifest.json`: what a campaign is, written before its first row and where the campaign grows."""
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
-    fingerprint: str = ""
-    """Digest of all that decides the rows; each shard says it too."""
     seed: Whole = 0
     """Root of the random draws."""
     trials: Whole
@@ -99,7 +193,7 @@ class ManifestFile(ResultFile):
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibrators."""
     factors: tuple[FactorEntry, ...] = ()
-    """What differs between cells; rows of a manifest without it hold no settings, readers take them from the cells."""
+    """What differs between cells."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
     """Of grid and design."""
     versions: dict[str, str] = Field(default_factory=dict)

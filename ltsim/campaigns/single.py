@@ -35,6 +35,8 @@ class Single:
             np.full((*self.truth.state.points.shape, trials), np.nan),
             np.full(trials, np.nan),
             np.full(trials, STATUSES.index(FAILED)),
+            np.full((sum(len(e.parameters) for e in self.effects), trials), np.nan),
+            np.full((sum(len(e.parameters) for e in self.effects), trials), np.nan),
         )
         for trial in wanted:
             self._one(block, int(trial), found)
@@ -57,6 +59,9 @@ class Single:
         if adjustment is None or not np.all(np.isfinite(values)):
             return
         found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
+        if self.effects:
+            found.extra[:, trial] = adjustment.state.extra
+            found.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance))
         truth = self.truth.state.points
         found.points[:, :, trial] = placed_on(adjustment, truth) - truth
         found.chi2[trial] = adjustment.chi2

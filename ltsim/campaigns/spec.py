@@ -6,32 +6,24 @@ import hashlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from ltsim.campaigns.design import Design, Factor, factors_of
-from ltsim.errors import SetupError
-from ltsim.recording.settings import load_settings
+from ltsim.campaigns.schema import Statistic, column_of
+from ltsim.errors import SetupError, as_setup_error
+from ltsim.evaluation.verification import read_nominal
+from ltsim.recording.settings import checked, load_settings
 from ltsim.recording.setup import Finite, Positive, Section
 from ltsim.simulation.keys import quantity
-from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_to_toml
+from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario, scenario_to_toml
+from ltsim.units import MILLIMETRE
 
 FORMAT = "ltsim-campaign/1"
 MOST_CELLS, MOST_SHARDS = 4096, 500_000
-Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-
-
-GROUPS: dict[str, Statistic | None] = {
-    "distance_": "criteria", "coordinate_": "criteria", "z:": "z-scores", "estimate:": "estimates",
-    "sigma:": "estimates", "true:": "truth", "chi2": None,
-}  # fmt: skip
-
-
-def group_of(column: str) -> Statistic | None:
-    """The group of statistics that a column of the rows belongs to; None for one that all rows have."""
-    return next((group for beginning, group in GROUPS.items() if column.startswith(beginning)), "errors")
 
 
 class FittedEffect(Section):
@@ -127,6 +119,10 @@ class Campaign(Section):
     """Trials of each shard that the full solver repeats."""
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
     """What each row holds."""
+    judge_in: str = ""
+    """Where methods are judged by points that they were not calibrated on: a scenario (built-in, or a file beside this
+    one), measured with the cell's instruments as they truly are in each trial; or a table of points
+    (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`), measured from the cell's own stations."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes of the scenario for all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
@@ -153,7 +149,8 @@ class Campaign(Section):
 
     @model_validator(mode="after")
     def _stops_by_what_rows_hold(self) -> Campaign:
-        wanted = group_of(self.stop.statistic) if self.stop else None
+        known = column_of(self.stop.statistic) if self.stop else None
+        wanted = known and known.group
         if self.stop and wanted and wanted not in self.statistics:
             raise ValueError(f"it should have '{wanted}' among its statistics, since stop needs {self.stop.statistic}")
         return self
@@ -209,15 +206,36 @@ class Campaign(Section):
         return {key: value for name, value in said.items() for key in self.link.get(name, (name,))}
 
 
-def load_campaign(path: Path) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, and the scenario of each of its cells; raises SetupError."""
+def load_campaign(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Campaign, tuple[Scenario, ...]]:
+    """A campaign file, and the scenario of each of its cells; raises SetupError.
+
+    `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
+    """
     campaign = load_settings(path, Campaign, "campaign")
+    if changes:
+        campaign = overridden(campaign, changes, path)
     return campaign, scenarios_of(campaign, path)
+
+
+def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Campaign:
+    """The campaign with other values of its own keys, or of the scenario's in all cells."""
+    tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for key, value in changes.items():
+        if key in Campaign.model_fields:
+            tables[key] = value
+        elif key in campaign.grid:
+            tables["grid"][key] = [value]
+        elif key in campaign.varied:
+            raise SetupError(f"{path}: {key} varies in its cells or design: change it there")
+        else:
+            tables["settings"][key] = value
+    with as_setup_error():
+        return checked(tables, Campaign, "campaign", path)
 
 
 def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
     """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
-    base = load_scenario(scenario_file(campaign, path) or campaign.scenario)
+    base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)
     common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
     units = changed(base, common, path)  # with the effects that the settings add
     made = []
@@ -228,16 +246,68 @@ def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
     return tuple(made)
 
 
-def cells_of(campaign: Campaign, scenarios: Sequence[Scenario]) -> tuple[tuple[Factor, ...], list[dict[str, Any]]]:
-    """What differs between cells, and its values in each cell by name."""
-    factors = campaign.factors(scenarios[0])
-    tables = (scenario.model_dump(mode="json", by_alias=True) for scenario in scenarios)
-    return factors, [{factor.name: factor.level(own) for factor in factors} for own in tables]
+@dataclass(frozen=True)
+class Cell:
+    """One setting of a campaign."""
+
+    scenario: Scenario
+    judge: Scenario | None
+    """Where it is judged; None for nowhere else."""
+    settings: dict[str, Any]
+    """What it changes, by dotted key."""
+    levels: dict[str, Any]
+    """Value of each factor, by the factor's name."""
+    mark: str
+    """Digest of all that decides its rows but how many, and which of their columns are kept."""
 
 
-def scenario_file(campaign: Campaign, path: Path) -> Path | None:
-    """The scenario's file, seen from the campaign's file or kept beside it; None for a built-in one."""
-    for candidate in (path.parent / campaign.scenario, path.parent / Path(campaign.scenario).name):
+def cells_of(
+    campaign: Campaign, scenarios: Sequence[Scenario], path: Path
+) -> tuple[tuple[Factor, ...], tuple[Cell, ...]]:
+    """What differs between cells, and the cells; raises SetupError."""
+    factors, common = campaign.factors(scenarios[0]), _deciding(campaign)
+    cells = []
+    for scenario, settings in zip(scenarios, campaign.combinations(), strict=True):
+        tables = scenario.model_dump(mode="json", by_alias=True)
+        judge = judge_of(campaign, scenario, path)
+        levels = {factor.name: factor.level(tables) for factor in factors}
+        places = [scenario_to_toml(_by_content(s)) for s in (scenario, judge) if s is not None]
+        mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
+        cells.append(Cell(scenario, judge, settings, levels, mark))
+    return factors, tuple(cells)
+
+
+def _deciding(campaign: Campaign) -> str:
+    """The settings that decide the rows of every cell."""
+    return campaign.model_dump_json(include={"seed", "shard", "geometry", "verify", "methods"}, by_alias=True)
+
+
+def judge_of(campaign: Campaign, scenario: Scenario, path: Path) -> Scenario | None:
+    """The place where a cell is judged; None where the file names none. Raises SetupError."""
+    name = campaign.judge_in
+    if not name:
+        return None
+    file = beside(name, path)
+    if name.endswith(".csv"):
+        with as_setup_error():
+            points = read_nominal(file or path.parent / name)
+        places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
+        effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
+        own = {"gauge": NONE, "lengths": [], "work.targets": NONE, "targets": places, "effects": effects}
+        return changed(scenario, own, path, f"{path}: judge_in")
+    room = load_scenario(file or name)
+    same = {"instrument": scenario.instrument, "instruments": scenario.instruments}
+    room = room.model_copy(update=same)
+    used = {station.instrument or "" for station in room.stations.values()}
+    if used != {*scenario.trackers}:
+        wanted = ", ".join(scenario.trackers) or "one without a name"
+        raise SetupError(f"{path}: judge_in: the stations of {name} should name the trackers of the cells: {wanted}")
+    return room
+
+
+def beside(name: str, path: Path) -> Path | None:
+    """A file that a campaign names, seen from its own place or kept beside it; None where there is none."""
+    for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
     return None
@@ -249,17 +319,11 @@ def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
     return [Path(name) for name in dict.fromkeys(named)]
 
 
-def fingerprint(campaign: Campaign, scenarios: tuple[Scenario, ...]) -> str:
-    """A number of everything that decides the rows: the file, every cell's scenario, the content of its CAD files."""
-    known = {str(path): hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files(scenarios)}
-    content = [campaign.model_dump_json(by_alias=True), *(scenario_to_toml(_by_content(s, known)) for s in scenarios)]
-    return hashlib.sha256("\n".join(content).encode()).hexdigest()
-
-
-def _by_content(scenario: Scenario, known: Mapping[str, str]) -> Scenario:
+def _by_content(scenario: Scenario) -> Scenario:
     """The scenario with the digests of its CAD files in place of their names."""
     room = scenario.workshop
-    named = [o if o.file is None else o.model_copy(update={"file": known[str(Path(o.file))]}) for o in room.obstacles]
+    known = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
+    named = [o if o.file is None else o.model_copy(update={"file": known[Path(o.file)]}) for o in room.obstacles]
     return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(named)})})
 
 

@@ -14,17 +14,19 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.calibrators import Batch, Calibrator, calibrator_of
-from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, suspects
+from ltsim.campaigns.calibrators import Calibrator, calibrator_of
+from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Engine, suspects
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.kernels import readings_of
 from ltsim.campaigns.network import BatchNetwork, Known, Stacked
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects.effect import Effect
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import State
+from ltsim.simulation.draws import Normal
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,9 @@ class Stack(Truth):
         """(n, 3, 3, B): ideal derivative of the readings by the local point."""
         return self.gathered(truth.sightings.jacobian for truth in self.truths)
 
+    def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
+        return self.gathered(truth.design_of(effects)[..., 0] for truth in self.truths)
+
     def _flat(self) -> Floats:
         """All nominal readings (n B, 3)."""
         return np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
@@ -96,19 +101,20 @@ class Stack(Truth):
 
     def draw_trials(self, seed: int, numbers: Ints) -> tuple[Block, tuple[Block, ...]]:
         """The trials of these numbers together, and each by itself in the order of its own pointings."""
-        pairs = list(zip(self.truths, numbers.tolist(), strict=True))
-        values = np.concatenate([truth.values(seed, number, 1) for truth, number in pairs], axis=2)
+        each = Normal(seed, numbers).one_by_one()
+        draws = [truth.population.draw(own) for truth, own in zip(self.truths, each, strict=True)]
+        values = np.concatenate([draw.values for draw in draws], axis=2)
         exact = self._exact(values)
         alone = tuple(
-            truth.read(seed, number, values[:, :, k : k + 1], self.own(exact, k)[:, :, None])
-            for k, (truth, number) in enumerate(pairs)
+            truth.read(draw, self.own(exact, k)[:, :, None])
+            for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
         amounts = tuple(
             np.concatenate(parts, axis=1) for parts in zip(*(block.amounts for block in alone), strict=True)
         )
         gauge_error = np.concatenate([block.gauge_error for block in alone], axis=1)
         deviation = self.gathered(block.deviation[:, :, 0] for block in alone)
-        return Block(int(numbers[0]), values, amounts, deviation, gauge_error), alone
+        return Block(numbers, values, amounts, deviation, gauge_error), alone
 
 
 def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
@@ -153,14 +159,20 @@ class StackCalibrator:
         """Whose parameters are estimated."""
         return self._first.construction
 
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Further effects that are estimated."""
+        return self._first.effects
+
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; a trial whose own geometry determines too little has failed."""
         trials, instruments = len(self.blocks), len(self.stack.recording.instruments)
         empty = np.full((instruments, self.construction.size, trials), np.nan)
         lost = np.full(trials, STATUSES.index(FAILED))
         points = np.full(self.stack.state.points.shape, np.nan)
-        found = Calibrated(empty, empty.copy(), points, np.full(trials, np.nan), lost)
-        together = isinstance(self._first, Batch) and not self._first.engine.effects
+        extra = np.full((sum(len(e.parameters) for e in self.effects), trials), np.nan)
+        found = Calibrated(empty, empty.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
+        together = isinstance(self._first, Engine) and not self.effects
         left = self._together(block, found) if together else wanted
         for trial in left.tolist():
             try:
@@ -197,6 +209,9 @@ class StackCalibrator:
         found.values[:, :, trial], found.points[:, :, trial] = source.values[:, :, place], source.points[:, :, place]
         found.sigma[:, :, trial] = sigma[:, :, min(place, sigma.shape[2] - 1)]
         found.chi2[trial], found.status[trial] = source.chi2[place], source.status[place]
+        if self.effects:
+            found.extra[:, trial] = source.extra[:, place]
+            found.extra_sigma[:, trial] = source.extra_sigma[:, min(place, source.extra_sigma.shape[1] - 1)]
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
         """Largest difference [sigma] of a trial from the calibrator that users have."""

@@ -15,15 +15,15 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
-from ltsim.campaigns.design import Factor, factors_of_settings
+from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED
+from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.rows import CHECKED
-from ltsim.campaigns.schema import LEVELS, ManifestFile, summary_table
+from ltsim.campaigns.schema import LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.recording.result_table import ResultTable
-from ltsim.results import Columns, Result, by_row
-from ltsim.units import unit_of_key
+from ltsim.results import Columns, Result, Table, by_row
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -34,9 +34,10 @@ IMPROVEMENTS = ("distance", "coordinate")
 
 @dataclass(frozen=True)
 class Spread:
-    """A column over the trials of one cell and method.
+    """A statistic over the trials of one cell and method.
 
-    `low` and `high` bound the mean with 95 % confidence; `quantiles` belong to `LEVELS`.
+    `low` and `high` bound the mean with 95 % confidence, also where cells stop by what they hold; `quantiles` belong to
+    `LEVELS`. A share has a mean and an interval alone: it is one of all trials together.
     """
 
     cell: int
@@ -44,12 +45,12 @@ class Spread:
     column: str
     trials: int
     mean: float
-    deviation: float
     low: float
     high: float
-    least: float
-    largest: float
-    quantiles: tuple[float, ...]
+    deviation: float = math.nan
+    least: float = math.nan
+    largest: float = math.nan
+    quantiles: tuple[float, ...] = (math.nan,) * len(LEVELS)
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class Results(Result):
     levels : list of dict
         Their values in each cell, by name.
     columns : tuple of str
-        The columns that hold results.
+        The columns that hold results, and the shares of all trials together.
     units : dict
         Units of columns that have one, by name.
 
@@ -111,7 +112,8 @@ class Results(Result):
     def __init__(self, folder: Path) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
-        self.factors, self.levels = _factors(self.manifest)
+        self.factors = tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in self.manifest.factors)
+        self.levels = [cell.levels for cell in self.manifest.cells]
         shards = store.shards()
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
@@ -119,15 +121,12 @@ class Results(Result):
         self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
         source = f"read_parquet([{', '.join(map(_literal, shards))}], union_by_name = true)"
         try:
-            store.verify(self.manifest.fingerprint)
+            store.verify({cell.cell: cell.mark for cell in self.manifest.cells})
             self._base.register("cells", self._cells())
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
-            if not {factor.name for factor in self.factors} <= set(names):  # rows of an earlier version
-                source += " JOIN (SELECT * EXCLUDE label FROM cells) USING (cell)"
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
-            self.columns: tuple[str, ...] = tuple(
-                row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"
-            )
+            held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
+            self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(errors_of(name)) <= {*held}))
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
@@ -199,15 +198,37 @@ class Results(Result):
         kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
         return f"{kind}({value}, [{', '.join(str(level) for level in LEVELS)}])"
 
+    def half(self, count: int, deviation: float) -> float:
+        """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""
+        stops = bool(self.manifest.settings.get("stop"))
+        level = level_of(self.manifest.trials, self.manifest.shard or 1, stops=stops)
+        return quantile(count, level) * deviation / math.sqrt(count)
+
     def spread(self, column: str) -> list[Spread]:
         """Mean, spread and quantiles of a column in every cell and for every method."""
         name = self._known(column)
+        if column in SHARES:
+            return [self._share(column, row) for row in self.query(_SHARE.format(*terms_of(column)))]
         found = self.query(
             f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
             f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
             "ORDER BY cell, method"
         )
-        return [_spread(column, row) for row in found]
+        return [
+            Spread(
+                cell, method, column, count, mean, mean - half, mean + half, _number(sd), low, high, tuple(quantiles)
+            )
+            for cell, method, count, mean, sd, low, high, quantiles in found
+            for half in [self.half(count, _number(sd))]
+        ]
+
+    def _share(self, column: str, row: tuple[Any, ...]) -> Spread:
+        """A ratio of means with the interval of its linear form (delta method)."""
+        cell, method, count, gained, correctable, by_gained, by_both, by_correctable = row
+        value = gained / correctable if correctable > 0 else math.nan
+        variance = _number(by_gained) - 2 * value * _number(by_both) + value**2 * _number(by_correctable)
+        half = self.half(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
+        return Spread(cell, method, column, count, value, value - half, value + half)
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
@@ -243,17 +264,24 @@ class Results(Result):
         )
         return [Checked(*row) for row in rows]
 
-    def paired(self, column: str, first: str, second: str) -> list[Spread]:
-        """`first` less `second` method on the same draws, trial by trial."""
-        name = self._known(column)
-        words = [method.replace("'", "''") for method in (first, second)]
-        found = self.query(
-            f"WITH gap AS (SELECT a.cell AS cell, a.{name} - b.{name} AS d FROM rows a JOIN rows b "
-            f"ON a.cell = b.cell AND a.trial = b.trial AND a.method = '{words[0]}' AND b.method = '{words[1]}') "
-            "SELECT cell, '', count(d), avg(d), stddev_samp(d), min(d), max(d), "
-            f"{self._quantiles('d')} FROM gap WHERE d IS NOT NULL GROUP BY cell ORDER BY cell"
-        )
-        return [_spread(f"{column}: {first} less {second}", row) for row in found]
+    def paired(self, statistic: str, **between: tuple[Any, Any]) -> Paired:
+        """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
+
+        Parameters
+        ----------
+        statistic : str
+            A column of the rows, or a share.
+        **between
+            One of ``method=("distance", "network")`` or a factor with two of its levels, ``faces=(1, 2)``: the first
+            less the second, for every combination of the other settings.
+
+        Raises
+        ------
+        ModelError
+            When there is no such statistic, method, factor or level.
+        """
+        self._known(statistic)
+        return paired(self, statistic, **between)
 
     def summary(self) -> dict[str, Any]:
         """Everything a report needs, as plain data."""
@@ -266,24 +294,34 @@ class Results(Result):
             "cells": [
                 cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
             ],
-            "ends": [asdict(entry) for entry in self.checked()],
+            "ends": [_known(asdict(entry)) for entry in self.checked()],
             "levels": LEVELS,
+            "meanings": {c: known.meaning for c in wanted if (known := column_of(c))},
             "columns": [
-                asdict(entry) | {"unit": self.units.get(column, "")}
+                _known(asdict(entry)) | {"unit": self.units.get(column, "")}
                 for column in wanted
                 for entry in self.spread(column)
             ],
-            "z_scores": [asdict(entry) for entry in self.z_scores()],
+            "z_scores": [_known(asdict(entry)) for entry in self.z_scores()],
         }
+
+
+def _known(value: Any) -> Any:
+    """The same with None for what is not known, as JSON has it."""
+    if isinstance(value, dict):
+        return {key: _known(own) for key, own in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_known(own) for own in value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def summary_csv(summary: Mapping[str, Any]) -> str:
     """The content of `summary.csv`: one line a cell, method and column."""
     table, columns = _tidy(summary)
-    return table.text(zip(*columns.values(), strict=True))
+    return table.filled(zip(*columns.values(), strict=True)).csv()
 
 
-def _tidy(summary: Mapping[str, Any]) -> tuple[ResultTable, Columns]:
+def _tidy(summary: Mapping[str, Any]) -> tuple[Table, Columns]:
     """The statistics with the settings of their cells, column by column, and how they are written."""
     table = summary_table({factor["name"]: factor["kind"] for factor in summary["factors"]})
     levels = {cell["cell"]: cell["levels"] for cell in summary["cells"]}
@@ -293,19 +331,16 @@ def _tidy(summary: Mapping[str, Any]) -> tuple[ResultTable, Columns]:
     return table, fixed | quantiles
 
 
-def _factors(manifest: ManifestFile) -> tuple[tuple[Factor, ...], list[dict[str, Any]]]:
-    """What differs between cells, and its values in each; of an earlier version's folder by its settings."""
-    if manifest.factors:
-        return tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in manifest.factors), [
-            cell.levels for cell in manifest.cells
-        ]
-    found = factors_of_settings([cell.settings for cell in manifest.cells])
-    return found, [{f.name: cell.settings.get(f.keys[0]) for f in found} for cell in manifest.cells]
+_SHARE = (
+    "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
+    "FROM (SELECT cell, method, {0} AS a, {1} AS b FROM rows) WHERE a IS NOT NULL AND b IS NOT NULL "
+    "GROUP BY cell, method ORDER BY cell, method"
+)
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:
-    """Units in the metadata of a shard's columns; the added improvements are in percent."""
-    said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() or unit_of_key(f.name) for f in schema}
+    """Units in the metadata of a shard's columns, and of the improvements that are added."""
+    said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
     return {name: unit for name, unit in (said | added).items() if unit}
 
@@ -328,15 +363,6 @@ def _improvements(names: list[str]) -> str:
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-def _spread(column: str, row: tuple[Any, ...]) -> Spread:
-    cell, method, count, mean, deviation, least, largest, quantiles = row
-    spread = _number(deviation)
-    within = NORMAL_95 * spread / math.sqrt(count)
-    return Spread(
-        cell, method, column, count, mean, spread, mean - within, mean + within, least, largest, tuple(quantiles)
-    )
 
 
 def _damaged(folder: Path, problem: Exception) -> SetupError:

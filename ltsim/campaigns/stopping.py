@@ -1,9 +1,12 @@
 """Which trials are still wanted: all of them, or round by round those of cells that are not known well enough.
 
 What a round does is decided by the rows of the rounds before it alone: the same whatever the number of workers, and
-after any stop. Trials are those of the full run, from the first on, so its answer is the same within the interval.
-Stopping a mean at an interval of a fixed width keeps the interval's coverage (Chow and Robbins 1965); differences are
-looked at many times, which their level takes into account (Bonferroni).
+after any stop. Trials are those of the full run, from the first on.
+
+Who looks several times and stops at a narrow interval stops more often where it is narrow by luck. So the error rate
+of 5 % is divided by the number of looks that a cell can have (Bonferroni, by quantiles of t): all intervals together
+hold the mean with 95 %, and so does the one at which a cell stops. The first look waits for `LEAST` trials, so that the
+variance is known and a mean of skewed values is near normal.
 """
 
 from __future__ import annotations
@@ -22,6 +25,8 @@ from ltsim.errors import unknown_name
 
 GROWTH = 1.5
 """Trials after a round over those before it."""
+LEAST = 64
+"""Trials before the first look."""
 LEVEL = 0.05
 """Two-sided, of every interval; of the differences all together."""
 IMPROVEMENT = "_improvement_percent"
@@ -58,7 +63,26 @@ class Mean:
         if self.count < 2:
             return math.inf
         variance = max(self.squares - self.total**2 / self.count, 0.0) / (self.count - 1)
-        return -float(special.stdtrit(self.count - 1, 0.5 * level)) * math.sqrt(variance / self.count)
+        return quantile(self.count, level) * math.sqrt(variance / self.count)
+
+
+def quantile(count: int, level: float) -> float:
+    """Of t, two-sided, for the mean of so many values at an error rate."""
+    return -float(special.stdtrit(count - 1, 0.5 * level)) if count > 1 else math.inf
+
+
+def level_of(trials: int, shard: int, *, stops: bool) -> float:
+    """Error rate of each interval of a cell of so many trials, so that that at which it stops keeps `LEVEL`."""
+    return LEVEL / len(schedule(trials, shard)) if stops else LEVEL
+
+
+def schedule(trials: int, shard: int) -> list[int]:
+    """Numbers of shards after which a cell is looked at."""
+    whole = -(-trials // shard)
+    done = [min(-(-LEAST // shard), whole)]
+    while done[-1] < whole:
+        done.append(min(math.ceil(GROWTH * done[-1]), whole))
+    return done
 
 
 @dataclass
@@ -106,8 +130,9 @@ class Watch:
         """Cells that are not known well enough."""
         stop = self.campaign.stop
         assert stop is not None
-        found = {cell for (cell, _), mean in self.means.items() if mean.half(LEVEL) > stop.within}
-        level = LEVEL / max(len(self.gaps) * looks(self.campaign.shards), 1)
+        level = level_of(self.campaign.trials, self.campaign.shard, stops=True)
+        found = {cell for (cell, _), mean in self.means.items() if mean.half(level) > stop.within}
+        level /= max(len(self.gaps), 1)
         for (one, other, _), gap in self.gaps.items():
             half = gap.half(level)
             if stop.apart is not None and not (half <= stop.apart or abs(gap.mean) > half):
@@ -130,18 +155,6 @@ def statistic_of(rows: pa.Table, name: str) -> Floats:
     return 100.0 * (1.0 - column(f"{kind}_after_mean_um") / column(f"{kind}_before_mean_um"))
 
 
-def looks(shards: int) -> int:
-    """How often a cell of so many shards is looked at."""
-    count, done = 1, 1
-    while done < shards:
-        done, count = _more(done), count + 1
-    return count
-
-
-def _more(done: int) -> int:
-    return math.ceil(GROWTH * done)
-
-
 def rounds(campaign: Campaign, cells: int, pairs: Sequence[tuple[int, int]], read: Read) -> Iterator[list[Shard]]:
     """Shards to be done, round by round; a round is asked for when all of the one before are finished.
 
@@ -158,9 +171,9 @@ def rounds(campaign: Campaign, cells: int, pairs: Sequence[tuple[int, int]], rea
         yield [(cell, shard) for cell in range(cells) for shard in range(campaign.shards)]
         return
     watch, open_ = Watch(campaign, pairs, read), list(range(cells))
-    done = dict.fromkeys(range(cells), 0)
+    done, looks = dict.fromkeys(range(cells), 0), schedule(campaign.trials, campaign.shard)
     while open_:
-        goal = {cell: min(_more(done[cell]) or 1, campaign.shards) for cell in open_}
+        goal = {cell: next(count for count in looks if count > done[cell]) for cell in open_}
         now = [(cell, shard) for cell in open_ for shard in range(done[cell], goal[cell])]
         yield now
         watch.take(now)

@@ -1,6 +1,6 @@
 """The folder of a campaign: a manifest and shards of rows, written so that nothing finished can be lost.
 
-    manifest.json                          settings, seed, versions, commit; written once, before the first row
+    manifest.json                          settings, seed, versions, commit; written before the first row, anew to grow
     campaign.toml                          the file as it was given
     rows/cell-0000/shard-000000.parquet    a fixed run of trials of one cell, all methods
 
@@ -87,8 +87,8 @@ class Store:
         except (pa.ArrowException, OSError) as problem:
             raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
 
-    def verify(self, fingerprint: str) -> None:
-        """Make sure that every finished shard is as it was written, for the campaign of a fingerprint.
+    def verify(self, marks: Mapping[int, str]) -> None:
+        """Make sure that every finished shard is as it was written, for the cell of its mark.
 
         Raises
         ------
@@ -101,7 +101,9 @@ class Store:
             if name in known:
                 if _digest(path) != known[name]:
                     raise ValueError(f"{name} was changed since it was written")
-            elif _label(table_of(path)).get("campaign", fingerprint) != fingerprint:
+                continue
+            label = _label(table_of(path))
+            if label.get("campaign") != marks.get(int(label.get("cell", -1))):
                 raise ValueError(f"{name} is of another campaign")
 
     def digests(self) -> dict[str, str]:
@@ -127,7 +129,7 @@ class Store:
             raise SetupError(f"{problem}; begin again in another folder, the rows in this one stay") from None
 
     def begin(self, manifest: ManifestFile, sources: Mapping[str, bytes]) -> None:
-        """Write the files that the campaign was given, then its manifest."""
+        """Write the files that the campaign was given, then its manifest; where it has grown, anew."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
             for name, content in sources.items():
@@ -164,17 +166,23 @@ class Store:
                 shutil.rmtree(self.folder / ROWS)
 
     def state_of(self, cell: int, shard: int, key: Mapping[str, str], rows: int, known: Mapping[str, str]) -> str:
-        """`whole`, `missing` or `damaged`: whether a shard can be relied on; `known` are the noted digests."""
+        """`whole`, `missing`, `damaged`, or `short` of rows or columns: whether a shard can be relied on.
+
+        `known` are the noted digests.
+        """
         path = self.shard_path(cell, shard)
         if not path.exists():
             return "missing"
         try:
             table = table_of(path)
-            noted = known.get(path.relative_to(self.folder).as_posix())
-            same = noted in (None, _digest(path)) and _label(table) == dict(key)
-        except (pa.ArrowException, OSError, ValueError):
+            noted, label = known.get(path.relative_to(self.folder).as_posix()), _label(table)
+            same = noted in (None, _digest(path)) and all(label[k] == key[k] for k in ("campaign", "cell", "shard"))
+            short = len(table) < rows or not set(key["statistics"].split()) <= set(label["statistics"].split())
+        except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
-        return "whole" if len(table) == rows and same else "damaged"
+        if not same or len(table) > rows:
+            return "damaged"
+        return "short" if short else "whole"
 
     def set_aside(self, cell: int, shard: int) -> Path:
         """Rename a damaged shard, so that it can be looked at; where it went."""

@@ -1,56 +1,43 @@
-"""The truth of a cell of a campaign, and its trials drawn block by block.
+"""The truth of a cell of a campaign, and its trials drawn block by block as the simulator draws them.
 
-A block is `BLOCK` consecutive trials. Every draw of block b comes from ``stream(seed, "campaign", what, b)``, so a
-trial depends on its number alone: not on the workers, not on how many trials are wanted, not on the methods that
+A trial depends on its number alone: not on the workers, not on how many trials are wanted, not on the methods that
 are compared. Cells of a grid use the same streams: they differ by their settings, not by luck.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.kernels import readings_of
 from ltsim.campaigns.program import ChainProgram
-from ltsim.effects.effect import Effect, NoiseEffect
-from ltsim.errors import SetupError
+from ltsim.effects.effect import Effect
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import State
-from ltsim.randomness import stream
+from ltsim.randomness import BLOCK as BLOCK
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.simulation.draws import Draw, EffectLaw, Normal, Population
+from ltsim.simulation.fieldwork import Fieldwork
+from ltsim.simulation.simulator import mistakes, simulate_readings
 
-BLOCK = 256
-"""Trials that are drawn together; part of what a campaign's numbers are, so it never changes."""
-
+TURN = 2 * np.pi
 LINEAR = 1e-3
 """Share of a reading's sigma by which an effect may miss its linear form and still be treated as linear."""
-
-
-@dataclass(frozen=True)
-class TrueEffect:
-    """Physics beyond the instrument's errors, with values drawn from N(mean, sigma^2), fixed where sigma is 0."""
-
-    effect: Effect
-    mean: Floats
-    sigma: Floats
-    """(q,) [SI] each."""
-    key: str = ""
-    """Tells its draws from those of another one like it."""
-    by_length: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(g, q): change of the stated lengths in the workshop per unit; empty for none."""
 
 
 @dataclass(frozen=True)
 class Block:
     """Trials as drawn; the last index is the trial."""
 
-    number: int
+    trials: Ints
+    """(B,): their numbers."""
     values: Floats
     """(I, p, B) [SI]: true instrument parameters."""
     amounts: tuple[Floats, ...]
@@ -69,24 +56,37 @@ class Truth:
     """Its readings are the nominal ones: those of an ideal tracker at `state`."""
     state: State
     """True poses and targets, in the frame in which a calibrator starts (that of the first station)."""
-    sightings: Sightings
-    """True geometry of the pointings, nests and all, in any frame."""
-    construction: Construction
-    """Of the true instrument."""
-    mean: Floats
-    sigma: Floats
-    """(I, p) [SI]: its errors are drawn from N(mean, sigma^2)."""
-    noise: Floats
-    """(n, 3): true standard deviations of the readings, without what effects on the noise add."""
-    gauge_sigma: Floats
-    """(g,) [m]: of the certificates of the stated lengths."""
-    effects: tuple[TrueEffect, ...] = ()
+    population: Population
+    """What is drawn in a trial; its sightings may be in any frame."""
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """(3,): which of range, azimuth and elevation are recorded; the others do not deviate."""
-    gauge_shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(g, k) [m]: change of the stated lengths by one standard deviation of what several share; empty for none."""
+    work: Fieldwork | None = None
+    """Where blunders are made: trials with them are simulated one by one."""
+
+    @property
+    def sightings(self) -> Sightings:
+        """True geometry of the pointings, nests and all, in any frame."""
+        return self.population.sightings
+
+    @property
+    def construction(self) -> Construction:
+        """Of the true instrument."""
+        return self.population.construction
+
+    @property
+    def effects(self) -> tuple[EffectLaw, ...]:
+        """Physics beyond the instrument's errors."""
+        return self.population.effects
+
+    @cached_property
+    def design_of(self) -> Callable[[tuple[Effect, ...]], Floats]:
+        """Change (n, 3, q, 1) or, where geometries differ, (n, 3, q, B) of the readings per unit of effects."""
+        return lru_cache(maxsize=8)(self._design_of)
+
+    def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
+        return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
 
     @cached_property
     def _programs(self) -> list[tuple[Construction, ChainProgram]]:
@@ -124,7 +124,7 @@ class Truth:
         """Constant part (n, 3) and design (n, 3, q) of each effect; None where it is not linear."""
         return [self._linear(entry) for entry in self.effects]
 
-    def _linear(self, entry: TrueEffect) -> tuple[Floats, Floats] | None:
+    def _linear(self, entry: EffectLaw) -> tuple[Floats, Floats] | None:
         constant = entry.effect.shift(self.sightings, entry.mean)
         if not np.any(entry.sigma):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(entry.mean)))
@@ -134,68 +134,37 @@ class Truth:
         return (constant, design) if np.all(np.abs(miss) <= LINEAR * self.recording.sigma()) else None
 
     def draw(self, seed: int, number: int, width: int = BLOCK) -> Block:
-        """Draw a block.
+        """Draw the trials from ``width * number`` on."""
+        return self.drawn(Normal(seed, width * number + np.arange(width)))
 
-        Parameters
-        ----------
-        seed : int
-            Root seed of the campaign.
-        number : int
-            Of the block; its trials are ``width * number`` and following.
-        width : int
-            Number of trials; another one than `BLOCK` gives other draws.
-        """
-        values = self.values(seed, number, width)
-        return self.read(seed, number, values, self._exact(values))
+    def drawn(self, numbers: Normal, values: Floats | None = None, *, apart: str = "") -> Block:
+        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given, `apart` as of `Population`."""
+        draw = self.population.draw(numbers, values, apart=apart)
+        return self.read(draw, self._exact(draw.values))
 
-    def values(self, seed: int, number: int, width: int) -> Floats:
-        """True instrument parameters (I, p, B) of a block."""
-        trackers = [f"instrument {name}" if name else "instrument" for name in self.recording.instruments]
-        shape = self.construction.size, width
-        errors = [stream(seed, "campaign", own, number).standard_normal(shape) for own in trackers]
-        return self.mean[:, :, None] + self.sigma[:, :, None] * np.stack(errors)
+    def read(self, draw: Draw, deviation: Floats) -> Block:
+        """The block of a draw whose exact readings less nominal ones are `deviation` (n, 3, B), reused."""
+        if mistakes([law.effect for law in self.effects], draw.amounts):
+            deviation = self._with_mistakes(draw)
+        else:
+            for place, amounts in enumerate(draw.amounts):
+                deviation += self._shift(place, amounts)
+            deviation += draw.noise
+            deviation = self._quantised(deviation)
+        known = self.population.lengths
+        gauge_error = draw.certified * known.factor[:, None] - known.length[:, None]
+        return Block(draw.trials, draw.values, draw.amounts, deviation, gauge_error)
 
-    def read(self, seed: int, number: int, values: Floats, deviation: Floats) -> Block:
-        """The block of true parameters whose exact readings less nominal ones are `deviation` (n, 3, B), reused."""
-
-        def normal(what: str, *shape: int) -> Floats:
-            return stream(seed, "campaign", what, number).standard_normal((*shape, deviation.shape[2]))
-
-        gauge_error = self.gauge_sigma[:, None] * normal("gauge", len(self.gauge_sigma))
-        if self.gauge_shared.size:
-            gauge_error += self.gauge_shared @ normal("gauge shared", self.gauge_shared.shape[1])
-        amounts = []
-        for place, entry in enumerate(self.effects):
-            drawn = normal(f"effect {entry.effect.name} {entry.key}", len(entry.mean))
-            if isinstance(entry.effect, NoiseEffect):  # variances are added
-                drawn = np.abs(drawn)
-            amounts.append(entry.mean[:, None] + entry.sigma[:, None] * drawn)
-            deviation += self._shift(place, amounts[-1])
-            if len(entry.by_length):
-                gauge_error += entry.by_length @ amounts[-1]
-        deviation += self._noise(amounts) * normal("noise", *self.noise.shape)
-        deviation = self._quantised(deviation)
-        deviation[:, ~self.recorded] = 0.0
-        return Block(number, values, tuple(amounts), deviation, gauge_error)
-
-    def _noise(self, amounts: list[Floats]) -> Floats:
-        """Standard deviation (n, 3, 1) or, where effects on the noise are drawn, (n, 3, B) of the readings."""
-        places = [i for i, entry in enumerate(self.effects) if isinstance(entry.effect, NoiseEffect)]
-        if not any(np.any(self.effects[i].sigma) for i in places):
-            return self._noise_with([self.effects[i].mean for i in places], places)[:, :, None]
-        trials = range(amounts[places[0]].shape[1])
-        return np.stack([self._noise_with([amounts[i][:, k] for i in places], places) for k in trials], axis=2)
-
-    def _noise_with(self, values: list[Floats], places: list[int]) -> Floats:
-        """Standard deviation (n, 3) with the effects on the noise, one after the other, at given values."""
-        sigma = self.noise
-        for i, value in zip(places, values, strict=True):
-            effect: Any = self.effects[i].effect
-            variance = effect.variance(self.sightings, sigma, value)
-            if not np.all(variance >= 0.0):
-                raise SetupError(f"effects: {effect.name} takes away more noise than there is; give larger values")
-            sigma = np.sqrt(variance)
-        return sigma
+    def _with_mistakes(self, draw: Draw) -> Floats:
+        """Readings less nominal ones (n, 3, B), trial by trial as the simulator makes them."""
+        assert self.work is not None
+        nominal, parts = self.recording.readings, []
+        for k in range(len(draw.trials)):
+            amounts = tuple(own[:, k] for own in draw.amounts)
+            gap = simulate_readings(self.work, draw.values[:, :, k], amounts, draw.noise[:, :, k]) - nominal
+            gap[:, 1] -= TURN * np.round(gap[:, 1] / TURN) * (np.abs(gap[:, 1]) < 1.5 * TURN)
+            parts.append(np.where(self.recorded, gap, 0.0))
+        return np.stack(parts, axis=2)
 
     def _exact(self, values: Floats) -> Floats:
         """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""
@@ -218,7 +187,7 @@ class Truth:
 
     def _quantised(self, deviation: Floats) -> Floats:
         """Deviations (n, 3, B) that make whole steps of the readings, in place."""
-        of_row = np.broadcast_to(self.step[self.recording.instrument], self.noise.shape)
+        of_row = np.broadcast_to(self.step[self.recording.instrument], deviation.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
             own: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
@@ -229,6 +198,6 @@ class Truth:
     def readings(self, block: Block, trial: int) -> Floats:
         """Readings (n, 3) of one trial of a block as an instrument gives them, azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + block.deviation[:, :, trial]
-        readings[:, 1] = wrap(readings[:, 1])
+        readings[:, 1] = np.where(np.abs(readings[:, 1]) < TURN, wrap(readings[:, 1]), readings[:, 1])
         readings[:, ~self.recorded] = np.nan
         return readings

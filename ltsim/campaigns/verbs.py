@@ -22,6 +22,7 @@ def campaign(
     jobs: int = 1,
     resume: bool = False,
     force: bool = False,
+    changes: Mapping[str, Any] | None = None,
 ) -> Results:
     """Simulate, calibrate and judge many trials; the rows are kept in a folder whatever stops it.
 
@@ -34,9 +35,12 @@ def campaign(
     jobs : int
         Processes; the rows do not depend on it.
     resume : bool
-        Continue what the folder holds.
+        Continue what the folder holds; where the file has further levels, trials or statistics by now, only what is
+        missing is done.
     force : bool
         Begin anew in a folder that holds a campaign; its rows are lost.
+    changes : mapping, optional
+        Other values of keys of the file (``{"trials": 200}``) or of the scenario (``{"work.faces": 2}``).
 
     Returns
     -------
@@ -71,24 +75,25 @@ def campaign(
         with TemporaryDirectory() as place:
             file = Path(place) / "campaign.toml"
             file.write_text(to_toml(_from_here(source)), encoding="utf-8")
-            return _run(file, Path(out), jobs, resume=resume, force=force)
+            return _run(file, Path(out), jobs, resume=resume, force=force, changes=changes)
     path = Path(source)
     if path.is_dir():
         return _results(path)
-    return _run(path, path.with_suffix("") if out is None else Path(out), jobs, resume=resume, force=force)
+    folder = path.with_suffix("") if out is None else Path(out)
+    return _run(path, folder, jobs, resume=resume, force=force, changes=changes)
 
 
 def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables with a scenario's file named from the root, since a file of them lies elsewhere."""
-    named = Path(str(tables.get("scenario", "")))
-    return {**tables, "scenario": str(named.resolve())} if named.is_file() else dict(tables)
+    """The tables with files named from the root, since a file of them lies elsewhere."""
+    named = {key: Path(str(tables[key])) for key in ("scenario", "judge_in") if tables.get(key)}
+    return {**tables, **{key: str(path.resolve()) for key, path in named.items() if path.is_file()}}
 
 
-def _run(file: Path, folder: Path, jobs: int, *, resume: bool, force: bool) -> Results:
+def _run(file: Path, folder: Path, jobs: int, **how: Any) -> Results:
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
 
-    run_campaign(file, folder, workers=Workers(jobs), resume=resume, force=force)
+    run_campaign(file, folder, workers=Workers(jobs), **how)
     return _results(folder)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import ltsim as lt
+from ltsim.chances import p_text
 from ltsim.cli.options import FramedReading, Out, Seed, Source
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
@@ -80,19 +81,23 @@ def show(terminal: Terminal, diagnosis: Diagnosis) -> None:
         terminal.say(f"\n{number}. {finding.effect} {place(finding.where)}")
         rows = [[p.name, _shown(p.value, 3), _shown(p.sigma, 2), p.unit] for p in finding.parameters]
         terminal.say(table(["parameter", "value", "sigma", "unit"], rows))
-        terminal.say(
-            f"chi-square falls by {finding.evidence.chi2_drop:.0f} for {finding.evidence.parameters} parameters; "
-            f"probability {percent(finding.evidence.probability)}"
-        )
+        evidence = finding.evidence
+        said = [
+            f"chi-square falls by {evidence.chi2_drop:.0f} for {evidence.parameters} parameters",
+            f"probability of this name {percent(evidence.probability)}",
+        ]
+        if evidence.p_value is not None:
+            said.append(f"chance of as much in a clean recording at most {p_text(evidence.p_value)}")
+        terminal.say("; ".join(said))
         for other in finding.equivalents:
             terminal.say(f"not excluded: {other.effect} ({percent(other.probability)})")
         if finding.separate_by:
             terminal.say(f"to decide: {finding.separate_by}")
-    blind = [(u.hides_um, u.effect, u.cure) for u in diagnosis.undetectable if u.hides_um and u.hides_um >= 1.0]
+    blind = [u for u in diagnosis.undetectable if u.hides_um and u.hides_um >= 1.0]
     if blind:
-        terminal.say("\nNot to be seen in this recording, and the error of the targets it would hide:")
-        rows = [[effect, f"{um:.0f}", cure] for um, effect, cure in sorted(blind, key=lambda row: -row[0])]
-        terminal.say(table(["effect", "um", "cure"], rows))
+        terminal.say("\nNot to be seen in this recording without a measurement of the cause itself, worst first:")
+        rows = [[u.effect, f"{u.hides_um:.0f}", f"{u.shows_at:.0f}" if u.shows_at else "never"] for u in blind]
+        terminal.say(table(["effect", "hides [um] of the targets at a bad size", "shows at times that size"], rows))
 
 
 NOTHING = 1e-7

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,11 +12,12 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
-from ltsim.cli.calibrate import Method, MethodOption
+from ltsim.cli.calibrate import Method, MethodOption, WithEffects
 from ltsim.cli.options import Out, Seed
 from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
+from ltsim.errors import SetupError
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -52,6 +54,22 @@ ErrorsOption = Annotated[
 JunitFile = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI.")
 ]
+CalibratorOption = Annotated[
+    str | None,
+    typer.Option(
+        "--calibrator",
+        metavar="'CMD {recording} {out}'",
+        help="Check a program of your own, which reads a recording and writes parameters as JSON, beside ltsim's.",
+    ),
+]
+ToleranceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tolerance",
+        metavar="NAME=QUANTITY",
+        help="Within which 95 % of a parameter's errors should lie, as beam-tilt='2 urad'; only such are checked then.",
+    ),
+]
 MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
 FEW = 100
 """Trials that take less time than starting further processes."""
@@ -62,6 +80,9 @@ def recover(
     trials: Trials = 200,
     method: MethodOption = Method.NETWORK,
     construction: ConstructionChoice = None,
+    with_effects: WithEffects = None,
+    calibrator: CalibratorOption = None,
+    tolerance: ToleranceOption = None,
     seed: Seed = 0,
     jobs: RecoverJobs = None,
     errors: ErrorsOption = None,
@@ -79,34 +100,52 @@ def recover(
 
     Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
     """
-    from ltsim.campaigns.recovery import FALSE_ALARM
-    from ltsim.campaigns.schema import RecoveryFile
+    from ltsim.campaigns.recovery_checks import FALSE_ALARM
+    from ltsim.campaigns.schema import TRIALS, RecoveryFile
 
-    claim(out, RecoveryFile, ("trials.csv",), force=force)
+    claim(out, RecoveryFile, (TRIALS.file,), force=force)
     claim_file(junit, force=force)
+    if junit is not None:
+        _make_folder(junit.parent)
     workers = jobs or (1 if trials < FEW else os.cpu_count() or 1)
     how: dict[str, Any] = {"method": method.value, "construction": construction, "seed": seed, "jobs": workers}
-    how["errors"] = None if errors is None else errors.value
+    how |= {"errors": None if errors is None else errors.value, "with_effects": with_effects or ()}
+    how |= {"calibrator": calibrator, "tolerance": _tolerances(tolerance or [])}
     with terminal.progress("trials", trials) as step:
         result = lt.recover(scenario, trials=trials, progress=step, **how)
     content = recovery_file(result, seed)
     if out is not None:
         from ltsim.recording.result_file import write_result
 
-        content = write_result(out, content, {"trials.csv": trials_csv(result)})
+        content = write_result(out, content, {TRIALS.file: result.table("trials").csv()})
     if junit is not None:
         junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())
     terminal.say(recovery_table(result))
     failures = result.failures()
     for failure in failures:
-        terminal.note(failure.sentence())
+        print(failure.sentence(), file=sys.stderr)
     if failures:
         raise typer.Exit(1)
-    terminal.say(
-        f"{trials} trials, errors {MODES[result.errors]}: everything is recovered within its stated uncertainty "
-        f"(a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
-    )
+    rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
+    terminal.say(f"{trials} trials, errors {MODES[result.errors]}: everything is recovered within {result.what}{rate}")
+
+
+def _make_folder(folder: Path) -> None:
+    """The folder of a file that is written after all trials."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise SetupError(f"{folder}: cannot be made ({problem.strerror})") from None
+
+
+def _tolerances(given: list[str]) -> dict[str, str]:
+    """`NAME=QUANTITY` as name and quantity; raises SetupError."""
+    parts = [text.partition("=") for text in given]
+    for text, (name, _, quantity) in zip(given, parts, strict=True):
+        if not name.strip() or not quantity.strip():
+            raise SetupError(f"--tolerance '{text}': expected NAME=QUANTITY, such as beam-tilt='2 urad'")
+    return {name.strip(): quantity.strip().strip("'\"") for name, _, quantity in parts}
 
 
 def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
@@ -125,44 +164,36 @@ def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
 
 
 def junit_xml(result: Recovery, suite: str) -> str:
-    """The checks as JUnit XML: a test case each."""
+    """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
     checks = result.checks()
-    failed = str(sum(not check.passed for check in checks))
-    root = Element("testsuite", name=f"ltsim recover {suite}", tests=str(len(checks)), failures=failed, errors="0")
+    failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
+    counts: dict[str, str] = {
+        "tests": str(len(checks)),
+        "failures": failed,
+        "errors": "0",
+        "time": f"{result.seconds:.3f}",
+    }
+    root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
-        case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic)
+        case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
+        inside = SubElement(case, "properties")
+        for name in ("value", "low", "high"):
+            SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
         if not check.passed:
             SubElement(case, "failure", message=check.sentence())
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def trials_csv(result: Recovery) -> str:
-    """z-scores of every parameter, chi-square and the network's mean squares, one row a trial."""
-    from ltsim.campaigns.schema import trials_table
-
-    return trials_table(result.names).text(
-        [number, *trial.z, trial.chi2, trial.dof, trial.targets, trial.stations]
-        for number, trial in enumerate(result.trials)
-        if trial is not None
-    )
-
-
 def recovery_table(result: Recovery) -> str:
-    """One row a parameter: z-scores and what is left of the prior."""
+    """One row a parameter: its errors, beside ltsim's where another calibrator is checked, and its z-scores."""
     if len(result.converged) < 2:
-        return "fewer than two trials converged"
-    import numpy as np
-
-    z = result.z
-    left = np.sqrt(np.mean([trial.sigma**2 for trial in result.converged], axis=0))
+        return "fewer than two trials gave a result"
+    columns = result._tables()["parameters"]()
+    heads = {"rms_error": "rms error", "ltsim_rms_error": "ltsim's", "mean_z": "mean z", "deviation_z": "sd of z"}
+    shown = [name for name in ("parameter", "unit", *heads) if name in columns]
+    cover = ["" if c != c else f"{100 * c:.1f} %" for c in columns["coverage_95"]]
     rows = [
-        [
-            name,
-            f"{z[:, i].mean():+.3f}",
-            f"{z[:, i].std(ddof=1):.3f}",
-            f"{100 * np.mean(np.abs(z[:, i]) < 1.959964):.1f} %",
-            f"{left[i]:.2f}",
-        ]
-        for i, name in enumerate(result.names)
+        [value if isinstance(value, str) else "" if value != value else f"{value:.3g}" for value in row] + [covered]
+        for row, covered in zip(zip(*(columns[name] for name in shown), strict=True), cover, strict=True)
     ]
-    return table(["parameter", "mean z", "std z", "95 % covers", "sigma/prior"], rows)
+    return table([*(heads.get(name, name) for name in shown), "95 % covers"], rows, left=2)

@@ -26,6 +26,10 @@ NominalFile = Annotated[
     Path | None,
     typer.Option("--nominal", metavar="FILE", help="File for the points of the measuring machine, for verify."),
 ]
+Trial = Annotated[int, typer.Option(min=0, help="Which trial of a campaign with this scenario and seed.")]
+OwnPlaces = Annotated[
+    bool, typer.Option("--per-trial", help="As in a campaign whose trials have places of their own (geometry).")
+]
 Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
 
 
@@ -35,6 +39,8 @@ def simulate(
     truth: TruthFile = None,
     nominal: NominalFile = None,
     seed: Seed = 0,
+    trial: Trial = 0,
+    per_trial: OwnPlaces = False,
     show: Show = False,
     force: Force = False,
     *,
@@ -54,7 +60,7 @@ def simulate(
         claim_file(file, force=force)
     from ltsim.simulation.truth import nominal_csv
 
-    recording, true = lt.simulate(scenario, seed=seed)
+    recording, true = lt.simulate(scenario, seed=seed, trial=trial, geometry="per-trial" if per_trial else "shared")
     table = nominal_csv(true) if nominal is not None else ""
     lt.write(recording, out)
     if truth is not None:
@@ -62,7 +68,7 @@ def simulate(
     if nominal is not None:
         write_text(nominal, table)
     terminal.notes(recording.notes)
-    terminal.answer({"pointings": len(recording), "stations": len(recording.stations), "seed": seed})
+    terminal.answer({"pointings": len(recording), "stations": len(recording.stations), "seed": seed, "trial": trial})
     terminal.say(recording.headline)
     terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
 

@@ -20,6 +20,7 @@ from ltsim.diagnosis.probe import Probe, square
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Tunable
+from ltsim.laws.places import trackers_of
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -27,15 +28,16 @@ SPARSE = 0.15
 """Share of nonzeros below which the signature of an effect is kept sparse."""
 
 
-def card_hypotheses(sightings: Sightings) -> list[Tunable]:
-    """Every effect of the catalogue beyond the ordinary calibration, at every place and shape."""
-    ordinary = {type(effect) for effect in BASELINE}
-    return [
-        effect
-        for kind in CATALOGUE
-        if kind not in ordinary and not issubclass(kind, NoiseEffect)
-        for effect in kind.candidates(sightings)
-    ]
+ORDINARY = {type(effect) for effect in BASELINE}
+"""Constants of the ordinary calibration: what they are is estimated anyhow, that they are beyond their prior is not."""
+
+
+def card_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[Tunable]:
+    """Every effect of the catalogue, at every place and shape; constants of each of several `instruments` too."""
+    trackers = trackers_of(sightings, instruments)
+    own = [kind(stations=place.stations) for kind in CATALOGUE if kind in ORDINARY for place in trackers]
+    kinds = [kind for kind in CATALOGUE if not issubclass(kind, NoiseEffect)]
+    return [*own, *(e for kind in kinds for e in kind.candidates(sightings))]
 
 
 @dataclass(frozen=True)
@@ -147,14 +149,14 @@ class Cards:
         return values, self.family_evidence(chance)
 
     def left(self) -> list[list[tuple[Effect, Floats, Floats]]]:
-        """By family: each card with products (k, k) of its scaled signatures, whole and what the adjustment leaves."""
+        """By family, constants apart: each card, products (k, k) of its scaled signatures, whole and what is left."""
         found: list[list[tuple[Effect, Floats, Floats]]] = [[] for _ in self.families]
         at = {int(i): (group, k) for group in self.groups for k, i in enumerate(group.members)}
         for i, effect in enumerate(self.effects):
             group, k = at[i]
             assert isinstance(effect, Effect)
             found[self.family[i]].append((effect, group.own[k], group.gram[k]))
-        return found
+        return [family for family in found if type(family[0][0]) not in ORDINARY]
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, of that of each card (h, ...)."""

@@ -17,6 +17,9 @@ from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
+ROUNDING = 1e-3
+"""Log evidence that single precision, in which simulated recordings are scored, may lack."""
+
 
 @dataclass(frozen=True)
 class Detection:
@@ -51,7 +54,7 @@ class Detection:
         A recording without any effect is one more of them, so that the chance of a value up to p is p at most. It is
         never less than 1 / (n + 1): what none of n recordings reached is told as that.
         """
-        return (int(np.sum(self.null >= statistic)) + 1) / (len(self.null) + 1)
+        return (int(np.sum(self.null >= statistic - ROUNDING)) + 1) / (len(self.null) + 1)
 
 
 def detect(searcher: Searcher, noise: NoiseBank) -> Detection:

@@ -28,7 +28,8 @@ from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
-from ltsim.diagnosis.words import summarise
+from ltsim.diagnosis.search import MOST_MEMBERS
+from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
@@ -102,8 +103,8 @@ def diagnose(
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
     apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
-    odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)]
-    explained = Explained(case, detection, found, fitted)
+    odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
+    explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
     return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
@@ -113,7 +114,8 @@ def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     """Whether a constant of an instrument is what an effect varies: then it has no value to contradict another."""
     laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
     drifts = (constants_in(getattr(e, "slot", "")) for e in effects)
-    return any(constant in varied for varied in (*laws, *drifts))
+    own = ([p.name for p in e.parameters] for e in effects)
+    return any(constant in varied for varied in (*laws, *drifts, *own))
 
 
 def _explain(case: Case, threshold: float) -> Found:
@@ -169,6 +171,19 @@ def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
             break
         found, fitted = rest[least], without[least]
     return found, fitted
+
+
+def _likely(explained: Explained, besides: bool) -> Explained:
+    """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`."""
+    case, found, told = explained.case, explained.found, explained
+    while len(found.members) + besides > 1:
+        chances = [told.ranking(i).probabilities().get(h.name, 0.0) for i, h in enumerate(found.members)]
+        least = int(np.argmin(chances)) if chances else 0
+        if not chances or chances[least] >= LIKELY:
+            break
+        found = case.searcher.without(found, least)
+        told = replace(explained, found=found, refit=case.refit(found.effects, case.sigma))
+    return told
 
 
 def _told(

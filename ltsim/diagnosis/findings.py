@@ -10,25 +10,28 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
+from ltsim.diagnosis.blind import distortion
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import carried_by
+from ltsim.diagnosis.evidence import carried_by, posterior
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
-from ltsim.diagnosis.instruments import Contradiction
+from ltsim.diagnosis.instruments import TINY, Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
-from ltsim.effects.effect import Effect, NoiseEffect
-from ltsim.effects.signature import Tunable
+from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
+from ltsim.effects.signature import Parameter, Tunable
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
+from ltsim.laws.places import trackers_of
 from ltsim.laws.scatter import NoisePattern
 from ltsim.laws.words import IN_ITS_OWN_WAY, describe
-from ltsim.notation import with_sigma
+from ltsim.notation import number, with_sigma
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -38,6 +41,8 @@ NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
 SURE = 2.0
 """Standard deviations from which a size is beyond doubt."""
+BASELINE_KINDS = tuple(type(effect) for effect in BASELINE)
+"""Constants of the ordinary calibration: they are findings where they are beyond what was stated of them."""
 IMPLAUSIBLE = 5.0
 """Times a bad but plausible size from which a size is remarked upon."""
 
@@ -64,8 +69,9 @@ class Explained:
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = among(ranking.probabilities(), name)
+        shown = self._shown(found.members[member].effect, ranking)
         gain = others.residual**2 - found.residual**2
-        where = where_of(effect, carried_by(space.use, gain[: int(space.use.sum())]))
+        where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
@@ -76,14 +82,19 @@ class Explained:
             }
             more["curve"] = curve_of(effect, space.sightings, *searcher.coefficients(effect, others))
             law = law_words(effect, more["driver"])
-            sentence = law_sentence(where, told, probability, law)
+            sentence = law_sentence(where, told, shown, law)
             more["formula"] = "" if hypothesis.known else law
         elif isinstance(effect, Effect):
             beside = [e for k, e in enumerate(self.refit.effects) if k != member]
             names = [rival.effect for rival in rivals]
             more["separate_by"] = separating_measurement(self.case.baseline, name, names, beside)
         if hypothesis.known:
-            sentence = card_sentence(name, where, told, probability, implausible=_implausible(effect, told))
+            doubt = self._doubt(effect, told)
+            sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
+        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
+        moved = distortion(space, effect, mean)
+        more["moves_targets_um"] = moved
+        sentence += f" Not modelled, it moves the targets by {number(moved, 2)} um rms."
         return Finding(
             effect=name,
             known=hypothesis.known,
@@ -94,15 +105,62 @@ class Explained:
                 parameters=found.extension.shape[1] - others.extension.shape[1],
                 p_value=self.detection.chance(ranking.total),
                 probability=probability,
+                shown=shown,
             ),
             sentence=sentence,
             equivalents=rivals,
             **_told(more),
         )
 
+    def _shown(self, effect: Tunable, ranking: Ranking) -> float:
+        """Probability of all explanations that act on the same, at the same place, and follow the same."""
+
+        def seen(one: Tunable) -> Where:
+            return self._where(one).model_copy(update={"observables": tuple(sorted(one.observables))})
+
+        return ranking.share(lambda h: seen(h.effect) == seen(effect))
+
+    def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
+        """Where an effect acts; the set-ups of one of several instruments are that instrument."""
+        where = where_of(effect, carried)
+        for tracker in trackers_of(self.case.searcher.space.sightings, self.case.recording.instruments):
+            if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
+                return where.model_copy(update={"stations": (), "instruments": tracker.instruments})
+        return where
+
+    def _doubt(self, effect: Tunable, told: Sequence[Estimate]) -> str:
+        """A sentence where a constant is beyond what was stated of it, or a size hardly plausible for its cause."""
+        recording = self.case.recording
+        if isinstance(effect, BASELINE_KINDS):
+            name = recording.instruments[self._instrument(effect)]
+            prior = recording.setup.instruments.get(name, recording.setup.instrument).prior
+            stated = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
+            said = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in stated)
+            return f" It was stated to be zero with a standard deviation of {said}."
+        implausible = " Such a size is hardly plausible for this cause: check it, and think of others."
+        return implausible if _implausible(effect, told) else ""
+
+    def _constants(self, effect: Tunable) -> tuple[Estimate, ...]:
+        """Constants of an instrument as the readings alone have them, each beside the priors of the others."""
+        adjustment, which = self.case.baseline, self._instrument(effect)
+        prior = prior_sigmas(self.case.recording, adjustment.construction)[which]
+        variance = np.diag(adjustment.instrument_covariance_of(which))
+        wider = 1.0 / np.maximum(1.0 - variance / prior**2, TINY)
+        value, sigma = adjustment.state.instrument[which] * wider, np.sqrt(variance * wider)
+        at = (adjustment.construction.names.index(p.name) for p in effect.parameters)
+        return tuple(Estimate.of(p, value[k], sigma[k]) for p, k in zip(effect.parameters, at, strict=True))
+
+    def _instrument(self, effect: Tunable) -> int:
+        """The instrument at whose set-ups an effect acts."""
+        recording = self.case.recording
+        at = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
+        return int(recording.instrument[recording.station == at][0])
+
     def _estimates(self, member: int, hypothesis: Hypothesis, others: Found) -> tuple[Estimate, ...]:
         """The sizes of a member, by rows where the recording has no clock."""
         refitted = [Estimate.of(*one) for one in self.refit.told[member] if np.isfinite(one.sigma)]
+        if isinstance(hypothesis.effect, BASELINE_KINDS):
+            return self._constants(hypothesis.effect)
         told = self.case.searcher.estimates(hypothesis, others, refitted)
         return told if self.case.recording.has_clock else tuple(without_clock(e) for e in told)
 
@@ -160,23 +218,31 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
 def instrument_finding(found: Contradiction) -> Finding:
     """The finding of a constant that contradicts what else is known of its instrument."""
     p, chance = found.parameter, float(np.exp(-found.evidence))
-    name = next(e.name for e in BASELINE if p.name in {q.name for q in e.parameters})
     estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
+    others = " or ".join(other.name.replace("-", " ") for other in found.alike)
+    only = f", or {others}: the readings tell little more than one combination of them," if others else ""
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
+        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'}{only} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
         f"probability {percent(probability)}."
     )
+    name, *alike = dict.fromkeys(_effect_of(one) for one in (p, *found.alike))
+    share = probability / (1 + len(alike))
     drop = (found.difference / found.sigma) ** 2
     return Finding(
         effect=name,
         known=True,
         where=_place(instruments=(found.instrument,) if found.instrument else ()),
         parameters=(estimate,),
-        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=chance, probability=probability),
+        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=found.p_value, probability=probability),
         sentence=sentence,
-        equivalents=(),
+        equivalents=tuple(Equivalent(effect=other, probability=share) for other in alike[:MOST_EQUIVALENTS]),
     )
+
+
+def _effect_of(constant: Parameter) -> str:
+    """The effect of the ordinary calibration that a constant belongs to."""
+    return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
 
 
 def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:

@@ -9,19 +9,13 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import evidence
 from ltsim.calibration.known import Known
-from ltsim.diagnosis.evidence import log_average, log_evidence
-from ltsim.diagnosis.instruments import PRIOR_ODDS, Contradiction
+from ltsim.diagnosis.instruments import ANYTHING, Contradiction, Expected, compared
 from ltsim.effects.effect import Parameter
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 
-ANYTHING = 1e3
-"""Guarantees by which a constant that is known to have changed may be off, when the others are looked at."""
-TINY = 1e-12
-"""Weight under which nothing is told of a constant."""
 SCATTERS = np.geomspace(0.05, 1e4, 80)
 """True variance of a constant over that which a few calibrations show."""
 ALIKE = 4
@@ -57,40 +51,13 @@ class History:
         return sorted(found, key=lambda c: -c.evidence)
 
     def _of_instrument(self, adjustment: Adjustment, i: int, least: float) -> list[Contradiction]:
-        """One constant after the other, the one that explains most first, those before free to be anything.
-
-        The readings alone say N x = b + noise of covariance N. Were x as expected, N(m, V), a change of constant k
-        would be seen with the weight (V + 1/N)^-1[k, k], whatever the others are.
-        """
         parameters, unit = adjustment.construction.parameters, self.guarantee[i]
-        said = evidence(adjustment.state.instrument[i], adjustment.instrument_covariance_of(i), unit, unit)
-        surprise = said.told - said.information @ (self.expected.mean[i] / unit)
-        variance = self.expected.covariance[i] / np.outer(unit, unit)
+        covariance = self.expected.covariance[i] / np.outer(unit, unit)
         at = np.array([k for k, p in enumerate(parameters) if p.name in self.known.parameters])
-        further, weights = self._spreads(variance[np.ix_(at, at)], unit[at], [parameters[k].name for k in at])
-        odds = float(np.log(PRIOR_ODDS / self.guarantee.size))
-        changed: dict[int, float] = {}
-        while True:
-            keeps = np.linalg.inv(np.eye(len(unit)) + said.information @ variance)
-            score, weight = keeps @ surprise, keeps @ said.information
-            if not changed:
-                apart = score, weight
-            gain = score[at] ** 2 / np.maximum(np.diag(weight)[at], TINY)
-            best = int(np.argmax(gain))
-            k = int(at[best])
-            log = odds + _evidence(score[k] / weight[k, k], 1.0 / weight[k, k] + further[best], weights[best])
-            if not log > least:
-                break
-            changed[k] = log
-            variance[k, k] += ANYTHING**2
-        told = list(changed)
-        covariance = np.linalg.inv(apart[1][np.ix_(told, told)])
-        gap, sigma = covariance @ apart[0][told] * unit[told], np.sqrt(np.diag(covariance)) * unit[told]
-        name = adjustment.recording.instruments[i]
-        return [
-            Contradiction(name, parameters[k], float(g), float(s), changed[k], self._words(parameters[k]))
-            for k, g, s in zip(told, gap, sigma, strict=True)
-        ]
+        names = [parameters[k].name for k in at]
+        spreads = self._spreads(covariance[np.ix_(at, at)], unit[at], names)
+        words = tuple(self._words(p) if p.name in names else "" for p in parameters)
+        return compared(adjustment, i, Expected(self.expected.mean[i] / unit, covariance, at, *spreads, words), least)
 
     def _spreads(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
         """Variances (k, s) that constants may have beside the expected ones (k, k), and the logs of their weights.
@@ -118,10 +85,3 @@ class History:
             return "its calibration"
         spread = self.known.spread[self.known.parameters.index(parameter.name)] / parameter.factor
         return f"its history ({self.known.count} calibrations, spread {spread:.2g} {parameter.unit})"
-
-
-def _evidence(gap: float, variance: Floats, weights: Floats) -> float:
-    """Log evidence of a change behind a gap, averaged over its variances (s,) by the logs of their weights."""
-    alike = weights - 0.5 * (gap**2 / variance + np.log(variance))
-    changed = alike + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
-    return float(log_average(changed) - log_average(alike))

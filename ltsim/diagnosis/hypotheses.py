@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -148,14 +148,20 @@ class Ranking:
         unknown = named.pop("unknown", 0.0)
         return "unknown" if unknown > sum(named.values()) else max(named, key=lambda name: named[name])
 
-    def probabilities(self) -> dict[str, float]:
-        """Posterior probability of each name among everything that was tried, nothing at all included."""
+    @cached_property
+    def weights(self) -> Floats:
+        """Posterior probability (k,) of each among everything that was tried, nothing at all included."""
         logs = np.array([h.value for h in self.entries])
-        weight = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
-        found: dict[str, float] = {}
-        for hypothesis, w in zip(self.entries, weight, strict=True):
-            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + float(w), 1.0)
+        found: Floats = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
         return found
+
+    def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
+        """Posterior probability of some of them together."""
+        return min(sum(w for h, w in zip(self.entries, self.weights.tolist(), strict=True) if chosen(h)), 1.0)
+
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probability of each name."""
+        return {name: self.share(lambda h, n=name: h.name == n) for name in dict.fromkeys(h.name for h in self.entries)}
 
 
 NEGLIGIBLE = 6.0

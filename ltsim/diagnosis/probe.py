@@ -111,7 +111,8 @@ class Probe:
 
 def _simulated(space: ResidualSpace, rng: np.random.Generator, count: int) -> Singles:
     """Residuals (m, count) of simulated recordings."""
-    return space.project(rng.standard_normal((space.size, count))).astype(np.float32)
+    white = rng.standard_normal((space.size, count))
+    return (space.project(white) if count else white).astype(np.float32)
 
 
 def square(rows: Any) -> Any:

@@ -45,9 +45,11 @@ class Evidence(Entry):
     parameters: int
     """For how many."""
     p_value: Known = None
-    """Chance of as much in a clean recording, in the whole search."""
+    """Chance of as much in a clean recording, in the whole search: of n simulated ones, never below 1 / (n + 1)."""
     probability: Finite = 1.0
-    """Against the other explanations."""
+    """Of this name against all other explanations."""
+    shown: Known = None
+    """Probability that it acts on this, here, and follows this, whatever the cause is called."""
 
 
 class Equivalent(Entry):
@@ -106,6 +108,8 @@ class Finding(Entry):
     """What it is confined to."""
     parameters: tuple[Estimate, ...] = ()
     """Its size."""
+    moves_targets_um: Known = None
+    """What it does to the coordinates of the targets where it is not modelled: rms after the best rigid fit."""
     evidence: Evidence
     """How strong it is."""
     equivalents: tuple[Equivalent, ...] = ()
@@ -143,7 +147,8 @@ class Fit(Entry):
     dof: int
     """Degrees of freedom."""
     held_out_rms: Known = None
-    """Error on all that a station measured of a target, left out in turn, over its stated noise."""
+    """Error on five parts of the pointings, left out in turn and predicted by a fit and search without them, over the
+    noise: stated, or found where that is larger."""
 
 
 class BeforeAfter(Entry):
@@ -163,7 +168,9 @@ class Undetectable(Entry):
     reason: str = ""
     """Why it leaves no trace here."""
     hides_um: Known = None
-    """Error of the targets that it may hide."""
+    """Error of the targets that a bad but plausible size of it hides."""
+    shows_at: Known = None
+    """How many times that size would be found; none: it never shows."""
     cure: str = ""
     """The measurement that would help."""
 

@@ -36,7 +36,7 @@ from ltsim.laws.names import name_of
 from ltsim.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
-"""Findings that are told at most."""
+"""Findings that are told at most, and as many constants of instruments; the tables have all of these."""
 FLEXIBLE = 10
 """Coefficients of a curve in one quantity, `MODES` and a slope; what has more can imitate several effects."""
 REFINED, FEW = 7, 3
@@ -77,7 +77,7 @@ class Searcher:
         self.probe = Probe.of(space, seed, trials)
         self.large = self.probe.sampled
         self._most = FEW if self.large else REFINED
-        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings))
+        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings, space.adjustment.recording.instruments))
         self.panels: list[Panel] = panels(space)
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}

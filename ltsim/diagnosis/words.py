@@ -60,24 +60,29 @@ def percent(probability: float) -> str:
 
 
 def card_sentence(
-    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, implausible: bool = False
+    effect: str, where: Where, parameters: Sequence[Estimate], probability: float, *, shown: float | None = None
 ) -> str:
-    """An effect of the catalogue in one sentence; two where its size is `implausible` for its cause."""
+    """An effect of the catalogue in a sentence: what the readings show, and what usually causes it."""
     card = card_of(find_effect(effect))
-    doubt = " Such a size is hardly plausible for this cause: check it, and think of others." if implausible else ""
-    told = "; ".join(part for part in (card.cause, estimates(parameters)) if part)
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
-    return f"{title} ({at}): {told} (probability {percent(probability)}).{doubt}"
+    told = estimates(parameters)
+    seen = "" if shown is None else f"such a change here: {percent(shown)}; "
+    cause = f"usual cause: {card.cause} (probability of this name {percent(probability)})"
+    return f"{title} ({at}){f': {told}' if told else ''}; {seen}{cause}."
 
 
-def law_sentence(where: Where, parameters: Sequence[Estimate], probability: float, law: str) -> str:
-    """A law that no card names, in one sentence: what varies with what, where, how much."""
+def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law: str) -> str:
+    """A law that no card names, in one sentence: what varies with what, where, how much, how surely."""
     told = estimates(parameters)
     size = f" ({told})" if told else ""
     at = _at(where.model_copy(update={"observables": ()}))
     carrier, verb, driver = law.partition(" follows " if " follows " in law else " differs")
-    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue (probability {percent(probability)})."
+    if shown < LIKELY:
+        likeliest = f"the {carrier}{at}{verb}{driver}{size}, is one of several ({percent(shown)})"
+        return f"Physics outside the catalogue{_at(where)}, of a form that these readings do not tell: {likeliest}."
+    sure = f"probability that it follows this {percent(shown)}"
+    return f"The {carrier}{at}{verb}{driver}{size}: physics outside the catalogue ({sure})."
 
 
 def outside_sentence(where: Where, law: str) -> str:
@@ -126,15 +131,13 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
-    course = "" if after is before else _course(before.held_out_rms, after.held_out_rms, several=len(findings) > 1)
-    return first.sentence + open_ + more + course
+    return first.sentence + open_ + more + _course(before.held_out_rms, after.held_out_rms)
 
 
-def _course(before: float | None, after: float | None, *, several: bool) -> str:
-    """What became of the error on readings not used for the fit."""
-    if before is None or after is None:
+def _course(before: float | None, after: float | None) -> str:
+    """What became of the error on readings that neither fit nor search has seen."""
+    if before is None or after is None or before == after:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"
     course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
-    modelled = "With them" if several else "With it"
-    return f" {modelled} in the model the error on readings not used for the fit {course} times the stated noise."
+    return f" On readings that neither search nor fit has seen the error {course} times their noise."

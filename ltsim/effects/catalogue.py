@@ -15,13 +15,14 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import overload
 
-from ltsim.effects.card import card_of
+from ltsim.effects.card import PARTS, card_of
 from ltsim.effects.effect import Effect, Stage
 from ltsim.errors import ModelError, unknown_name
 from ltsim.units import FACTOR
 
 GROUP = "ltsim.effects"
 SHIPPED = "ltsim"
+SESSION = "this session"
 ADDED = "installed"
 """The group of effects that packages add."""
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -73,6 +74,33 @@ class Catalogue(Sequence[type[Effect]]):
             added[entry.kind.name] = entry
         return self._shipped | {name: added[name] for name in sorted(added)}
 
+    def add(self, kind: type[Effect]) -> type[Effect]:
+        """Add a class for the rest of this session, in place of one of the same name that was added before.
+
+        A class without a card is given one that states nothing. Raises ModelError when it cannot be an effect.
+        """
+        if why := fault_of(kind):
+            raise ModelError(f"{kind!r} cannot be an effect: {why}")
+        known = self.entries.get(kind.name)
+        if known is not None and known.group != SESSION:
+            raise ModelError(f"{known.origin} has an effect '{kind.name}' already: take another name")
+        try:
+            card_of(kind)
+        except ModelError:
+            title, parts = (
+                kind.name.replace("-", " ").capitalize(),
+                "\n\n".join(f"{part}: not stated." for part in PARTS),
+            )
+            kind.__doc__ = f"{title}: an effect of this session.\n\nnot stated\n\n{parts}\n"
+        self.__dict__.pop("_kinds", None)
+        self.__dict__["entries"] = {**self.entries, kind.name: Entry(kind, SESSION, "this session")}
+        return kind
+
+    @property
+    def of_session(self) -> tuple[type[Effect], ...]:
+        """Classes that were added in this session: other processes do not know them."""
+        return tuple(entry.kind for entry in self.entries.values() if entry.group == SESSION)
+
     def find(self, name: str) -> type[Effect]:
         """The effect called `name`.
 
@@ -118,20 +146,28 @@ def _loaded(point: EntryPoint) -> Entry:
         kind = point.load()
     except Exception as problem:  # whatever a stranger's module does when it is imported
         raise _refused(point, f"{type(problem).__name__}: {problem}") from problem
-    if not (isinstance(kind, type) and issubclass(kind, Effect)):
-        raise _refused(point, "it is no class derived from ltsim.effects.Effect")
-    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
-        raise _refused(point, f"its class lacks {', '.join(lacking)}")
-    if not NAME.fullmatch(kind.name) or kind.name == "unknown":
-        raise _refused(point, f"its name '{kind.name}' should be lower-case words joined by '-'")
-    if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
-        raise _refused(point, "its class lacks a stage or parameters")
-    units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
-    for name, unit in units.items():
-        if unit not in FACTOR:
-            raise _refused(point, f"the unit '{unit}' of {name} is none of {', '.join(FACTOR)}")
-    try:
-        card_of(kind)
-    except ModelError as problem:
-        raise _refused(point, str(problem)) from None
+    why = fault_of(kind)
+    if not why:
+        try:
+            card_of(kind)
+        except ModelError as problem:
+            why = str(problem)
+    if why:
+        raise _refused(point, why)
     return Entry(kind, ADDED, _package(point))
+
+
+def fault_of(kind: object) -> str:
+    """Why a class cannot be an effect; empty for none."""
+    if not (isinstance(kind, type) and issubclass(kind, Effect)):
+        return "it is no class derived from ltsim.effects.Effect"
+    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
+        return f"its class lacks {', '.join(lacking)}"
+    if not NAME.fullmatch(getattr(kind, "name", "")) or kind.name == "unknown":
+        return f"its name '{getattr(kind, 'name', '')}' should be lower-case words joined by '-'"
+    if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
+        return "its class lacks a stage or parameters"
+    units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
+    return next(
+        (f"the unit '{u}' of {name} is none of {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
+    )

@@ -67,3 +67,33 @@ def catalogue(*names: str) -> Catalogue:
 def _meaning(effect: type[Effect]) -> str:
     """What the effect is, in a sentence."""
     return (inspect.getdoc(effect) or "").partition("\n")[0]
+
+
+def add_effect(kind: type[Effect]) -> type[Effect]:
+    """Add an effect of your own for this session; also as a decorator of its class.
+
+    From then on its name works wherever that of an effect does: in scenarios, in `with_effects`, in campaigns (their
+    workers are told), in a diagnosis. A card is not needed; for other sessions put the class into a package.
+
+    Parameters
+    ----------
+    kind : type of Effect
+        With a name, a stage, parameters and `design`.
+
+    Raises
+    ------
+    ModelError
+        Why it cannot be an effect, or that the name is taken.
+
+    Notes
+    -----
+    The page "An effect of your own" shows one that is simulated and fitted.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.add_effect(int)
+    Traceback (most recent call last):
+    ltsim.errors.ModelError: <class 'int'> cannot be an effect: it is no class derived from ltsim.effects.Effect
+    """
+    return CATALOGUE.add(kind)

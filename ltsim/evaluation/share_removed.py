@@ -1,9 +1,9 @@
 """What only a simulation knows: the error against the truth, and which share of what could be corrected was.
 
-The error of a recording has a part that no parameters remove (noise, effects outside the model) and a part
-that the true parameters would remove, the correctable one. The share of a method is
-(raw - calibrated) / (raw - true parameters): 1 for a calibrator that found the truth, 0 for one that did
-nothing, negative for one that did harm.
+The error of a recording has a part that no parameters remove (noise, effects outside the model) and a part that the
+true parameters would remove, the correctable one. In mean squares they add, so the share of a method is
+(R - C) / (R - P) of the mean squares of raw, calibrated and perfectly corrected readings, over all trials together: 1
+for a calibrator that found the truth, 0 for one that did nothing, negative for one that did harm.
 """
 
 from __future__ import annotations
@@ -28,9 +28,15 @@ class ShareRemoved:
 
     @property
     def share(self) -> float:
-        """Share of the correctable error that was removed; NaN where nothing was correctable."""
-        correctable = self.raw - self.true_parameters
-        return (self.raw - self.calibrated) / correctable if correctable > 0 else float("nan")
+        """Share of the correctable mean square that was removed."""
+        return share(self.raw, self.calibrated, self.true_parameters)
+
+
+def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floats | float) -> float:
+    """Share of the correctable mean square that was removed, of the errors (N,) of N trials; NaN: nothing was."""
+    squares = (float(np.nanmean(np.square(error))) for error in (raw, calibrated, true_parameters))
+    before, after, perfect = squares
+    return (before - after) / (before - perfect) if before > perfect else float("nan")
 
 
 def share_removed(

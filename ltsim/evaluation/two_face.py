@@ -56,7 +56,7 @@ class TwoFaceComparison:
     after: TwoFace
 
     @property
-    def share_removed(self) -> Floats:
+    def rms_removed(self) -> Floats:
         """(3,) one minus the ratio of the rms: 1 when nothing is left, negative when parameters do harm."""
         return 1.0 - self.after.rms / self.before.rms
 

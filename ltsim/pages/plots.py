@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from functools import singledispatch
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.calibration.calibration import Calibration
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
 from ltsim.pages import figures
 from ltsim.pages.figures.check import check_figure
+from ltsim.pages.residuals import Residuals
+from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
 from ltsim.tasks.congruence import Congruence
 
@@ -20,6 +24,10 @@ from ltsim.tasks.congruence import Congruence
 @singledispatch
 def figure_of(result: Result) -> Figure:
     """The picture of a result; raises ModelError for one that has none."""
+    if type(result).__module__ == "ltsim.campaigns.statistics":  # not registered: its packages may be missing
+        from ltsim.pages.sections.campaign import campaign_figure
+
+        return campaign_figure(cast(Any, result))
     raise ModelError(f"a {type(result).__name__} has no picture of its own; lt.report makes a page of its folder")
 
 
@@ -45,6 +53,17 @@ def _(result: Criteria) -> Figure:
 @figure_of.register
 def _(result: Check) -> Figure:
     return check_figure(result)
+
+
+@figure_of.register
+def _(result: Diagnosis) -> Figure:
+    """The curve or the residuals of the first finding; of a consistent recording its residuals."""
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    for finding in result.findings[:1]:
+        figure = finding_figure(finding, before, after)
+        if figure is not None:
+            return figure
+    return figures.residuals_by_covariate(after)
 
 
 @figure_of.register

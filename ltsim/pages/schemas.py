@@ -16,7 +16,7 @@ from ltsim.acceptance import files as acceptance
 from ltsim.acceptance.spec import Acceptance
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
-from ltsim.campaigns.schema import ManifestFile, RecoveryFile, summary_table, trials_table
+from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.diagnosis import schema as diagnosis
 from ltsim.evaluation.schema import BENCH, NOMINAL, BenchFile, CriteriaFile
@@ -68,12 +68,12 @@ TABLES: dict[str, tuple[Table, ...]] = {
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
     plan.PlanResult.FILE: plan.TABLES,
     plan.NextFile.FILE: (plan.NEXT,),
-    ManifestFile.FILE: (summary_table({"FACTOR": "number"}),),
+    ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
-    RecoveryFile.FILE: (trials_table(("PARAMETER",)),),
+    RecoveryFile.FILE: (TRIALS,),
 }
 """The tables beside each file."""
 

@@ -28,6 +28,8 @@ SEARCHING = 0.8
 """Share of the work that is the search."""
 FEWEST = 2
 """Stations of a network."""
+LITTLE = 0.95
+"""Factor on the largest error over its tolerance that a further station should bring."""
 STOPPED = "the search was stopped before it had found a layout"
 
 
@@ -104,7 +106,7 @@ class _Search:
 
         def keep(survey: Survey, value: float) -> None:
             lengths = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
-            words = f"points {value / MICROMETRE:.1f} um (root mean square)" if lengths else f"quality {value:.4g}"
+            words = f"weighted point error {value / MICROMETRE:.1f} um" if lengths else f"quality {value:.4g}"
             self.heard.say(f"best so far: {len(survey.position)} stations, {words}")
             self.heard.keep(survey)
 
@@ -163,7 +165,7 @@ class _Search:
                 self._estimate(tasks, f" for {n} stations, as long again and more for each further number")
             # Few stations are likely enough: each further number counts half of what is left.
             made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
-            options = self.options(made)
+            options = self.options({key: self._nearest(found, demands) for key, found in made.items()})
             paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
             results = [(*holds(option.survey, demands, self.built), option) for option in paid]
             judgements += [(ratio, option) for _, ratio, option in results]
@@ -171,11 +173,22 @@ class _Search:
             good = [option for kept, _, option in results if kept]
             if good:
                 return min(good, key=lambda o: o.hours)
-            if self.stopped:
+            if self.stopped or self._levels_off():
                 break
         if not judgements:
             raise SetupError(self._none_found(counts))
         return min(judgements, key=lambda one: (one[0], one[1].hours))[1]
+
+    def _nearest(self, found: list[tuple[float, int, Survey]], demands: Demands) -> list[tuple[float, int, Survey]]:
+        """Of the layouts of several starts the one that comes nearest to the tolerances."""
+        if len(found) == 1:
+            return found
+        return [min(found, key=lambda one: (holds(one[2], demands, self.built)[1], one[0], one[1]))]
+
+    def _levels_off(self) -> bool:
+        """Two further stations in turn brought next to nothing."""
+        ratios = [one.ratio if one.ratio is not None else np.inf for one in self.tried]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > LITTLE**2 * ratios[-3]
 
     def _none_found(self, counts: range) -> str:
         """Why there is no layout at all."""

@@ -64,7 +64,9 @@ def _numbers(plan: Plan) -> list[str]:
     count = len(plan.chosen.survey.position)
     said = [f"{last.stations} stations are the fewest that were found to keep the goal."] if good else []
     if not good:
-        end = "" if plan.stopped else "; more stations (stations.most), more floor or wider tolerances may"
+        end = "" if plan.stopped else "; more floor, more rounds or wider tolerances may"
+        if not plan.stopped and last.stations < plan.file.stations.most:
+            end = f"; more were not searched, since each further one brought little{end}"
         said = [f"None of {plan.tried[0].stations} to {last.stations} stations was found to keep the goal, "
                 f"the nearest are {count}{end}."]  # fmt: skip
         found.append(f"{last.stations} stations: {_came_of(last)}")

@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.noise import white_noise_sigma
@@ -17,8 +18,14 @@ from ltsim.units import DEGREE, MILLIMETRE
 
 REACH = 2.2
 """[m] above the floor to which a point can be plumbed to the floor."""
-TAPE = 20.0
-"""[m] length of a tape."""
+TAPE = 15.0
+"""[m] that a tape or a distance meter reaches with ease."""
+MOST_MARKS = 16
+"""Marks of a station that are looked at."""
+STRAIGHT = 0.1
+"""What a distance straight to a reflector must gain over one along the floor in the same sine."""
+PLAY, CLEAR = 0.03, 0.1
+"""[m] within which three distances must give the place, and by how much they must miss its mirror image."""
 NEAR = 0.3
 """[m] under which a distance fixes nothing."""
 ANKLE = 0.1
@@ -33,10 +40,11 @@ COMMON = 3
 
 @dataclass(frozen=True)
 class Tape:
-    """A distance along the floor, from under the head to under a point."""
+    """A distance along the floor, from under the head to under a point, or straight from the head to a reflector."""
 
     to: str
     metres: float
+    floor: bool = True
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class Setting:
     height: float
     """[m]: of the head's centre above the floor."""
     tapes: tuple[Tape, ...]
-    """Three where the floor is free."""
+    """Three, which meet in one point."""
     towards: str
     """Where azimuth zero looks, in words."""
     order: tuple[str, ...]
@@ -66,7 +74,6 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     sigma = white_noise_sigma(sightings, [survey.setup.instrument.noise]) * survey.used
     flat = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
-    names, marks = _marks(plan)
     found = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
@@ -79,7 +86,7 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
             Setting(
                 name=name,
                 height=float(place[2]),
-                tapes=_tapes(plan, place, names, marks),
+                tapes=_tapes(plan, place, survey.seen[survey.station_names.index(name)]),
                 towards=_towards(plan, place, yaw, survey.seen[survey.station_names.index(name)]),
                 order=tuple(recording.targets[t] for t in first),
                 again={recording.targets[t]: limit[t] for t in again},
@@ -89,36 +96,81 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     return tuple(found)
 
 
-def _marks(plan: Plan) -> tuple[list[str], Floats]:
-    """Names and places (n, 2) [m] that a tape can be held to: points that can be plumbed, corners of the room."""
-    survey = plan.chosen.survey
-    low = np.flatnonzero(survey.points[:, 2] <= REACH)
+@dataclass(frozen=True)
+class _Mark:
+    """What a distance can be taken to."""
+
+    name: str
+    place: Floats
+    """(3,) [m]."""
+    floor: bool
+    """Along the floor, else straight to the reflector."""
+
+    def length(self, place: Floats) -> float:
+        """[m] from an instrument."""
+        gap = self.place - place
+        return float(np.linalg.norm(gap[:2] if self.floor else gap))
+
+
+def _marks(plan: Plan, place: Floats, seen: Bools) -> list[_Mark]:
+    """Marks of a station, those with a free way first, the others after: a list is never without three.
+
+    Along the floor: points that can be plumbed and corners of the room; else straight to any reflector in sight.
+    """
+    survey, obstacles = plan.chosen.survey, plan.site.obstacles
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
-    corners = {(x, y): f"room corner ({x:g} m, {y:g} m)" for x in (0.0, wide) for y in (0.0, deep)}
-    names = [survey.target_names[t] for t in low] + list(corners.values())
-    return names, np.concatenate([survey.points[low, :2], np.array(list(corners))])
+    corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
+    low = [(survey.target_names[t], survey.points[t]) for t in np.flatnonzero(survey.points[:, 2] <= REACH)]
+    level = [_Mark(name, there, True) for name, there in (*low, *corners)]
+    if obstacles is not None:
+        ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
+        free = ~obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
+        level = [mark for mark, good in zip(level, free, strict=True) if good]
+    straight = [_Mark(survey.target_names[t], survey.points[t], False) for t in np.flatnonzero(seen)]
+    near = [mark for mark in (*level, *straight) if NEAR < mark.length(place) < TAPE]
+    if len({mark.name for mark in near}) >= 3:
+        return near
+    every = [mark for mark in (*level, *straight) if mark.length(place) > NEAR]
+    return sorted(every, key=lambda mark: mark.length(place))[:MOST_MARKS]
 
 
-def _tapes(plan: Plan, place: Floats, names: Sequence[str], marks: Floats) -> tuple[Tape, ...]:
-    """Three marks whose distances cross well and are short, with a free way along the floor."""
-    way = marks - place[:2]
-    length = np.linalg.norm(way, axis=1)
-    good: Bools = (length > NEAR) & (length < TAPE)
-    if plan.site.obstacles is not None and good.any():
-        start = np.column_stack([np.tile(place[:2], (len(marks), 1)), np.full(len(marks), ANKLE)])
-        end = np.column_stack([marks, np.full(len(marks), ANKLE)])
-        good[good] = ~plan.site.obstacles.blocked(start[good], end[good])
-    turn = np.arctan2(way[:, 1], way[:, 0])
-    near = np.flatnonzero(good)[np.argsort(length[good], kind="stable")][:16]
+def _tapes(plan: Plan, place: Floats, seen: Bools) -> tuple[Tape, ...]:
+    """Three distances that cross well, are short and meet in one point only, the station's."""
+    marks = sorted(_marks(plan, place, seen), key=lambda mark: (not mark.floor, mark.length(place)))[:MOST_MARKS]
 
-    def worth(three: tuple[int, ...]) -> float:
-        crossing = min(abs(np.sin(turn[i] - turn[j])) for i, j in combinations(three, 2))
-        return float(crossing - BORED * length[list(three)].max())
+    def worth(three: tuple[_Mark, ...]) -> float:
+        way = np.array([mark.place[:2] - place[:2] for mark in three])
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+        crossing = min(abs(a[0] * b[1] - a[1] * b[0]) for a, b in combinations(way, 2))
+        longest, straight = max(mark.length(place) for mark in three), sum(not mark.floor for mark in three)
+        return float(crossing - BORED * longest - STRAIGHT * straight)
 
-    if len(near) < 3:
-        return tuple(Tape(names[i], float(length[i])) for i in near)
-    best = max(combinations(near.tolist(), 3), key=worth)
-    return tuple(Tape(names[i], float(length[i])) for i in best)
+    groups = [three for three in combinations(marks, 3) if len({mark.name for mark in three}) == 3]
+    for three in sorted(groups, key=worth, reverse=True):
+        if meet(three, place):
+            return tuple(Tape(mark.name, mark.length(place), mark.floor) for mark in three)
+    return tuple(Tape(mark.name, mark.length(place), mark.floor) for mark in marks[:3])
+
+
+def meet(three: Sequence[_Mark], place: Floats) -> bool:
+    """Whether three distances, read to the centimetre, give the place within `PLAY` and no other one."""
+    height = place[2]
+    flat = [np.sqrt(max(round(m.length(place), 2) ** 2 - (0.0 if m.floor else (m.place[2] - height) ** 2), 0.0))
+            for m in three]  # fmt: skip
+    at = np.array([mark.place[:2] for mark in three])
+
+    def misses(there: Floats) -> Floats:
+        return np.linalg.norm(at - there, axis=1) - flat
+
+    along = at[1] - at[0]
+    if not np.linalg.norm(along) > NEAR:
+        return False
+    along /= np.linalg.norm(along)
+    gap = place[:2] - at[0]
+    mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
+    found = least_squares(misses, place[:2] + 0.05)
+    apart = np.linalg.norm(mirror - place[:2])
+    return bool(np.linalg.norm(found.x - place[:2]) < PLAY and (apart < PLAY or np.abs(misses(mirror)).max() > CLEAR))
 
 
 def _towards(plan: Plan, place: Floats, yaw: float, seen: Bools) -> str:

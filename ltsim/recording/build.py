@@ -44,7 +44,7 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
     index = []
     for row, name in enumerate(names):
         if name not in place:
-            place[check_name(name, kind, file=file, row=row + 1)] = len(place)
+            place[check_name(name, kind, file=file, row=row + 1, column=kind)] = len(place)
         index.append(place[name])
     return tuple(place), np.array(index, dtype=np.int64)
 

@@ -9,7 +9,7 @@ faces. Coordinates or poses from elsewhere are needed for it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -20,9 +20,12 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.plausibility import SHORTEST_MM, chord_gap
-from ltsim.units import FACTOR
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Setup
+from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 
 Angle = Literal["deg", "gon", "rad"]
 Vertical = Literal["zenith", "elevation"]
@@ -33,6 +36,9 @@ ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
 CLEARLY = 10.0
 """How many times better one meaning must fit than the next to be decided by the data."""
+ALIKE = 1e-3
+"""Part of a network's size by which a mirror image may miss it and still be one."""
+MOST_NOTES = 3
 
 
 @dataclass(frozen=True)
@@ -277,3 +283,56 @@ def _vote(votes: list[int]) -> Azimuth | None:
     if not votes or min(votes) != max(votes):
         return None
     return "clockwise" if votes[0] else "counter-clockwise"
+
+
+def contradictions(recording: Recording) -> tuple[str, ...]:
+    """What set-ups or their stated places say against the sense of the azimuths: a mirror image fits, the readings not.
+
+    Coordinates in one plane, or a floor plan that fits neither, say nothing.
+    """
+    local = from_polar(recording.readings)
+    table = PolarTable(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
+    poses = poses_of(recording.setup, recording.stations)
+    notes = []
+    if len(poses) > 1 and sense_by_poses(local, table, poses) == "clockwise":
+        notes.append(
+            "the stated places of the stations fit the readings only as their mirror image: if the azimuths run "
+            "clockwise say --hint azimuth=clockwise, otherwise the floor plan is left-handed"
+        )
+    for one, other in _mirrored_pairs(local, recording):
+        notes.append(
+            f"the targets of {recording.stations[one]} and {recording.stations[other]} fit each other only as mirror "
+            "images: the azimuths of one of them run clockwise"
+        )
+    return tuple(notes[:MOST_NOTES])
+
+
+def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
+    """Each station that is the mirror image of the one before it with which it shares most targets."""
+    clouds: list[dict[int, Floats]] = [{} for _ in recording.stations]
+    whole = np.isfinite(local).all(axis=1)
+    for s, t, point in zip(
+        recording.station[whole].tolist(), recording.target[whole].tolist(), local[whole], strict=True
+    ):
+        clouds[s].setdefault(t, point)
+    found = []
+    for s, cloud in enumerate(clouds):
+        other = max(range(s), key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
+        common = sorted(clouds[other].keys() & cloud.keys())
+        if other == s or len(common) < 5:
+            continue
+        here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
+        right, mirrored = (_misfit(here * [1.0, side, 1.0], there) for side in (1.0, -1.0))
+        if right > CLEARLY * mirrored and mirrored < ALIKE * float(np.ptp(there, axis=0).max()):
+            found.append((other, s))
+    return found
+
+
+def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, tuple[Floats, Floats]]:
+    """Rough poses of stations by the floor plan: place and direction of zero."""
+    found = {}
+    for i, name in enumerate(names):
+        station = setup.stations.get(name)
+        if station is not None and station.position_mm is not None and station.yaw_deg is not None:
+            found[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
+    return found

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
-from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.conventions import NO_HINTS, Hints, contradictions
 from ltsim.recording.files import decoded
 from ltsim.recording.formats import (
     cern_lgc,
@@ -76,7 +76,7 @@ FORMATS: tuple[Format, ...] = (
         "folder with observations.csv and setup.toml",
         ("", ".csv"),
         native.recognises,
-        lambda path, hints: native.read_recording(path, growing=hints.growing),
+        native.read_recording,
         native.write_recording,
     ),
     _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),
@@ -108,11 +108,14 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         One sentence: what is wrong and where, or which hint is wanted.
     """
     path = Path(path)
+    hints = hints or NO_HINTS
+    format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
     chosen = recognised(path) if format is None else _named(format, FORMATS)
     try:
-        return chosen.read(path, hints or NO_HINTS)
+        found = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
+    return found.replace(notes=(*found.notes, *contradictions(found)))
 
 
 def is_recording(path: Path) -> bool:

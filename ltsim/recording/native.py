@@ -12,9 +12,10 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.recording.build import indices
 from ltsim.recording.checks import idle_settings
+from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import (
-    check_name,
     check_text,
     is_not_finite,
     is_number,
@@ -26,12 +27,12 @@ from ltsim.recording.files import (
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.plausibility import check_degrees
 from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, REFLECTOR_COLUMN, SIGMA_COLUMNS, Recording
-from ltsim.recording.reflectors import balls_of, excess_radii
+from ltsim.recording.reflectors import excess_radii, smrs_of
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables.sheets import is_folder
 from ltsim.results import guarded, plain
-from ltsim.units import DEGREE, MILLIMETRE
+from ltsim.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 
 OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
 REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
@@ -49,7 +50,7 @@ BOUNDS = {
     "relative_humidity_pct": (0.0, 100.0),
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
-UNITS = "rad mrad urad gon grad mgon cc arcsec deg mm m cm um in inch ft s ms min h c k f hpa pa bar mbar pct"
+OTHERS = ("k", "f", "pa", "bar", "inch")
 MAX_COLUMNS = 500
 
 
@@ -58,18 +59,20 @@ def recognises(path: Path, head: str) -> bool:
     return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
 
 
-def read_recording(path: Path, *, growing: bool = False) -> Recording:
+def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read a recording folder (or the `observations.csv` in it); raises RecordError.
 
-    Of a recording that is still `growing` a last row without an end is left out, and known lengths may wait for
-    their targets.
+    Of a recording that is still `hints.growing` a last row without an end is left out, and known lengths may wait for
+    their targets. Azimuths that `hints` says to be clockwise are turned over.
     """
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
         raise RecordError(message, file=path)
-    rows = _table(folder / OBSERVATIONS, growing=growing)
-    return parse(rows, read_setup(folder / SETUP), folder, growing=growing)
+    rows = _table(folder / OBSERVATIONS, growing=hints.growing)
+    found = parse(rows, read_setup(folder / SETUP), folder, growing=hints.growing)
+    sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
+    return found.with_readings(found.readings * sense)
 
 
 def _table(path: Path, *, growing: bool) -> list[list[str]]:
@@ -108,8 +111,8 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     header = rows[0]
     _check_header(header, file)
     columns = {name: [plain(row[i]) for row in rows[1:]] for i, name in enumerate(header)}
-    stations, station = _names(columns["station"], "station", file)
-    targets, target = _names(columns["target"], "target", file)
+    stations, station = indices(columns["station"], "station", file)
+    targets, target = indices(columns["target"], "target", file)
     count = len(rows) - 1
     face = _whole(columns["face"], "face", file, (1, 2))
     repeat = np.ones(count, dtype=np.int64)
@@ -138,7 +141,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     )
     if not growing:
         _check_gauge(recording, folder / SETUP)
-    _check_balls(recording, folder)
+    _check_smrs(recording, folder)
     return recording.replace(notes=idle_settings(recording))
 
 
@@ -154,7 +157,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
             raise RecordError("this column appears twice in the header", file=file, row=0, column=name)
         stem, _, unit = name.rpartition("_")
         right = next((k for k in BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
-        if right is not None and unit.lower() in UNITS.split() and name not in BOUNDS:
+        if right is not None and unit.lower() in (*NAMED, *FACTOR, *OTHERS) and name not in BOUNDS:
             message = f"the unit '{unit}' is not one of this format, expected {right}"
             raise RecordError(message, file=file, row=0, column=name)
     for name in REQUIRED:
@@ -163,15 +166,6 @@ def _check_header(header: Sequence[str], file: Path) -> None:
             hint = f" ('{shown(near[0])}' looks like it)" if near else ""
             message = f"the required column {name} is missing{hint}"
             raise RecordError(message, file=file, row=0)
-
-
-def _names(column: list[str], kind: str, file: Path) -> tuple[tuple[str, ...], Ints]:
-    """Names in order of appearance and the index of each row's."""
-    index: dict[str, int] = {}
-    for i, name in enumerate(column):
-        if name not in index:
-            index[check_name(name, kind, file=file, row=i + 1, column=kind)] = len(index)
-    return tuple(index), np.array([index[name] for name in column], dtype=np.int64)
 
 
 def _whole(column: list[str], name: str, file: Path, bounds: tuple[int, int]) -> Ints:
@@ -239,14 +233,14 @@ def _check_gauge(recording: Recording, file: Path) -> None:
     KnownLengths.of(recording, file)
 
 
-def _check_balls(recording: Recording, folder: Path) -> None:
-    """Where balls have radii, every pointing names one of them, and its nest has a normal if it needs one."""
+def _check_smrs(recording: Recording, folder: Path) -> None:
+    """Where SMRs have radii, every pointing names one of them, and its nest has a normal if it needs one."""
     excess_radii(recording, folder / SETUP)
-    names = balls_of(recording)
+    names = smrs_of(recording)
     if recording.setup.reflectors and "" in names:
         row = names.index("")
         target = recording.targets[recording.target[row]]
-        message = f"no ball is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
+        message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
         raise RecordError(message, file=folder / OBSERVATIONS, row=row + 1, column=REFLECTOR_COLUMN)
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.randomness import stream
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Gauge, GaugeDistance, LengthUse
@@ -19,37 +18,12 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.units import MICROMETRE, MILLIMETRE
 
 
-def with_lengths(
-    recording: Recording, work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int
-) -> Recording:
-    """The recording with the certificates of its known lengths, their errors drawn anew.
-
-    The true length is that between the reflectors where they stand. Its certificate errs by the standard deviation
-    that it states, and refers to the true coefficient and temperature, which are not those that are stated.
-    """
+def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
+    """The recording with certificates that are free of error: the lengths between the reflectors where they stand."""
     blank = with_stated(recording, work.scenario)
-    known = KnownLengths.of(blank)
-    if not len(known.length):
-        return blank
-    growth = known.factor.copy()
-    for name, change in known.shared.items():
-        growth += change / MILLIMETRE * stream(seed, *key, name).standard_normal()
-    length = true_lengths(work, known)
-    for effect, amount in zip(work.effects, values, strict=True):
-        length = length + effect.gauge_design(known.first, known.second, work.sightings.points) @ amount
-    certified, names = length / growth, blank.targets
-    sigma = _sigmas(blank, work.scenario, certified)
-    draws = [
-        stream(seed, *key, "cmm", names[a], names[b]).standard_normal()
-        for a, b in zip(known.first, known.second, strict=True)
-    ]
-    return certified_by(blank, certified + work.scenario.cmm.noise_factor * sigma * np.array(draws), sigma)
-
-
-def true_lengths(work: Fieldwork, known: KnownLengths) -> Floats:
-    """Lengths (g,) [m] between the reflectors where they truly stand."""
-    points = work.sightings.points
-    return np.linalg.norm(points[known.first] - points[known.second], axis=1)
+    known, points = KnownLengths.of(blank), work.sightings.points
+    certified = np.linalg.norm(points[known.first] - points[known.second], axis=1) / known.factor
+    return certified_by(blank, certified, _sigmas(blank, work.scenario, certified))
 
 
 def certified_by(recording: Recording, length: Floats, sigma: Floats | None = None) -> Recording:
@@ -58,9 +32,8 @@ def certified_by(recording: Recording, length: Floats, sigma: Floats | None = No
         return recording
     lines = []
     for i, (line, value) in enumerate(zip(recording.gauge.distance, length.tolist(), strict=True)):
-        stated = {"length_mm": value / MILLIMETRE}
+        stated = {"length_mm": round(value / MILLIMETRE, 12)}
         if sigma is not None:
-            stated["length_mm"] = round(stated["length_mm"], 4)
             stated["sigma_mm"] = max(round(float(sigma[i]) / MILLIMETRE, 6), 1e-6)
         lines.append(line.model_copy(update=stated))
     gauge = recording.gauge.model_copy(update={"distance": tuple(lines)})

@@ -1,20 +1,17 @@
-"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their values."""
+"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
 
 from __future__ import annotations
-
-from collections import Counter
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
-from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.effect import Effect
 from ltsim.effects.made import effect_from as effect_from, shape_of as shape_of
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh, misalignment
-from ltsim.randomness import stream
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
 from ltsim.simulation.sections import EffectEntry, Instrument, Smr
@@ -68,24 +65,6 @@ def _law(instrument: Instrument, construction: Construction, name: str) -> tuple
     return mean, np.where(free, instrument.error_factor * prior, 0.0)
 
 
-def instrument_values(scenario: Scenario, construction: Construction, seed: int, *key: str | int) -> Floats:
-    """True values (I, p) [SI] of each tracker's parameters: as stated, drawn from the prior, or 0.
-
-    A draw is keyed by the tracker's name, if it has one, and the parameter: another tracker changes no other draw.
-
-    Raises
-    ------
-    SetupError
-        When an error is stated that the construction does not have.
-    """
-    values, sigma = instrument_law(scenario, construction)
-    for i, name in enumerate(scenario.trackers):
-        own = (*key, "instrument", name) if name else (*key, "instrument")
-        for k in np.flatnonzero(sigma[i]):
-            values[i, k] = sigma[i, k] * stream(seed, *own, construction.names[k]).standard_normal()
-    return values
-
-
 def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
     trackers = scenario.trackers.values()
@@ -130,28 +109,3 @@ def _effect_of(entry: EffectEntry, number: int) -> Effect:
         if name not in names:
             raise SetupError(f"effects.{number}.values: {entry.name} has no '{name}', it has {', '.join(names)}")
     return effect
-
-
-def effect_values(scenario: Scenario, effects: tuple[Effect, ...], seed: int, *key: str | int) -> tuple[Floats, ...]:
-    """Values [SI] of the parameters of each effect: as stated, drawn at their plausible size, or 0.
-
-    A draw is keyed by the effect, its places, how many like it came before, and the parameter. Added variances
-    and what is never negative are drawn positive.
-    """
-    seen: Counter[tuple[str, str]] = Counter()
-    values = []
-    for i, effect in enumerate(effects):
-        entry = scenario.effects[i] if i < len(scenario.effects) else None
-        place = effect.place
-        seen[effect.name, place] += 1
-        amount = np.zeros(len(effect.parameters))
-        for k, parameter in enumerate(effect.parameters):
-            if entry is not None and parameter.name in entry.values:
-                amount[k] = entry.values[parameter.name] * parameter.factor
-            elif entry is not None and entry.draw:
-                own = (effect.name, place, seen[effect.name, place], parameter.name)
-                draw = stream(seed, *key, "effect", *own).standard_normal()
-                upward = parameter.positive or isinstance(effect, NoiseEffect)
-                amount[k] = parameter.prior_sigma * (abs(draw) if upward else draw)
-        values.append(amount)
-    return tuple(values)

@@ -1,59 +1,81 @@
-"""The simulator: a scenario and a seed give a recording, and apart from it the truth.
-
-Every draw has its own stream, keyed by what it is for: adding an effect, a station's twin or a worker changes no
-other draw.
-"""
+"""The simulator: a scenario, a seed and a trial's number give a recording, and apart from it the truth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Mistake, NoiseEffect
+from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.resolution import quantised
-from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
-from ltsim.randomness import stream
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recording.setup import Instrument, Limits, Setup, Station, Target
 from ltsim.simulation.balls import balls_of
+from ltsim.simulation.draws import Normal, Population, effect_laws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
 from ltsim.simulation.gauge import nominal_points
-from ltsim.simulation.lengths import with_lengths, with_stated
-from ltsim.simulation.physics import effect_values, instrument_values, resolution_of, stated_noise
+from ltsim.simulation.lengths import certified_by, exact_lengths
+from ltsim.simulation.physics import instrument_law, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Instrument as Tracker
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
 
-
-def simulate(scenario: Scenario, seed: int) -> tuple[Recording, Truth]:
-    """Measure a scenario once; raises SetupError when the scenario asks for something impossible."""
-    return measure(fieldwork(scenario, seed), seed)
+Geometry = Literal["shared", "per-trial"]
+"""All trials share one placing of stations and targets, or each has its own."""
 
 
-def measure(work: Fieldwork, seed: int, *key: str | int) -> tuple[Recording, Truth]:
-    """Draw the instrument's errors, the gauge's calibration and the noise anew on a fixed geometry.
+def simulate(scenario: Scenario, seed: int, trial: int = 0, geometry: Geometry = "shared") -> tuple[Recording, Truth]:
+    """Measure a scenario once: a trial of those that a campaign with this seed draws.
 
-    Parameters
-    ----------
-    work : Fieldwork
-    seed : int
-    *key : str or int
-        What tells this trial from others with the same seed.
+    Raises SetupError when the scenario asks for something impossible.
     """
-    instrument = instrument_values(work.scenario, work.construction, seed, *key)
-    values = effect_values(work.scenario, work.effects, seed, *key)
-    readings = simulate_readings(work, instrument, values, seed, *key)
-    truth = _truth(work, instrument, values, seed, *key)
-    return _recording(work, readings, values, seed, *key), truth
+    return measure(fieldwork(scenario, seed, *place_key(trial, geometry)), seed, trial)
 
 
-def simulate_readings(
-    work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int
-) -> Floats:
+def place_key(trial: int, geometry: Geometry) -> tuple[str | int, ...]:
+    """Key of the draws of places: all trials share those of the first, or each has its own."""
+    return ("trial", trial) if trial and geometry == "per-trial" else ()
+
+
+def measure(work: Fieldwork, seed: int, trial: int = 0) -> tuple[Recording, Truth]:
+    """Draw the instrument's errors, the gauge's calibration and the noise of a trial on a fixed geometry."""
+    blank = error_free(work)
+    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])))
+    values, amounts = drawn.values[:, :, 0], tuple(own[:, 0] for own in drawn.amounts)
+    readings = simulate_readings(work, values, amounts, drawn.noise[:, :, 0])
+    recording = certified_by(blank.with_readings(readings), drawn.certified[:, 0])
+    return recording, _truth(work, values, amounts, seed, trial)
+
+
+def error_free(work: Fieldwork) -> Recording:
+    """The recording of an ideal tracker and of exact certificates, with all that is stated."""
+    blank = exact_lengths(_without_lengths(work, work.sightings.raw), work)
+    return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
+
+
+def population_of(work: Fieldwork, blank: Recording) -> Population:
+    """The trials that a fieldwork can have; `blank` is its error-free recording."""
+    scenario = work.scenario
+    mean, sigma = instrument_law(scenario, work.construction)
+    return Population(
+        sightings=work.sightings,
+        construction=work.construction,
+        instruments=tuple(scenario.trackers),
+        mean=mean,
+        sigma=sigma,
+        noise=stated_noise(scenario, work.sightings),
+        lengths=KnownLengths.of(blank),
+        names=blank.targets,
+        effects=effect_laws(scenario, work.effects),
+        certificate_factor=scenario.cmm.noise_factor,
+    )
+
+
+def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], noise: Floats) -> Floats:
     """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded; NaN for what is not recorded.
 
     Parameters
@@ -63,13 +85,12 @@ def simulate_readings(
         Of the trackers of the scenario.
     values : tuple of (q,) float, [SI]
         One an effect of `work.effects`.
-    seed, *key
-        Of the noise.
+    noise : (n, 3) float, [m, rad, rad]
     """
-    readings = exact_readings(work, instrument, values) + drawn_noise(work, values, seed, *key)
+    readings = exact_readings(work, instrument, values) + noise
     readings[:, 1] = wrap(readings[:, 1])
     readings = quantised(readings, resolution_of(work.scenario)[work.sightings.instrument])
-    for mistake in _mistakes(work, values):
+    for mistake in mistakes(work.effects, values):
         readings = mistake.written(work.sightings, readings)
     recorded = [[name in tracker.observables for name in OBSERVABLES] for tracker in work.scenario.trackers.values()]
     return np.where(np.array(recorded)[work.sightings.instrument], readings, np.nan)
@@ -81,7 +102,7 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
     `instrument` and `values` as of `simulate_readings`.
     """
     sightings = work.sightings
-    for mistake in _mistakes(work, values):
+    for mistake in mistakes(work.effects, values):
         sightings = mistake.done(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = work.construction.readings(sightings.local, sightings.face, errors)
@@ -91,40 +112,9 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
     return readings
 
 
-def _mistakes(work: Fieldwork, values: tuple[Floats, ...]) -> list[Mistake]:
+def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
     """Blunders that were made: their one parameter is not 0."""
-    pairs = zip(work.effects, values, strict=True)
-    return [effect for effect, made in pairs if isinstance(effect, Mistake) and made[0]]
-
-
-def noise_sigma(work: Fieldwork, values: tuple[Floats, ...]) -> Floats:
-    """True standard deviation (n, 3) of the noise: the stated one, changed by effects on the noise.
-
-    Raises
-    ------
-    SetupError
-        When an effect leaves a variance below zero.
-    """
-    sigma = stated_noise(work.scenario, work.sightings)
-    for effect, amount in zip(work.effects, values, strict=True):
-        if isinstance(effect, NoiseEffect):
-            variance = effect.variance(work.sightings, sigma, amount)
-            if not np.all(variance >= 0.0):
-                raise SetupError(f"effects: {effect.name} takes away more noise than there is; give larger values")
-            sigma = np.sqrt(variance)
-    return sigma
-
-
-def drawn_noise(work: Fieldwork, values: tuple[Floats, ...], seed: int, *key: str | int) -> Floats:
-    """White noise (n, 3), a stream an observable."""
-    count = len(work.sightings)
-    draws = [stream(seed, *key, "noise", name).standard_normal(count) for name in OBSERVABLES]
-    return np.stack(draws, axis=1) * noise_sigma(work, values)
-
-
-def _recording(work: Fieldwork, readings: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Recording:
-    found = with_lengths(_without_lengths(work, readings), work, values, seed, *key)
-    return found.replace(notes=(*work.notes, *idle_effects(work)))
+    return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
 
 
 def _without_lengths(work: Fieldwork, readings: Floats) -> Recording:
@@ -154,11 +144,13 @@ def _balls(work: Fieldwork) -> dict[str, tuple[str, ...]]:
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
     """A note on every effect that finds nothing to act on: a column, a time, a nest that is not there."""
-    still = [e for e in work.effects if not isinstance(e, NoiseEffect) and not np.any(e.design(work.sightings))]
-    if not still:
-        return
-    known = KnownLengths.of(with_stated(_without_lengths(work, work.sightings.raw), work.scenario))
-    for effect in still:
+    yield from error_free(work).notes[len(work.notes) :]
+
+
+def _idle(work: Fieldwork, known: KnownLengths) -> Iterator[str]:
+    for effect in work.effects:
+        if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
+            continue
         if np.any(effect.gauge_design(known.first, known.second, work.sightings.points)):
             continue
         left = np.any(effect.shift(work.sightings, np.zeros(len(effect.parameters))))
@@ -221,16 +213,17 @@ def _targets(work: Fieldwork) -> dict[str, Target]:
     return known
 
 
-def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, *key: str | int) -> Truth:
+def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed: int, trial: int) -> Truth:
     s, scenario = work.sightings, work.scenario
     trackers = scenario.trackers
     names = work.construction.names_of(tuple(trackers))
     nominal = None
     if scenario.cmm.nominal:
-        nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *key)
+        nominal = nominal_points(s.points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ()))
     return Truth(
         title=scenario.title,
         seed=seed,
+        trial=trial,
         stations=s.station_names,
         position=s.position,
         rotation=s.rotation,

@@ -71,6 +71,8 @@ class Truth(Result):
     """Where instruments have names."""
     nominal: Floats | None = None
     """(T, 3) [m]: the targets as a measuring machine gave them."""
+    trial: int = 0
+    """Which of those of its seed."""
 
     def _lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
@@ -97,6 +99,7 @@ class Truth(Result):
             "format": get_args(Format)[0],
             "title": self.title,
             "seed": self.seed,
+            "trial": self.trial,
             "construction": self.construction,
             "parameters": [
                 _parameter_to_json(name, value / FACTOR[self.units[name]], self.units[name])
@@ -147,6 +150,7 @@ class Truth(Result):
         return cls(
             title=table.title,
             seed=table.seed,
+            trial=table.trial,
             stations=tuple(s.name for s in table.stations),
             position=np.array([s.position_mm for s in table.stations]).reshape(-1, 3) * MILLIMETRE,
             rotation=Rotation.from_quat([s.rotation_quaternion for s in table.stations]).as_matrix(),
@@ -236,6 +240,8 @@ class TruthFile(Section):
     """Free text."""
     seed: int = 0
     """Root of the random draws."""
+    trial: int = 0
+    """Which of those of its seed."""
     construction: str
     """Which model made the readings."""
     parameters: tuple[_InstrumentNumber, ...] = ()

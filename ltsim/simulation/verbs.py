@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from ltsim.recording import Recording
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
-from ltsim.simulation.simulator import simulate as measured
+from ltsim.simulation.simulator import Geometry, simulate as measured
 from ltsim.simulation.truth import Truth
 
 ScenarioSource = Scenario | str | Path
@@ -49,7 +49,12 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
 
 
 def simulate(
-    source: ScenarioSource = "paper-workshop", *, seed: int = 0, changes: Mapping[str, Any] | None = None
+    source: ScenarioSource = "paper-workshop",
+    *,
+    seed: int = 0,
+    trial: int = 0,
+    geometry: Geometry = "shared",
+    changes: Mapping[str, Any] | None = None,
 ) -> Simulated:
     """Measure a virtual workshop once: a recording, and apart from it the truth.
 
@@ -57,7 +62,11 @@ def simulate(
     ----------
     source : Scenario, str or Path
     seed : int
-        Root of all random draws: the same seed, the same recording.
+        Root of all random draws: the same seed and trial, the same recording.
+    trial : int
+        Which of the trials that a campaign of this scenario and seed has: calibrated, the recording gives its row.
+    geometry : str
+        ``shared`` or ``per-trial``, as the campaign's.
     changes : mapping of str to value, optional
         As of `scenario`.
 
@@ -82,4 +91,4 @@ def simulate(
     >>> truth.to_dataframe("instrument").shape
     (16, 3)
     """
-    return Simulated(*measured(scenario(source, changes), seed))
+    return Simulated(*measured(scenario(source, changes), seed, trial, geometry))

@@ -13,14 +13,15 @@ from ltsim.arrays import Floats
 from ltsim.errors import LtsimError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.pages.planned import from_scenario
-from ltsim.pages.scene_page import Camera, scene_page
+from ltsim.pages.scene3d import Camera
+from ltsim.pages.scene_page import scene_page
 from ltsim.planning.files import SCENARIO, opened, with_cad_beside, with_layout
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, only, radius
+from ltsim.planning.tolerances import Demands, after_losses, judged, only, radius, verdict
 from ltsim.planning.workshop import site_of
 from ltsim.recording.files import write_texts
 from ltsim.recording.settings import to_toml
@@ -153,6 +154,16 @@ class Board:
             more = f" and {len(few) - 1} more" if len(few) > 1 else ""
             return f"{few[0]}{more} seen from fewer than {self.least} station{'s' if self.least > 1 else ''}"
         return ""
+
+    def verdict(self, stations: Sequence[Mapping[str, Any]]) -> str:
+        """Whether the tolerances are kept, and still are with any one station or sight lost; empty without any."""
+        survey = self.survey(stations)
+        if not self.demands or np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH:
+            return ""
+        survey = survey.replace(seen=sight_table(self.site, survey).visible)
+        kinds = ("station", "sight") if self.demands.robust == "sight" else ("station",)
+        losses = [loss for kind in kinds for loss in after_losses(survey, self.demands, self.construction, kind)]
+        return verdict(self.demands, judged(survey, self.demands, self.construction), losses)
 
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """The scenario with its stations there."""

@@ -41,6 +41,7 @@ class Door:
         self.word = secrets.token_urlsafe(18)
         self._asked: dict[str, Callable[[Any], Any]] = {
             "judged": lambda asked: board.judged(asked["stations"]),
+            "verdict": lambda asked: board.verdict(asked["stations"]),
             "scene": lambda asked: board.scene(asked["stations"], asked.get("camera")),
             "save": lambda asked: [str(file) for file in board.save(asked["stations"], folder)],
         }

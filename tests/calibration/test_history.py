@@ -262,5 +262,5 @@ def test_half_differences_are_those_of_the_parameters(make):
     assert raw.half[:, 0] == pytest.approx(-20e-6 * np.cos(raw.place[:, 2]), rel=1e-3)
     compared = compare_two_face(recording, CONSTRUCTION, values)
     assert compared.after.rms == pytest.approx(0.0, abs=1e-10)
-    assert compared.share_removed[[0, 2]] == pytest.approx(1.0, abs=1e-4)
+    assert compared.rms_removed[[0, 2]] == pytest.approx(1.0, abs=1e-4)
     assert two_face(recording, ideal()).rms == pytest.approx(raw.rms)

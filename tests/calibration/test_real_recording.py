@@ -63,7 +63,7 @@ def test_from_the_first_set_up_to_the_second_of_every_epoch_by_default(shared: P
         whole = read(file, hints=Hints(azimuth="clockwise"))
         found = calibrate_network(whole.select(whole.station == 0), advise=False)
         other = whole.select(whole.station == 1)
-        removed.append(compare_two_face(other, found.construction, found.applied[0]).share_removed)
+        removed.append(compare_two_face(other, found.construction, found.applied[0]).rms_removed)
     across, elevation = np.median(removed, axis=0)[1:]
     assert across > 0.813
     assert elevation > 0.62

@@ -7,13 +7,15 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from tests.campaign.small import FILE
 
 from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.truth import TrueEffect, Truth
+from ltsim.campaigns.truth import Truth
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import sightings_of
+from ltsim.recording.lengths import KnownLengths
+from ltsim.simulation.draws import EffectLaw, Population
 from ltsim.units import ARCSECOND
+from tests.campaigns.small import FILE
 
 
 def _load(name: str) -> ModuleType:
@@ -32,27 +34,25 @@ def truth_of(
     construction: Construction | None = None,
     *,
     faces: int = 1,
-    effects: tuple[TrueEffect, ...] = (),
+    effects: tuple[EffectLaw, ...] = (),
     scale: float = 1.0,
 ) -> Truth:
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
     recording, state = workshop(faces=faces)
     built = construction or misalignment()
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    gauge = recording.setup.gauge
-    lengths = np.array([d.sigma_mm for d in gauge.distance]) * 1e-3 if gauge else np.zeros(0)
-    return Truth(
-        recording,
-        state,
-        sightings_of(recording, state),
-        built,
-        np.zeros_like(sigma),
-        scale * sigma,
-        recording.sigma(),
-        lengths,
-        effects,
-        np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]),
+    population = Population(
+        sightings=sightings_of(recording, state),
+        construction=built,
+        instruments=("",),
+        mean=np.zeros_like(sigma),
+        sigma=scale * sigma,
+        noise=recording.sigma(),
+        lengths=KnownLengths.of(recording),
+        names=recording.targets,
+        effects=effects,
     )
+    return Truth(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from tests.campaign.small import FILE
 
 from ltsim.campaigns import single, statistics, store
 from ltsim.campaigns.campaign import Workers, run_campaign
@@ -25,6 +24,7 @@ from ltsim.campaigns.statistics import LEVELS, Results
 from ltsim.campaigns.store import Store, table_of
 from ltsim.errors import NetworkError, SetupError
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
+from tests.campaigns.small import FILE
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -60,7 +60,8 @@ def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, by
     schema = pq.read_schema(path)
     assert schema.names[:3] == ["cell", "noise_factor", "method"]
     assert schema.field("noise_factor").metadata == {b"unit": b"", b"keys": b"instrument.noise_factor"}
-    assert schema.field("target_error_um").metadata == {b"unit": b"um"}
+    told = schema.field("target_error_um").metadata
+    assert told[b"unit"] == b"um" and b"the noise of the readings that were adjusted is in it" in told[b"meaning"]
     assert set(table_of(path)["noise_factor"].to_pylist()) == {2.0}
 
 
@@ -73,29 +74,6 @@ def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> 
     assert units["estimate:beam-tilt"] == units["sigma:beam-tilt"] == units["true:beam-tilt"] == "urad"
     assert units["z:beam-tilt"] == units["chi2"] == ""
     assert {unit for name, unit in units.items() if name.startswith("true:range-cyclic")} == {"um"}
-
-
-def test_folder_of_an_earlier_version_is_read_with_its_settings_and_not_continued(file: Path, tmp_path: Path) -> None:
-    """Its rows hold no settings, its manifest no factors: they come from the cells."""
-    out = tmp_path / "out"
-    run_campaign(file, out)
-    now = Results(out).to_dataframe()
-    manifest = json.loads((out / "manifest.json").read_text())
-    del manifest["factors"], manifest["settings"]["link"]
-    for cell in manifest["cells"]:
-        del cell["levels"]
-    (out / "manifest.json").write_text(json.dumps(manifest))
-    (out / "rows.sha256").unlink()
-    for path in out.glob("rows/*/*.parquet"):
-        rows = pq.read_table(path)
-        pq.write_table(rows.drop_columns(["noise_factor"]), path)
-    results = Results(out)
-    assert [f.name for f in results.factors] == ["noise_factor"]
-    assert results.to_dataframe().equals(now)
-    query = "SELECT noise_factor, count(*) FROM rows GROUP BY ALL ORDER BY 1"
-    assert results.query(query) == [(1.0, 600), (2.0, 600)]
-    with pytest.raises(SetupError, match="begun by an earlier version"):
-        run_campaign(file, out, resume=True)
 
 
 def test_two_workers_give_the_same_bytes(file: Path, tmp_path: Path, reference: dict[str, bytes]) -> None:
@@ -276,7 +254,7 @@ def test_a_trial_depends_on_its_number_alone(file: Path) -> None:
     table = shard_rows(task_of(campaign, scenarios[0], "", 0, 1))
     other = shard_rows(task_of(long, scenarios[0], "", 0, 0))
     same = other.slice(256, 256)
-    for name in ("trial", "chi2", "z:range-scale", "distance_after_mean_um", "share_removed"):
+    for name in ("trial", "chi2", "z:range-scale", "distance_after_mean_um", "error_calibrated_um"):
         assert table[name].to_pylist() == same[name].to_pylist()
 
 
@@ -325,7 +303,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(single, "adjust", sometimes)
     rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
     assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
-    for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "share_removed", "target_error_um"):
+    for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "error_calibrated_um", "target_error_um"):
         assert rows[name].null_count == 1 and rows[name][1].as_py() is None
     assert rows["distance_before_mean_um"].null_count == 0
 
@@ -366,10 +344,10 @@ def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
     file.write_text(FILE.replace("[grid]", '[[methods]]\n[[methods]]\nname = "none"\nconstruction = "ideal"\n[grid]'))
     run_campaign(file, tmp_path / "out")
     results = Results(tmp_path / "out")
-    gap = results.paired("target_error_um", "none", "network")
-    assert [g.trials for g in gap] == [600, 600]
+    gap = results.paired("target_error_um", method=("none", "network")).entries
+    assert [g.trials for g in gap] == [600, 600] and [g.settings for g in gap] == results.levels
     means = {(s.cell, s.method): s.mean for s in results.spread("target_error_um")}
-    assert gap[0].mean == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
+    assert gap[0].difference == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
     assert gap[0].low > 0  # an uncalibrated network errs more
 
 

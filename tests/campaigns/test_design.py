@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.campaigns.design import Range, factors_of_settings, label, short_names
+from ltsim.campaigns.design import Range, label, short_names
 from ltsim.campaigns.spec import cells_of, load_campaign
 from ltsim.errors import SetupError
 
@@ -19,7 +19,8 @@ def made(tmp_path: Path, text: str):
     file = tmp_path / "made.toml"
     file.write_text(HEAD + text)
     campaign, scenarios = load_campaign(file)
-    return campaign, scenarios, *cells_of(campaign, scenarios)
+    factors, cells = cells_of(campaign, scenarios, file)
+    return campaign, scenarios, factors, [cell.levels for cell in cells]
 
 
 def test_what_people_sweep_is_one_key_each(tmp_path: Path) -> None:
@@ -89,11 +90,6 @@ def test_whole_numbers_of_a_range_are_equally_likely() -> None:
 def test_names_are_as_short_as_tells_them_apart() -> None:
     keys = ["instruments.A.noise_factor", "instruments.B.noise_factor", "work.faces", "x.trial"]
     assert list(short_names(keys).values()) == ["A_noise_factor", "B_noise_factor", "faces", "x_trial"]
-
-
-def test_settings_without_factors_give_what_differs() -> None:
-    cells = [{"work.faces": 1, "work.repeats": 2}, {"work.faces": 2, "work.repeats": 2}]
-    assert [f.name for f in factors_of_settings(cells)] == ["faces"]
 
 
 @pytest.mark.parametrize(

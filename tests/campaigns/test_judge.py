@@ -16,7 +16,7 @@ from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.polar import from_polar
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
 
-SEEN_BY_LAST = (3, 3, 2, 3, 2, 3, 3, 2)
+SEEN_BY_LAST = (3, 3, 3, 2, 3, 3, 2, 3)
 """Targets that S6 reaches in the geometries of trials 0 to 7."""
 
 

@@ -30,7 +30,7 @@ def test_points_and_readings_are_those_of_the_construction(
     built = CONSTRUCTIONS[name]()
     truth = make_truth(built, faces=faces)
     rng = np.random.default_rng(4)
-    values = truth.sigma[:, :, None] * rng.standard_normal((*truth.sigma.shape, BLOCK))
+    values = truth.population.sigma[:, :, None] * rng.standard_normal((*truth.population.sigma.shape, BLOCK))
     deviation = truth._exact(values)
     points = np.empty_like(deviation)
     points_of(truth.program.arrays, truth.recording.instrument, deviation, values, points)
@@ -48,7 +48,7 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
     values = np.zeros((1, 16, BLOCK))
-    values[:, :7] = truth.sigma[:, :7, None] * np.random.default_rng(5).standard_normal((1, 7, BLOCK))
+    values[:, :7] = truth.population.sigma[:, :7, None] * np.random.default_rng(5).standard_normal((1, 7, BLOCK))
     deviation = truth._exact(values)
     for k in range(0, BLOCK, 50):
         exact = truth.construction.readings(truth.sightings.local, truth.recording.face, values[0, :, k])

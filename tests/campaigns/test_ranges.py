@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.calibrators import Batch, calibrator_of
+from ltsim.campaigns.calibrators import calibrator_of
 from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.engine import Bench, Engine
 from ltsim.campaigns.spec import Method
@@ -96,7 +96,7 @@ def test_each_trial_may_have_its_own_places(truth: Truth) -> None:
     block, alone = stack.draw_trials(4, numbers)
     method = Method(method="network")
     calibrator = StackCalibrator(stack, alone, method)
-    assert isinstance(calibrator.alone(0), Batch)
+    assert isinstance(calibrator.alone(0), Engine)
     found = calibrator.calibrate(block, np.arange(6))
     assert (found.status == 0).all()
     assert calibrator.difference(block, 2, found) < 0.02

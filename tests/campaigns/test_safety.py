@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tests.campaign.small import FILE
 
 from ltsim.campaigns.campaign import run_campaign
 from ltsim.campaigns.statistics import Results, summary_csv
@@ -16,6 +15,7 @@ from ltsim.errors import SetupError
 from ltsim.randomness import stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Obstacle
+from tests.campaigns.small import FILE
 
 
 def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     block, alone = stack.draw_trials(8, numbers)
     calibrator = StackCalibrator(stack, alone, Method())
     found, bench = calibrator.calibrate(block, np.arange(TRIALS)), Bench(stack)
-    columns = bench.after(block, found, misalignment(), bench.before(block))
+    columns = bench.after(block, found, misalignment())
     assert np.all(found.status == 0)
     assert len(np.unique(stack.rows, axis=1).T) == TRIALS
     for k, truth in truths.items():
@@ -41,7 +41,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
         theirs = engine.calibrate(own)
         assert found.sigma[:, :, k] == pytest.approx(theirs.sigma, rel=1e-9)
         assert np.abs(found.values[:, :, k] - theirs.values[:, :, 0]).max() < 1e-4 * theirs.sigma.min()
-        expected = judge.after(own, theirs, misalignment(), judge.before(own))
+        expected = judge.after(own, theirs, misalignment())
         for column, value in expected.items():
             assert columns[column][k] == pytest.approx(value[0], rel=1e-5), column
     assert calibrator.difference(block, 2, found) < 1e-3

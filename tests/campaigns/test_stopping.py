@@ -12,7 +12,7 @@ from scipy import stats
 from ltsim.campaigns.campaign import Workers, run_campaign
 from ltsim.campaigns.spec import Campaign, Stop
 from ltsim.campaigns.statistics import Results
-from ltsim.campaigns.stopping import Mean, looks, neighbours, rounds
+from ltsim.campaigns.stopping import Mean, level_of, neighbours, quantile, rounds, schedule
 from ltsim.errors import ModelError
 from ltsim.randomness import stream
 
@@ -28,7 +28,7 @@ statistics = ["errors"]
 "instrument.noise_factor" = [0.5, 2.0]
 "work.faces" = [1, 2]
 """
-STOP = "\n[stop]\nwithin = 0.25\n"
+STOP = "\n[stop]\nwithin = 0.28\n"
 SHARD, METHOD = 100, "network"
 
 
@@ -54,7 +54,7 @@ def test_cells_stop_and_answer_as_the_full_run_does(folders: tuple[Path, Path, P
     trials = [s.trials for s in found]
     assert trials[0] < trials[3] < trials[2] < 2048  # much noise in one face needs most
     for few, all_ in zip(found, whole, strict=True):
-        assert 0.5 * (few.high - few.low) <= 0.25
+        assert 0.5 * (few.high - few.low) <= 0.28
         assert few.low <= all_.mean <= few.high
     rows = [
         Results(folder).query("SELECT cell, trial, target_error_um FROM rows ORDER BY 1, 2")
@@ -105,21 +105,42 @@ def spent(means: list[float], *, within: float, apart: float | None = None, seed
 
 
 def test_trials_are_spent_where_it_is_open_whether_cells_differ() -> None:
-    assert spent([0.0, 1.0, 1.005, 2.0], within=0.3) == [1, 1, 1, 1]
-    few = spent([0.0, 1.0, 1.005, 2.0], within=0.3, apart=0.005)
+    assert spent([0.0, 1.0, 1.005, 2.0], within=0.4) == [1, 1, 1, 1]
+    few = spent([0.0, 1.0, 1.005, 2.0], within=0.4, apart=0.005)
     assert few[0] == few[3] == 1 and few[1] == few[2] > 20
 
 
-def test_an_interval_of_fixed_width_keeps_its_coverage() -> None:
-    """Stopping does not choose lucky samples: over 150 runs the interval holds the mean as often as it says."""
-    hits = 0
-    for seed in range(150):
+@pytest.mark.parametrize("shard", [1, 2, 4, 8, 16])
+@pytest.mark.parametrize("skewed", [False, True])
+def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed: bool) -> None:
+    """Of 2000 campaigns that stop, the interval holds the mean in 95 %; a8a5717 kept 76 to 94 % of these."""
+    runs, trials, within = 2000, 1024, 0.22
+    draw = stream(3, "coverage", shard, int(skewed))
+    values = draw.gamma(4.0, 0.5, (runs, trials)) - 2.0 if skewed else draw.standard_normal((runs, trials))
+    level, open_ = level_of(trials, shard, stops=True), np.ones(runs, dtype=bool)
+    held = np.zeros(runs, dtype=bool)
+    for shards in schedule(trials, shard):
+        count = min(shards * shard, trials)
+        mean, spread = values[:, :count].mean(axis=1), values[:, :count].std(axis=1, ddof=1)
+        half = quantile(count, level) * spread / np.sqrt(count)
+        ends = open_ & ((half <= within) | (count == trials))
+        held[ends] = np.abs(mean[ends]) <= half[ends]
+        open_ &= ~ends
+    assert stats.binomtest(int(held.sum()), runs, 0.95, alternative="less").pvalue > 0.01
+
+
+def test_the_rule_of_rounds_is_that_of_the_coverage() -> None:
+    """Rounds end where `quantile` at `level_of` says, on the shards of `schedule`."""
+    for seed in range(5):
         count = spent([0.0], within=0.1, seed=seed)[0]
-        mean = Mean()
+        looks, mean, halves = schedule(40 * SHARD, SHARD), Mean(), []
+        level = level_of(40 * SHARD, SHARD, stops=True)
+        rows = sampled([0.0], seed, 40)
         for shard in range(count):
-            mean.add(np.asarray(sampled([0.0], seed, shard + 1)[0, shard]["x"].to_numpy(), dtype=np.float64))
-        hits += abs(mean.mean) <= mean.half(0.05)
-    assert stats.binomtest(hits, 150, 0.95).pvalue > 0.01
+            mean.add(np.asarray(rows[0, shard]["x"].to_numpy(), dtype=np.float64))
+            if shard + 1 in looks:
+                halves.append(mean.half(level))
+        assert count in looks and halves[-1] <= 0.1 and all(half > 0.1 for half in halves[:-1])
 
 
 def test_running_mean_is_the_mean() -> None:
@@ -137,7 +158,7 @@ def test_neighbours_are_one_step_apart() -> None:
     levels = [{"a": a, "b": b} for a in (1, 2, 3) for b in ("x", "y")]
     assert sorted(map(sorted, neighbours(levels))) == [[0, 1], [0, 2], [1, 3], [2, 3], [2, 4], [3, 5], [4, 5]]
     assert neighbours([{}]) == []
-    assert [looks(n) for n in (1, 2, 3, 16)] == [1, 2, 3, 7]
+    assert schedule(16, 1) == [16] and schedule(1000, 100) == [1, 2, 3, 5, 8, 10] and schedule(100, 16) == [4, 6, 7]
 
 
 def test_a_statistic_that_rows_do_not_hold_is_named() -> None:

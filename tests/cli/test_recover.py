@@ -25,8 +25,8 @@ def test_passes_on_the_paper_workshop(capsys, tmp_path: Path) -> None:
     assert content["trials"] == content["converged"] == 20
     assert json.loads((tmp_path / "recovery.json").read_text()) == content
     rows = (tmp_path / "trials.csv").read_text().splitlines()
-    assert len(rows) == 21
-    assert rows[0].startswith("trial,range-offset,")
+    assert len(rows) == 1 + 20 * 16
+    assert rows[0] == "trial,parameter,unit,truth,estimate,sigma,z,ltsim_estimate"
 
 
 def test_fails_with_status_1_when_the_model_lacks_something(capsys, tmp_path: Path) -> None:
@@ -39,13 +39,15 @@ def test_fails_with_status_1_when_the_model_lacks_something(capsys, tmp_path: Pa
 
 
 def test_junit_names_every_check_and_what_failed(capsys, tmp_path: Path) -> None:
-    file, junit = tmp_path / "wobbly.toml", tmp_path / "junit.xml"
+    file, junit = tmp_path / "wobbly.toml", tmp_path / "reports" / "junit.xml"
     file.write_text(builtin_text("paper-workshop-two-face") + WOBBLE)
     assert run(["recover", str(file), "--trials", "12", "--junit", str(junit), "--errors", "drawn", "-q"]) == 1
     suite = ElementTree.parse(junit).getroot()
     assert suite.tag == "testsuite"
     assert int(suite.attrib["tests"]) == len(suite)
-    failed = [case for case in suite if len(case)]
+    failed = [case for case in suite if case.find("failure") is not None]
+    assert all(float(case.find("properties/property[@name='value']").attrib["value"]) < 1e6 for case in suite)
+    assert float(suite.attrib["time"]) > 0
     assert int(suite.attrib["failures"]) == len(failed) > 0
     assert "recover.chi-square" in {case.attrib["classname"] for case in failed}
     assert run(["recover", "paper-workshop-re-aimed", "-n", "2", "--junit", str(junit)]) == 2

@@ -7,8 +7,8 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis.evidence import PRIOR
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnosis.prior import PRIOR
 from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
@@ -45,6 +45,23 @@ def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     evidence = evidence_of(bank, scattered(space, pair, shared=shared), space.redundancy)
     more = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more > 20.0 if shared else more < -20.0
+
+
+def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated):
+    """Against determinants of the whole covariance in coordinates of the residual space."""
+    space, pair, bank = repeated
+    free = np.linalg.svd(np.eye(space.size) - bank.basis @ bank.basis.T)[0][:, : space.size - bank.basis.shape[1]]
+    residual = scattered(space, pair, shared=False)
+    nothing = np.zeros((space.size, 0))
+    sums = bank.means.toarray()
+    for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
+        i = int(np.flatnonzero(bank.family == i)[-1]) if i < len(bank.families) else i
+        row = bank.gain[[i]].toarray()[0].astype(np.float64)
+        grown = 1.0 / (1.0 - row)
+        covariance = np.diag(grown[: space.size]) + sums.T @ np.diag(grown[space.size :] - 1.0) @ sums
+        inner, y = free.T @ covariance @ free, free.T @ residual
+        dense = 0.5 * (y @ y - y @ np.linalg.solve(inner, y) - np.linalg.slogdet(inner)[1])
+        assert bank.exact(i, residual, nothing) == pytest.approx(dense, rel=1e-3, abs=1e-3)
 
 
 def test_what_looks_like_noise_may_still_be_a_law(repeated):

@@ -11,15 +11,9 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.calibration import calibrate_network
-from ltsim.campaigns.recovery import (
-    FALSE_ALARM,
-    Recovery,
-    Trial,
-    from_prior,
-    mean_check,
-    parameter_checks,
-    recover,
-)
+from ltsim.campaigns.recovery import How, Recovery, from_prior, recover
+from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
+from ltsim.campaigns.scoring import Network, Trial
 from ltsim.evaluation.share_removed import target_error
 from ltsim.model.construction import Construction, misalignment
 from ltsim.simulation.fieldwork import fieldwork
@@ -28,8 +22,8 @@ from ltsim.simulation.simulator import measure
 
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:
-    construction = settings.get("construction") or misalignment()
-    return Recovery(construction.names, tuple(recover(load_scenario(name), trials, seed=11, **settings)))
+    how = How(settings.pop("method", "network"), settings.pop("construction", None))
+    return Recovery(tuple(recover(load_scenario(name), trials, how, seed=11, **settings)))
 
 
 def flipped(slot: str) -> Construction:
@@ -63,8 +57,7 @@ def test_the_paper_chain_recovers_itself() -> None:
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
     trials = tuple(recover(scenario, 100, seed=3, jobs=2))
-    names = fieldwork(scenario, 0).construction.names
-    assert [c.sentence() for c in Recovery(names, trials).failures()] == []
+    assert [c.sentence() for c in Recovery(trials).failures()] == []
 
 
 @pytest.mark.parametrize("slot", ["transit-offset", "beam-tilt"])
@@ -85,7 +78,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = Recovery(misalignment().names, tuple(recover(noisy, 40, seed=1)))
+    result = Recovery(tuple(recover(noisy, 40, seed=1)))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 
@@ -175,8 +168,8 @@ def test_chance_alone_fails_one_run_in_a_hundred() -> None:
 
 
 def test_a_trial_that_does_not_converge_fails() -> None:
-    good = Trial(np.zeros(1), np.ones(1), 1.0, 1.0, 10.0, 10, np.zeros(1), 10.0, 4.5)
-    failures = Recovery(("a",), (good, good, None)).failures()
+    good = Trial(("a",), ("urad",), np.zeros(1), np.ones(1), np.zeros(1), np.zeros(1), Network(1, 1, 10, 10, 10, 4.5))
+    failures = Recovery((good, good, None)).failures()
     assert failures[0].what == "convergence"
     assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed
 
@@ -187,7 +180,7 @@ def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     work = fieldwork(scenario, 5)
     errors, sigmas, inner = [], [], []
     for trial in range(trials):
-        recording, truth = measure(work, 5, "spread", trial)
+        recording, truth = measure(work, 5, trial)
         found = calibrate_network(recording, advise=False)
         true = np.array([truth.instrument[name] for name in found.names])
         held = found.adjustment.state  # the first station stands where it was put; the truth is moved there

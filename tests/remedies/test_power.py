@@ -14,7 +14,7 @@ from ltsim.arrays import Floats
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnosis.probe import Probe
+from ltsim.diagnosis.probe import TRIALS, Probe
 from ltsim.diagnosis.search import Searcher
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect
@@ -31,7 +31,7 @@ class Search:
         recording, _ = network(values=drawn(misalignment(), 1), seed=1, faces=faces)
         self.space = ResidualSpace.of(adjust(recording, misalignment()))
         self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
-        self.detection: Detection = detect(Searcher(self.space, 0), self.noise)
+        self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
 
     def families(self) -> Iterator[list[Effect]]:
         """All places and shapes of each effect beyond the ordinary calibration."""

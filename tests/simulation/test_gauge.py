@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ltsim.errors import SetupError
+from ltsim.simulation.draws import Normal
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.gauge import (
     TABLE_2,
@@ -18,10 +19,9 @@ from ltsim.simulation.gauge import (
     nominal_points,
     orientation,
 )
-from ltsim.simulation.lengths import with_lengths
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import Cmm, Gauge
-from ltsim.simulation.simulator import simulate
+from ltsim.simulation.simulator import error_free, population_of
 
 PLACE = (750.0, 750.0, 260.0)
 
@@ -82,10 +82,8 @@ def test_aluminium_grows_by_58_um_on_the_shortest_length() -> None:
 def test_certificate_scatters_as_the_machine_promises() -> None:
     work = fieldwork(load_scenario("paper-workshop"), 1)
     lengths = frame_of(work.scenario.gauge).length
-    blank = simulate(work.scenario, 1)[0]
-    none = tuple(np.zeros(len(effect.parameters)) for effect in work.effects)
-    drawn = [with_lengths(blank, work, none, 1, k).gauge.distance for k in range(400)]
-    gaps = 1e-3 * np.array([[line.length_mm for line in lines] for lines in drawn]) - lengths
+    drawn = population_of(work, error_free(work)).draw(Normal(1, np.arange(400)))
+    gaps = drawn.certified.T - lengths
     sigma = length_sigma(Cmm(), lengths)
     assert sigma[0] * 1e6 == pytest.approx((2.3 + 357.6066 / 300) / 2)
     np.testing.assert_allclose(gaps.std(axis=0) / sigma, 1.0, atol=0.15)

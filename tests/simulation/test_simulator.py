@@ -240,7 +240,7 @@ def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> No
 
 def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
     work = fieldwork(PAPER, 1)
-    (one, first), (two, second) = measure(work, 1, "trial", 0), measure(work, 1, "trial", 1)
+    (one, first), (two, second) = measure(work, 1, 0), measure(work, 1, 1)
     np.testing.assert_array_equal(first.points, second.points)
     np.testing.assert_array_equal(one.target, two.target)
     assert all(first.instrument[n] != second.instrument[n] for n in first.instrument)

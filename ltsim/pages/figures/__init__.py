@@ -5,7 +5,10 @@ from ltsim.pages.figures.by_factor import Swept as Swept, by_factor as by_factor
 from ltsim.pages.figures.by_setting import Mean as Mean, by_setting as by_setting
 from ltsim.pages.figures.correlation import correlation as correlation
 from ltsim.pages.figures.criteria import Criterion as Criterion, criteria as criteria
-from ltsim.pages.figures.displacements import displacements as displacements, enlargement as enlargement
+from ltsim.pages.figures.displacements import (
+    displacements as displacements,
+    enlargement as enlargement,
+)
 from ltsim.pages.figures.distributions import Distribution as Distribution, distributions as distributions
 from ltsim.pages.figures.floor_plan import floor_plan as floor_plan
 from ltsim.pages.figures.found import (

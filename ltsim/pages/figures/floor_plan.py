@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.pages.labels import Label, place_labels
 from ltsim.pages.style import (
     BLUE,
+    CYCLE,
     GREEN,
     GREY,
     INK,
@@ -37,7 +39,7 @@ MOST_LABELS = 60
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
 MOST_PLACES = 16
-WIDE, HEIGHTS = 4.8, (3.6, 6.6)
+WIDE, HEIGHTS = 6.0, (3.6, 6.6)
 """Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
@@ -71,16 +73,19 @@ def floor_plan(
     _walls(ax, workshop)
     names = _ground(ax, ground) if ground is not None else []
     _obstacles(ax, workshop)
-    _hidden(ax, workshop)
     _shadows(ax, workshop)
     _gauge(ax, workshop)
-    _targets(ax, workshop)
+    seen = _seen(workshop)
+    if seen is None:
+        _targets(ax, workshop)
+    else:
+        _pies(ax, workshop, seen)
     if reference is not None and len(reference):
         ax.scatter(
             reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=GREY, linewidths=1.4, zorder=5,
             label="station of the reference",
         )  # fmt: skip
-    _stations(ax, workshop)
+    _stations(ax, workshop, [INK] * len(workshop.stations) if seen is None else CYCLE)
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
@@ -167,12 +172,32 @@ def _obstacles(ax: Axes, workshop: Workshop) -> None:
         ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
 
 
-def _hidden(ax: Axes, workshop: Workshop) -> None:
-    """Sights that the obstacles hide."""
-    for k, (s, t) in enumerate(workshop.hidden):
-        ends = np.stack([workshop.position[s, :2], workshop.points[t, :2]])
-        word = "sight hidden by an obstacle" if k == 0 else None
-        ax.plot(ends[:, 0], ends[:, 1], color=INK, linewidth=0.8, linestyle=(0, (1, 2)), zorder=3, label=word)
+def _seen(workshop: Workshop) -> Bools | None:
+    """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
+    count = len(workshop.stations), len(workshop.targets)
+    if workshop.sights is None or count[0] > len(CYCLE) or not len(workshop.hidden):
+        return None
+    seen = np.zeros(count, dtype=bool)
+    seen[workshop.sights.station, workshop.sights.target] = True
+    return seen
+
+
+def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
+    """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
+    x, y = workshop.points[:, :2].T
+    size = 62 if len(workshop.targets) <= MOST_LABELS else 34
+    ax.scatter(x, y, s=size, facecolors="white", edgecolors=INK, linewidths=0.7, zorder=4, label="target: slices are "
+               "the\nstations that see it")  # fmt: skip
+    turn = 2 * np.pi / len(seen)
+    for s, sees in enumerate(seen):
+        angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
+        slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
+        reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
+        own = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": CYCLE[s]}
+        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **own)
+    none = ~seen.any(axis=0)
+    if none.any():
+        ax.scatter(x[none], y[none], marker="x", s=size, color=RED, zorder=5, label="seen from nowhere")
 
 
 def _gauge(ax: Axes, workshop: Workshop) -> None:
@@ -245,7 +270,7 @@ def _joined(names: list[str]) -> str:
     return shorten(stem, 10) + " ".join(numbers)
 
 
-def _stations(ax: Axes, workshop: Workshop) -> None:
+def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
     """Stations with a tick to azimuth zero."""
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
     tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
@@ -262,11 +287,12 @@ def _stations(ax: Axes, workshop: Workshop) -> None:
     ax.scatter(
         workshop.position[:, 0],
         workshop.position[:, 1],
-        s=46,
-        color=INK,
+        s=64,
+        marker="s" if colours is CYCLE else "o",
+        color=list(colours[: len(workshop.stations)]),
         edgecolors="white",
         linewidths=0.8,
-        zorder=6,
+        zorder=7,
         label="station, tick to azimuth 0",
     )
 

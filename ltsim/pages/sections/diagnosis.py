@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.chances import p_text, two_sided
@@ -17,6 +18,7 @@ from ltsim.pages import figures
 from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
+    TRUTH,
     Pair,
     adjusted_if_possible,
     combined,
@@ -33,7 +35,6 @@ from ltsim.simulation.physics import effect_from
 from ltsim.simulation.truth import AppliedEffect, Truth, read_truth
 from ltsim.units import FACTOR
 
-TRUTH = "truth.json"
 LEAST_UM = 0.1
 """What an effect hides below this [um] is no matter."""
 MOST_STEPS = 3
@@ -58,6 +59,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     blocks: list[Block] = _beside_truth(content, truth, pair) if truth is not None and truth.effects else []
     if pair is not None and detail == "turn" and blocks:
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
+    lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number_, pair, before, after)
     shown = len(blocks)
@@ -80,7 +82,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
         answer = f"On purpose, {what} was hidden in this simulated recording. The diagnosis, not told of it: {answer}"
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
-        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown,
+        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead,
         measured=(content.recording.measured if content.recording else "") or "",
     )  # fmt: skip
 
@@ -123,7 +125,12 @@ def _finding(
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
     blocks: list[Block] = [Note(f"Finding {number_}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
-    blocks += _curve(finding, number_, before) or _signature(finding, number_, before, after)
+    figure = finding_figure(finding, before, after)
+    if figure is not None:
+        text = "Residuals without the finding (left) and with it modelled (right)."
+        if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
+            text = f"The {finding.carrier} over {finding.curve.covariate}, as it fits best."
+        blocks.append(picture(f"What finding {number_} does", figure, text))
     blocks += _whereabouts(finding, number_, pair)
     evidence = finding.evidence
     rows = [[p.name.replace("_", " "), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
@@ -137,33 +144,28 @@ def _finding(
     return [*blocks, Table(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
 
 
-def _curve(finding: Finding, number_: int, before: Residuals | None) -> list[Block]:
-    """What a carrier does over its driver, where a finding has a curve."""
+def finding_figure(finding: Finding, before: Residuals | None, after: Residuals | None) -> Figure | None:
+    """What a carrier does over its driver, where a finding has a curve; else the residuals without and with it.
+
+    None for what leaves no residual, such as gross errors.
+    """
     curve = finding.curve
-    if curve is None or len(curve.at) < MOST_STEPS:
-        return []
-    columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
-    figure = figures.driver_curve(
-        *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
-    )
-    text = f"The {finding.carrier} over {curve.covariate}, as it fits best."
-    return [picture(f"Curve of finding {number_}", figure, text)]
-
-
-def _signature(finding: Finding, number_: int, before: Residuals | None, after: Residuals | None) -> list[Block]:
-    """Residuals against the finding's first covariate, without and with it."""
+    if curve is not None and len(curve.at) >= MOST_STEPS:
+        columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
+        return figures.driver_curve(
+            *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
+        )
     if before is None or after is None:
-        return []
-    wanted = [*finding.where.covariates, "time", "elevation", "row"]
+        return None
+    where = finding.where
+    wanted = [*where.covariates, "time", "elevation", "row"]
     known = [name for name in wanted if name in before.covariates and name in after.covariates]
-    place = finding.where.stations, finding.where.targets
-    if not known or not before.at(*place).any() or not after.at(*place).any():  # gross errors leave no residual
-        return []
-    figure = figures.signature(
-        before, after, covariate=known[0], observables=finding.where.observables, stations=place[0], targets=place[1]
+    place = where.stations, where.targets
+    if not known or not before.at(*place).any() or not after.at(*place).any():
+        return None
+    return figures.signature(
+        before, after, covariate=known[0], observables=where.observables, stations=place[0], targets=place[1]
     )
-    text = "Residuals without the finding (left) and with it modelled (right)."
-    return [picture(f"Signature of finding {number_}", figure, text)]
 
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:

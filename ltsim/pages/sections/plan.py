@@ -45,14 +45,19 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     blocks += _effects(content)
     if content.reflectors:
         rows = [
-            [r.name, *(style.fixed(v, 1) for v in r.position_mm), style.number(r.sigma_um, 2), str(r.stations_seeing)]
+            [r.name, *(style.fixed(v, 3) for v in r.position_mm), *(style.number(v, 2) for v in r.u_um),
+             " ".join(r.seen_from)]
             for r in content.reflectors
-        ]
-        header = ["reflector", "x [mm]", "y [mm]", "z [mm]", "σ [µm]", "seen by stations"]
-        blocks.append(Table("Reflectors", header, rows))
+        ]  # fmt: skip
+        header = ["point", "x [mm]", "y [mm]", "z [mm]", "U x [µm]", "U y [µm]", "U z [µm]", "seen from"]
+        note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
+        blocks.append(Table("Points", header, rows, note=note))
+    if content.bodies:
+        blocks.append(Points("What stands in the hall", content.bodies))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
+    good = mood(content.allowed and content.reached is not False)
     return Section(
-        title=content.title or folder.name, kind="Plan", answer=content.summary, mood=mood(content.allowed),
+        title=content.title or folder.name, kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
     )  # fmt: skip
 
@@ -113,8 +118,11 @@ def _facts(content: PlanResult) -> list[Fact]:
         Fact("stations", str(len(content.stations))),
         Fact("pointings", str(content.pointings)),
         Fact("work", duration(3600.0 * content.hours)),
-        Fact("rules kept", "yes" if content.allowed else "no", mood(content.allowed)),
     ]
+    if content.reached is not None:
+        facts.insert(0, Fact("goal", "reached" if content.reached else "not reached", mood(content.reached)))
+    if not content.allowed:
+        facts.append(Fact("layout", "breaks a rule of the plan", "bad"))
     for name, value in content.quality.items():
         if value is not None:
             label, factor = QUALITY.get(name, (name, 1.0))
@@ -150,7 +158,7 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
     ground = Floor.model_validate(content.settings.get("floor", {}))
-    floor = figures.floor_plan(workshop, reference=places, coordinates=True, ground=ground)
+    floor = figures.floor_plan(workshop, reference=places, ground=ground)
     blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
         blocks += [scene(workshop)] if detail == "turn" else []

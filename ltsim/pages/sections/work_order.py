@@ -28,14 +28,14 @@ def _blocks(plan: Plan) -> list[Block]:
     survey = plan.chosen.survey
     floor = figures.floor_plan(from_scenario(planned_scenario(plan)), coordinates=True, ground=plan.file.floor)
     rows = [
-        [s.name, f"{s.height:.2f}", *(f"{t.metres:.2f} m to {t.to}" for t in s.tapes), *[""] * (3 - len(s.tapes)),
+        [s.name, f"{s.height:.2f}", *(f"{t.metres:.2f} m to {t.to}{'' if t.floor else ' (straight)'}" for t in s.tapes),
          s.towards]
         for s in stations
     ]  # fmt: skip
     header = ["station", "head over floor [m]", "tape 1", "tape 2", "tape 3", "azimuth zero looks"]
     note = (
-        "Distances lie on the floor, from the mark under the head to the floor under the point; two set the place, the "
-        "third checks it."
+        "Distances lie on the floor, from the mark under the head to the floor under the point; straight ones go from "
+        "the head's centre to the reflector. Two set the place, the third checks it."
     )
     blocks: list[Block] = [
         Table("Where the tripods go", header, rows, 6, note),

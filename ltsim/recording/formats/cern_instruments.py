@@ -10,9 +10,9 @@ from ltsim.errors import RecordError
 from ltsim.recording.files import number, shown
 from ltsim.recording.merge import Kind
 from ltsim.recording.setup import Instrument, Noise
-from ltsim.units import ARCSECOND, GON, MILLIMETRE, PPM
+from ltsim.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
 
-CC = GON * 1e-4
+CC = FACTOR["cc"]
 WITH_VALUE = ("OBSE", "PPM", "TH", "THSE", "TCSE", "TRGT", "ID", "ASE", "ZSE", "DSE", "ACST", "IH", "IHSE", "ICSE")
 
 

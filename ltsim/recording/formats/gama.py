@@ -28,11 +28,11 @@ from ltsim.recording.formats.xml import attribute, line_of, parse, tag, value_of
 from ltsim.recording.merge import Merged, Observed, merged
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Gauge, GaugeDistance, Instrument, Noise, Setup, Station, Target
-from ltsim.units import ARCSECOND, DEGREE, GON, MILLIMETRE
+from ltsim.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
 
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 FIXED_MM = 1e-4
-CC = GON * 1e-4
+CC = FACTOR["cc"]
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 CORRELATIONS = "correlations of observations are left out: of a <cov-mat> the diagonal is used"

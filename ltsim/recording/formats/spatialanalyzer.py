@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from datetime import datetime
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -36,21 +34,11 @@ from ltsim.recording.conventions import (
 from ltsim.recording.files import check_name, check_text, comma_number, read_lines, shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Setup, Station
-from ltsim.units import FACTOR
+from ltsim.recording.tables.cells import moments
+from ltsim.units import ANGLES, FACTOR, LENGTHS, NAMED
 
 TITLE = "CompositeReport"
-ANGLE_UNITS: dict[str, Angle] = {
-    "gon": "gon",
-    "grad": "gon",
-    "grads": "gon",
-    "deg": "deg",
-    "degrees": "deg",
-    "rad": "rad",
-}
-LENGTH_UNITS = {"mm": 1e-3, "m": 1.0, "meters": 1.0, "millimeters": 1e-3, "inches": 0.0254, "in": 0.0254}
-DATES = ("%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S")
 SAME_POINT = 2e-3
-T = TypeVar("T")
 _HEADING = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 _UNIT = re.compile(r"(.+?)\s*\((.+)\)")
 
@@ -123,26 +111,27 @@ class _Row:
         self.name = check_name(cells["Target"], "target", file=file, row=line, column="Target")
         self.active = cells.get("Active", "Yes").strip().lower() != "no"
         self.stamp = cells.get("Date & Time", "")
-        length = _unit(by_stem["Distance"][0], LENGTH_UNITS, file)
+        length = FACTOR[_unit(by_stem["Distance"][0], LENGTHS, file)]
         self.horizontal, self.vertical = value("Azimuth"), value("Elevation")
         self.distance = value("Distance") * length
         if self.distance <= 0:
             raise RecordError("expected a distance above 0", file=file, row=line, column="Distance")
-        self.angle = _unit(by_stem["Azimuth"][0], ANGLE_UNITS, file)
+        self.angle: Angle = _unit(by_stem["Azimuth"][0], ANGLES, file)  # type: ignore[assignment]
         self.offsets = {
-            f"{stem.lower()}_mm": value(stem) * _unit(by_stem[stem][0], LENGTH_UNITS, file) * 1e3
+            f"{stem.lower()}_mm": value(stem) * FACTOR[_unit(by_stem[stem][0], LENGTHS, file)] * 1e3
             for stem in ("Offset1", "Offset2")
             if stem in by_stem and by_stem[stem][1]
         }
 
 
-def _unit(heading: str, known: dict[str, T], file: Path) -> T:
+def _unit(heading: str, known: Sequence[str], file: Path) -> str:
+    """The unit in brackets of a heading, which has to be one of `known`."""
     found = _UNIT.fullmatch(heading)
-    unit = found.group(2).strip().lower() if found else ""
-    if unit not in known:
-        message = f"unit '{shown(unit)}' in this heading, expected one of {', '.join(known)}"
+    said = found.group(2).strip() if found else ""
+    if NAMED.get(said.lower(), said) not in known:
+        message = f"unit '{shown(said)}' in this heading, expected one of {', '.join(known)}"
         raise RecordError(message, file=file, column=shown(heading))
-    return known[unit]
+    return NAMED.get(said.lower(), said)
 
 
 def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -197,15 +186,15 @@ def _heading(cell: str, file: Path, line: int) -> tuple[str, str, str]:
 def _read_pose(block: Block, fields: list[str], file: Path, line: int) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
         block.count = int(comma_number(fields[1], file=file, row=line, column="# Meas."))
-    unit = fields[0].strip("()").lower()
+    unit = NAMED.get(fields[0].strip("()").lower(), "")
     if fields[0].startswith("(") and len(fields) > 3:
         values = np.array([comma_number(text, file=file, row=line) for text in fields[1:4]])
-        if unit in LENGTH_UNITS:
-            block.position = values * LENGTH_UNITS[unit]
-        elif unit in ANGLE_UNITS:
-            block.rotation = values * FACTOR[ANGLE_UNITS[unit]]
+        if unit in LENGTHS:
+            block.position = values * FACTOR[unit]
+        elif unit in ANGLES:
+            block.rotation = values * FACTOR[unit]
         else:
-            raise RecordError(f"unit '{shown(unit)}' of a pose is not known", file=file, row=line)
+            raise RecordError(f"unit '{shown(fields[0].strip('()'))}' of a pose is not known", file=file, row=line)
 
 
 def _check_heading(fields: list[str], file: Path, line: int) -> None:
@@ -255,7 +244,8 @@ def _readings(
     printed = np.array([[row.horizontal, row.vertical, row.distance] for row in rows])
     table = PolarTable(station, target, *printed.T)
     known = Hints(angle=angle, vertical=hints.vertical, azimuth=hints.azimuth)
-    _, vertical, notes = angle_meaning(_one_circle(table, angle), known, file)
+    once = replace(table, horizontal=np.mod(table.horizontal, CIRCLE[angle]))
+    _, vertical, notes = angle_meaning(once, known, file)
     local = from_polar(table.readings(angle, vertical, "counter-clockwise", "m"))
     placed = {i: pose for i, name in enumerate(stations) if (pose := poses[name]) is not None}
     azimuth = hints.azimuth or sense_by_poses(local, table, placed)
@@ -265,16 +255,6 @@ def _readings(
     elif hints.azimuth is None:
         notes.append(f"azimuths taken as {azimuth}: so the set-ups see the same points from the poses given")
     return table.readings(angle, vertical, azimuth, "m"), notes
-
-
-def _one_circle(table: PolarTable, angle: Angle) -> PolarTable:
-    return PolarTable(
-        table.station,
-        table.target,
-        np.mod(table.horizontal, CIRCLE[angle]),
-        table.vertical,
-        table.distance,
-    )
 
 
 def _targets(
@@ -326,18 +306,8 @@ def _names_by_place(name: str, sightings: list[tuple[_Row, Floats]]) -> dict[str
 
 def _times(rows: list[_Row]) -> list[float]:
     """Seconds since the first stamp; NaN throughout where the stamps are missing or not understood."""
-    stamps: list[datetime] = []
-    for row in rows:
-        for form in DATES:
-            try:
-                stamps.append(datetime.strptime(row.stamp.strip(), form))
-            except ValueError:
-                continue
-            break
-    if len(stamps) != len(rows):
-        return [NAN] * len(rows)
-    first = min(stamps)
-    return [(stamp - first).total_seconds() for stamp in stamps]
+    found, _ = moments([row.stamp for row in rows], "dmy")
+    return [NAN] * len(rows) if found is None else found
 
 
 def _setup(blocks: list[Block], names: list[str], file: Path) -> Setup:

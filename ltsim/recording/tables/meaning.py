@@ -15,10 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar
-from ltsim.geometry.rotations import about_z
 from ltsim.recording.build import indices
 from ltsim.recording.conventions import (
     Azimuth,
@@ -28,6 +26,7 @@ from ltsim.recording.conventions import (
     angle_meaning,
     known_sense,
     length_meaning,
+    poses_of,
     sense_by_poses,
     sense_unknown,
 )
@@ -168,7 +167,7 @@ def _sense(
     by_places = known_sense(from_polar(readings), polar, targets, hints)
     if by_places is not None:
         return by_places
-    poses = _poses(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
+    poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
     azimuth = sense_by_poses(from_polar(readings), polar, poses) if len(poses) > 1 else None
     if azimuth is not None:
         return azimuth, [f"azimuths taken as {azimuth}: so the stations see the same points from their rough places"]
@@ -182,13 +181,3 @@ def _sense(
         spherical = "azimuth beside elevation taken as counter-clockwise (--hint azimuth=clockwise says otherwise)"
         return "counter-clockwise", [spherical]
     raise RecordError(sense_unknown(), file=file)
-
-
-def _poses(setup: Setup, names: tuple[str, ...]) -> dict[int, tuple[Floats, Floats]]:
-    """Rough poses by the floor plan: place and direction of zero."""
-    found = {}
-    for i, name in enumerate(names):
-        station = setup.stations.get(name)
-        if station is not None and station.position_mm is not None and station.yaw_deg is not None:
-            found[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
-    return found

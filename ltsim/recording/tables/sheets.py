@@ -109,7 +109,7 @@ def separator_of(lines: Sequence[str]) -> str:
     Lines of three columns count before those of two, and those before the mere number of columns.
     """
     sample = [line for line in lines[:SAMPLE] if line.strip() and not line.lstrip().startswith("#")]
-    if sample and all(line.count("\t") == sample[0].count("\t") > 1 for line in sample):
+    if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
     width = {s: max((len(split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
     return max(SEPARATORS, key=lambda s: (_values(sample, s, 3), _values(sample, s, 2), width.get(s, 0)))

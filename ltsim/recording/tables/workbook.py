@@ -12,6 +12,7 @@ from ltsim.errors import RecordError
 from ltsim.recording.files import MAX_BYTES, MAX_LINES, read_bytes
 
 MAX_CELLS = 3_000_000
+_ROWS = re.compile(rb"<(?:\w+:)?row\b")
 _ROW = re.compile(rb"<(?:\w+:)?row\b[^>]*?\br=\"(\d{1,9})\"")
 _CELL = re.compile(rb"<(?:\w+:)?c\b[^>]*?\br=\"([A-Z]{1,3})\d")
 _STRING = re.compile(rb"<(?:\w+:)?si\b")
@@ -65,6 +66,7 @@ def _bounded(file: Path) -> int:
             columns = {found[1] for found in _CELL.finditer(content)}
             width = max((_number(letters) for letters in columns), default=1)
             rows = max((int(found[1]) for found in _ROW.finditer(content)), default=0)
+            rows = max(rows, sum(1 for _ in _ROWS.finditer(content)))
             strings = sum(1 for _ in _STRING.finditer(content))
             if max(rows, strings) > MAX_LINES or rows * width > MAX_CELLS:
                 where = f"up to row {rows} of {width} columns" if rows else f"{strings} texts"

@@ -1,0 +1,159 @@
+"""Checks of what was recovered: estimates with their stated sigmas against the truth, over many trials.
+
+Mean, standard deviation and coverage of the z-scores are checked on both sides. Tolerances are those of the
+specification (mean within 0.1, standard deviation within 5 %, coverage within 1.5 %), or those of chance where few
+trials make chance wider: a correct model fails any of them in one run of a hundred.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from ltsim.arrays import Floats
+from ltsim.errors import ModelError
+
+FALSE_ALARM = 0.01
+"""Chance that a correct model fails any of the checks."""
+COVERED = 0.95
+MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
+CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
+ONE_DEGREE = float(np.sqrt(2.0))
+"""Standard deviation of a mean square over its mean where all that it averages is one number."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One number that has to lie between two bounds."""
+
+    what: str
+    statistic: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def passed(self) -> bool:
+        """Within the bounds; NaN fails."""
+        return self.low <= self.value <= self.high
+
+    def sentence(self) -> str:
+        """What was found and what was allowed."""
+        verdict = "passes" if self.passed else "fails"
+        return f"{self.what} {verdict}: {self.statistic} {self.value:.3f}, allowed {self.low:.3f} to {self.high:.3f}"
+
+
+def recovery_checks(
+    estimate: Floats,
+    sigma: Floats | None,
+    truth: Floats,
+    *,
+    names: Sequence[str] | None = None,
+    tolerance: Mapping[str, float] | None = None,
+    false_alarm: float = FALSE_ALARM,
+) -> list[Check]:
+    """Check that what is true is recovered: within stated sigmas, within given tolerances, or both.
+
+    Parameters
+    ----------
+    estimate, truth : (N, p) float
+        Of N trials and p parameters, in any unit.
+    sigma : (N, p) float, optional
+        Standard deviations that the calibrator states; without them only tolerances are checked.
+    names : sequence of str, optional
+        Of the parameters; default their numbers.
+    tolerance : mapping of str to float, optional
+        95 % of a parameter's errors lie within it; with it only the parameters that it names are checked.
+    false_alarm : float
+        Chance that a correct calibrator fails any of the checks on sigmas.
+
+    Returns
+    -------
+    list of Check
+        Of each parameter: mean, standard deviation and coverage of (estimate - truth) / sigma, which is standard normal
+        where truths scatter as the calibrator assumes and its sigmas are right.
+
+    Raises
+    ------
+    ModelError
+        When the arrays differ in shape, or a tolerance names no parameter.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> (check,) = lt.recovery_checks([[1.9], [2.2]], None, [[2.0], [2.0]], names=["a"], tolerance={"a": 0.5})
+    >>> check.sentence()
+    'a passes: share of errors within 0.5 1.000, allowed 0.950 to 1.000'
+    """
+    estimate, truth = np.atleast_2d(estimate), np.atleast_2d(truth)
+    called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
+    if estimate.shape != truth.shape or len(called) != estimate.shape[1]:
+        raise ModelError(f"estimates are {estimate.shape}, truths {truth.shape}, names {len(called)}: give one of each")
+    if unknown := [name for name in tolerance or () if name not in called]:
+        raise ModelError(f"the tolerance of '{unknown[0]}' is of none of {', '.join(called)}")
+    chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
+    found = []
+    for k in chosen:
+        if sigma is not None:
+            z = (estimate[:, k] - truth[:, k]) / np.atleast_2d(sigma)[:, k]
+            found += parameter_checks(called[k], z, false_alarm / (3 * len(chosen)))
+        if tolerance:
+            found.append(tolerance_check(called[k], estimate[:, k] - truth[:, k], tolerance[called[k]]))
+    return found
+
+
+def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> Check:
+    """That 95 % of errors (N,) lie within a tolerance."""
+    share = float(np.mean(np.abs(error) <= tolerance))
+    return Check(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
+
+
+def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
+    """Mean, standard deviation and coverage of z-scores (N,); `level` is the false-alarm rate of each."""
+    count = len(z)
+    shift = max(MEAN_WITHIN, float(stats.norm.isf(level / 2) / np.sqrt(count)))
+    tails = stats.chi2.ppf([level / 2, 1 - level / 2], count - 1) / (count - 1)
+    inside = stats.binom.ppf([level / 2, 1 - level / 2], count, COVERED) / count
+    covered = float(np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED))))
+    return [
+        Check(name, "mean z-score", float(z.mean()), -shift, shift),
+        Check(
+            name,
+            "standard deviation of the z-scores",
+            float(z.std(ddof=1)),
+            float(min(1 - SPREAD_WITHIN, np.sqrt(tails[0]))),
+            float(max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))),
+        ),
+        Check(
+            name,
+            "coverage of 95 % intervals",
+            covered,
+            float(min(COVERED - COVERAGE_WITHIN, inside[0])),
+            float(max(COVERED + COVERAGE_WITHIN, inside[1])),
+        ),
+    ]
+
+
+def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: float) -> Check:
+    """Chi-square of all trials together over what is to be expected of it, as a scaled chi-square (Satterthwaite)."""
+    mean, variance = float(np.sum(expected)), float(np.sum(spread**2))
+    freedom = 2 * mean**2 / variance
+    tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
+    low, high = min(1 - CHI2_WITHIN, float(tails[0])), max(1 + CHI2_WITHIN, float(tails[1]))
+    return Check("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
+
+
+def mean_check(what: str, statistic: str, values: Floats, level: float) -> Check:
+    """The mean of values (N,), one a trial, against one.
+
+    Chance is judged by their spread relative to their median (median absolute deviation): values that are all too
+    large, or a few that are far off, do not make their own limits wider.
+    """
+    middle = float(np.median(values))
+    apart = float(np.median(np.abs(values - middle)))
+    relative = min(apart / (stats.norm.ppf(0.75) * middle), ONE_DEGREE) if middle > 0 else ONE_DEGREE
+    within = max(WHOLE_WITHIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
+    return Check(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)

@@ -1,0 +1,136 @@
+"""Campaigns that grow take only what is missing, and their rows are those of one that began so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.spec import load_campaign
+from ltsim.campaigns.statistics import Results
+from ltsim.cli.campaign import MOST_ROWS
+from ltsim.cli.main import run
+from ltsim.errors import SetupError
+
+FILE = """
+format = "ltsim-campaign/1"
+seed = 5
+trials = 24
+shard = 16
+verify = 0
+statistics = ["errors"]
+
+[grid]
+"instrument.noise_factor" = [1.0, 2.0]
+"""
+
+
+@pytest.fixture
+def begun(tmp_path: Path) -> tuple[Path, Path]:
+    """A finished campaign: its file and its folder."""
+    (tmp_path / "sweep.toml").write_text(FILE)
+    run_campaign(tmp_path / "sweep.toml", tmp_path / "out")
+    return tmp_path / "sweep.toml", tmp_path / "out"
+
+
+def rows(folder: Path, columns: str = "trial, error_raw_um") -> set[tuple[object, ...]]:
+    return set(Results(folder).query(f"SELECT noise_factor, {columns} FROM rows"))
+
+
+@pytest.mark.parametrize(
+    ("change", "shards", "kept"),
+    [
+        (("[1.0, 2.0]", "[1.0, 1.5, 2.0]"), 2, 4),
+        (("[1.0, 2.0]", "[0.5, 2.0, 1.0]"), 2, 4),
+        (("trials = 24", "trials = 40"), 4, 2),
+        (('["errors"]', '["errors", "truth"]'), 4, 0),
+    ],
+)
+def test_a_grown_campaign_takes_what_is_missing(
+    change: tuple[str, str], shards: int, kept: int, begun: tuple[Path, Path], tmp_path: Path
+) -> None:
+    file, out = begun
+    before = rows(out)
+    file.write_text(FILE.replace(*change))
+    outcome = run_campaign(file, out, resume=True)
+    assert (outcome.shards, outcome.kept, outcome.notes) == (shards, kept, ())
+    run_campaign(file, tmp_path / "anew")
+    assert before <= rows(out) == rows(tmp_path / "anew")
+    assert run_campaign(file, out, resume=True).shards == 0
+    if "truth" in change[1]:
+        assert rows(out, 'trial, "true:beam-tilt"') == rows(tmp_path / "anew", 'trial, "true:beam-tilt"')
+
+
+def test_a_smaller_file_loses_nothing(begun: tuple[Path, Path]) -> None:
+    file, out = begun
+    file.write_text(FILE.replace("trials = 24", "trials = 8"))
+    before = rows(out)
+    assert run_campaign(file, out, resume=True).shards == 0 and rows(out) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("seed = 5", "seed = 6"), r"changed since this campaign began \(seed\)"),
+        (("[1.0, 2.0]", "[1.0, 3.0]"), "changed since"),
+        (("[1.0, 2.0]", '[1.0, 2.0]\n"work.faces" = [1, 2]'), "a further factor needs another --out"),
+    ],
+)
+def test_rows_that_would_change_stay(change: tuple[str, str], says: str, begun: tuple[Path, Path]) -> None:
+    file, out = begun
+    before = {p: p.read_bytes() for p in out.rglob("*.parquet")}
+    file.write_text(FILE.replace(*change))
+    with pytest.raises(SetupError, match=says):
+        run_campaign(file, out, resume=True)
+    assert {p: p.read_bytes() for p in out.rglob("*.parquet")} == before
+
+
+def test_values_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = tmp_path / "sweep.toml", tmp_path / "sweep"
+    file.write_text(FILE)
+    command = ["campaign", str(file), "-q", "--set"]
+    assert run([*command, "work.faces=2", "--set", "trials=8", "--set", "instrument.noise_factor=1.0"]) == 0
+    results = Results(out)
+    assert results.manifest.trials == 8 and [level["noise_factor"] for level in results.levels] == [1.0]
+    assert results.manifest.scenarios[0]["work"]["faces"] == 2
+    assert run_campaign(out / "campaign.toml", out, resume=True).shards == 0
+    for wrong in ("work.faces", "work.faces=3", "work.face=2"):
+        assert run([*command, wrong, "--out", str(tmp_path / "no")]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 3 and "expected KEY=VALUE" in said[0]
+    assert load_campaign(file, {"instrument.noise_factor": 3.0})[0].grid == {"instrument.noise_factor": [3.0]}
+
+
+def test_many_cells_are_told_by_their_factors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "many.toml"
+    levels = [1 + k / 100 for k in range(MOST_ROWS // 2 + 1)]
+    grid = f'[grid]\n"instrument.noise_factor" = {levels}\n"work.faces" = [1, 2]\n'
+    file.write_text(FILE.partition("[grid]")[0].replace("trials = 24", "trials = 2") + grid)
+    assert run(["campaign", str(file)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:2] == ["faces", "2"] for line in said)
+    assert len(said) < 2 * (len(levels) + 2) + 10
+
+
+def test_status_one_says_which_cell_even_when_quiet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "sweep.toml"
+    file.write_text(FILE.replace("verify = 0", "verify = 1").replace("[1.0, 2.0]", "[2.0]"))
+    monkeypatch.setattr("ltsim.campaigns.engine.Engine.difference", lambda *_: 0.01)
+    assert run(["campaign", str(file), "--quiet"]) == 1
+    said = capsys.readouterr().err
+    assert "cell 1 (noise_factor = 2)" in said and "up to 0.01 sigma" in said and "allowed 0.001" in said
+
+
+def test_damaged_shards_of_a_grown_campaign_are_done_again(begun: tuple[Path, Path]) -> None:
+    file, out = begun
+    shard = out / "rows/cell-0001/shard-000000.parquet"
+    whole = pq.read_table(shard)
+    shard.write_bytes(shard.read_bytes()[:500])
+    file.write_text(FILE.replace("trials = 24", "trials = 32"))
+    outcome = run_campaign(file, out, resume=True)
+    assert outcome.shards == 3 and "is damaged" in outcome.notes[0]
+    assert pq.read_table(shard).equals(whole)

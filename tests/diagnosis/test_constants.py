@@ -1,0 +1,79 @@
+"""Constants of instruments against what else is known: by the readings alone, by combinations that they tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.prior import prior_sigmas
+from ltsim.calibration.evidence import evidence
+from ltsim.diagnosis.evidence import LOG_WEIGHTS, SIZES, log_average
+from ltsim.diagnosis.instruments import Expected, compared, contradictions
+from ltsim.diagnosis.prior import log_share
+from ltsim.model.construction import misalignment
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.randomness import stream
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Instrument, Station
+from tests.networks import network
+
+
+def trackers(count: int, name: str, off: float, faces: int) -> Recording:
+    """A workshop measured by several trackers in turn; one constant of the second is `off` [SI]."""
+    recording, truth = network(faces=faces, repeats=2)
+    names = "ABCD"[:count]
+    setup = recording.setup.model_copy(
+        update={
+            "stations": {s: Station(instrument=names[i % count]) for i, s in enumerate(recording.stations)},
+            "instruments": {n: Instrument() for n in names},
+        }
+    )
+    recording, built = recording.replace(setup=setup), misalignment()
+    values = np.zeros((count, built.size))
+    values[1, built.names.index(name)] = off
+    state = State(truth.state.position, truth.state.rotation, truth.state.points, values)
+    exact = MeasurementModel(recording, built).predict(state)
+    return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
+
+
+def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of_the_adjustment():
+    """Against densities of what the readings tell, N x + noise of covariance N, with and without a change."""
+    adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment())
+    unit = prior_sigmas(adjustment.recording, adjustment.construction)[1]
+    said = evidence(adjustment.state.instrument[1], adjustment.instrument_covariance_of(1), unit, unit)
+    found = compared(adjustment, 1, Expected.of(np.zeros(16), 0.04 * np.eye(16), "nothing"), 2.0)
+    k = adjustment.construction.names.index(found[0].parameter.name)
+    seen = np.linalg.eigh(said.information)
+    turn = seen[1][:, seen[0] > 1e-9 * seen[0].max()]
+
+    def density(covariance):
+        inner = turn.T @ (said.information + said.information @ covariance @ said.information) @ turn
+        y = turn.T @ said.told
+        return -0.5 * (y @ np.linalg.solve(inner, y) + np.linalg.slogdet(inner)[1])
+
+    expected = 0.04 * np.eye(16)
+    change = np.zeros((16, 16))
+    logs = []
+    for t, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
+        change[k, k] = t**2
+        logs.append(weight + density(expected + change))
+    log = float(log_average(np.array(logs))) - density(expected) + log_share("constant", 32)
+    assert found[0].evidence == pytest.approx(log, rel=1e-3)
+
+
+def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
+    """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
+    found = contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment()), 2.0)
+    assert found
+    first = found[0]
+    assert first.instrument == "B"
+    assert "vertical-index" in {p.name for p in (first.parameter, *first.alike)}
+    assert abs(first.difference) / first.parameter.factor == pytest.approx(10.0, abs=5.0)
+
+
+def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
+    assert contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment()), 2.0) == []
+    found = contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment()), 2.0)
+    assert [(c.instrument, c.parameter.name) for c in found] == [("B", "vertical-index")]
+    assert 0.0 <= found[0].p_value < 1e-6

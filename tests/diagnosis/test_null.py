@@ -1,0 +1,41 @@
+"""The false-alarm rate is what it says, also where what an adjustment leaves is only sampled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.diagnosis.detect import Detection
+from ltsim.diagnosis.search import Searcher
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from tests.networks import network
+
+DRAWS, SEEDS = 300, 3
+
+
+def clean(searcher: Searcher, seed: int) -> np.ndarray:
+    """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
+    white = stream(seed, "clean").standard_normal((searcher.space.size, DRAWS))
+    others = searcher.space.project(white).astype(np.float32)
+    rest = Searcher(searcher.space, seed, 1, cards=searcher.cards)
+    rest.probe = replace(searcher.probe, trials=others)
+    return rest._screened(rest.empty).null
+
+
+@pytest.mark.parametrize("most", [0, 500], ids=["sampled", "exact"])
+def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
+    monkeypatch.setattr("ltsim.diagnosis.probe.MOST_UNKNOWNS", most)
+    space = ResidualSpace.of(adjust(network(seed=2, stations=3)[0], misalignment()))
+    chances = []
+    for seed in range(SEEDS):
+        searcher = Searcher(space, seed, 300)
+        assert searcher.large == (most == 0)
+        null = Detection(0.0, 1.0, searcher.first.null)
+        chances += [null.chance(float(one)) for one in clean(searcher, seed)]
+    for level, spread in ((0.05, 0.025), (0.2, 0.05), (0.5, 0.08)):
+        assert np.mean(np.array(chances) <= level) == pytest.approx(level, abs=spread)
