@@ -12,7 +12,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.calibration import adjust_network
 from ltsim.effects import CATALOGUE, Effect, ShapeParameter, card_of
-from ltsim.pages.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg_uri
+from ltsim.pages.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg, svg_uri
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -98,7 +98,7 @@ def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
         f"{f' at {place}' if place else ''}, seen from one station of the paper's workshop. "
         f"Poses and targets of the network absorb {100 * (1 - share):.0f} % of its squared size."
     )
-    address = svg_uri(_figure(effect, sightings, moved))
+    address = svg_uri(svg(_figure(effect, sightings, moved)))
     picture = pictures.keep(f"effect-{kind.name}", address, f"signature of {kind.name}")
     return ["", picture, "", words, ""]
 

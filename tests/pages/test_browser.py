@@ -64,7 +64,7 @@ def test_scene_turns_by_touch(tmp_path: Path) -> None:
 
 
 def test_report_opens_without_error_or_request(page: Path, tmp_path: Path) -> None:
-    seen = visit(page, tmp_path, height=5200)
+    seen = visit(page, tmp_path, height=3000)
     assert clean(seen.console) == []
     assert seen.asked == []
     dark = (seen.picture < 0.6).all(axis=2).mean(axis=1)
@@ -75,7 +75,8 @@ def test_canvas_of_the_report_is_drawn(page: Path, tmp_path: Path) -> None:
     file = tmp_path / "only-scene.html"
     html = page.read_text()
     style = "<style>header, main > section > :not(figure:has(.scene)), figure > h3 { display: none }</style></head>"
-    file.write_text(html.replace("</head>", style, 1))
+    click = '<script>addEventListener("load", () => document.querySelector(".scene button").click())</script></body>'
+    file.write_text(html.replace("</head>", style, 1).replace("</body>", click, 1))
     seen = visit(file, tmp_path, width=1000, height=640)
     assert clean(seen.console) == []
     middle = seen.picture[150:500, 250:750]

@@ -47,7 +47,7 @@ def by_setting(rows: Sequence[Mean], *, label: str, published: float | None = No
         mine = [row for row in rows if row.method == method and row.setting in places]
         y = np.array([places[row.setting] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
         colour = CYCLE[m % len(CYCLE)]
-        ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else (None, None)
+        ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
         ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, lw=0.9, label=ninety)
         ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
         ax.plot([r.mean for r in mine], y, MARKERS[m % len(MARKERS)], ms=4.5, color=colour, label=method)

@@ -40,5 +40,5 @@ def correlation(names: Sequence[str], matrix: Floats) -> Figure:
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
     bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
     bar.set_label("correlation (numbers: %)")
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     return figure

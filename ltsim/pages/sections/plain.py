@@ -65,7 +65,7 @@ def _comparison(content: ComparisonFile, folder: Path) -> Section:
         Fact("no motion at all, p", p_text(content.p_value), mood(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
-    blocks = [picture("Displacements", figure, caption), *table]
+    blocks: list[Block] = [picture("Displacements", figure, caption), *table]
     return Section(
         "Comparison of two epochs", "Comparison", content.sentence, mood(not moved.any()), facts, blocks,
         axes="the first epoch's",
@@ -183,7 +183,10 @@ def _history(content: HistoryFile, folder: Path) -> Section:
     known = [p for p in content.parameters if p.constant.dof]
     text = "Estimates with 95 % intervals; the band is the mean ± the spread of the true values between calibrations."
     drawn = [picture("Course of the parameters", history_figure(labels, known), text)] if known else []
-    ends = {"from_": lambda e: short.get(e.from_, e.from_), "to": lambda e: short.get(e.to, e.to)}
+    ends: dict[str, Callable[[Any], str]] = {
+        "from_": lambda e: short.get(e.from_, e.from_),
+        "to": lambda e: short.get(e.to, e.to),
+    }
     named = [e.model_copy(update={key: end(e) for key, end in ends.items()}) for e in content.events]
     every = [*content.changes, since] if len(content.changes) > 1 else [since]
     rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
