@@ -183,7 +183,7 @@ def compared(adjustment: Adjustment, i: int, expected: Expected, least: float) -
         for j in np.flatnonzero((seen > TINY) & ~np.isin(at, list(changed))):
             spread = 1.0 / seen[j] + expected.further[j]
             logs[j] = odds + _change(score[at[j]] / seen[j], spread, expected.log_weights[j])
-        best = int(np.argmax(logs))
+        best = int(np.argmax(np.where(np.isfinite(logs), score[at] ** 2 / seen, -np.inf)))
         if not logs[best] > least:
             break
         k = int(at[best])
