@@ -146,7 +146,8 @@ def _as_others(adjustment: Adjustment, i: int, alike: Sequence[int]) -> Expected
     """What the readings of the others say of constants that all have in common, within the guarantee."""
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
     told = [_said(adjustment, j, unit[j], unit[i]) for j in alike if j != i]
-    covariance = np.linalg.inv(np.eye(len(unit[i])) + sum(one.information for one in told))
+    information = np.sum([np.eye(len(unit[i])), *(one.information for one in told)], axis=0)
+    covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return Expected.of(covariance @ sum(one.told for one in told), covariance, "the other instruments")
 
 
