@@ -220,11 +220,11 @@ def instrument_finding(found: Contradiction) -> Finding:
     p, chance = found.parameter, float(np.exp(-found.evidence))
     estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
     others = " or ".join(other.name.replace("-", " ") for other in found.alike)
-    only = f", or {others}: the readings tell little more than one combination of them," if others else ""
+    apart = f" These readings tell it little apart from {others}." if others else ""
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'}{only} differs by "
+        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
-        f"probability {percent(probability)}."
+        f"probability {percent(probability)}.{apart}"
     )
     name, *alike = dict.fromkeys(_effect_of(one) for one in (p, *found.alike))
     share = probability / (1 + len(alike))

@@ -161,7 +161,10 @@ class Ranking:
 
     def probabilities(self) -> dict[str, float]:
         """Posterior probability of each name."""
-        return {name: self.share(lambda h, n=name: h.name == n) for name in dict.fromkeys(h.name for h in self.entries)}
+        found: dict[str, float] = {}
+        for hypothesis, weight in zip(self.entries, self.weights.tolist(), strict=True):
+            found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + weight, 1.0)
+        return found
 
 
 NEGLIGIBLE = 6.0

@@ -146,7 +146,8 @@ def _as_others(adjustment: Adjustment, i: int, alike: Sequence[int]) -> Expected
     """What the readings of the others say of constants that all have in common, within the guarantee."""
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
     told = [_said(adjustment, j, unit[j], unit[i]) for j in alike if j != i]
-    covariance = np.linalg.inv(np.eye(len(unit[i])) + sum(one.information for one in told))
+    information = np.sum([np.eye(len(unit[i])), *(one.information for one in told)], axis=0)
+    covariance: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return Expected.of(covariance @ sum(one.told for one in told), covariance, "the other instruments")
 
 
@@ -183,7 +184,7 @@ def compared(adjustment: Adjustment, i: int, expected: Expected, least: float) -
         for j in np.flatnonzero((seen > TINY) & ~np.isin(at, list(changed))):
             spread = 1.0 / seen[j] + expected.further[j]
             logs[j] = odds + _change(score[at[j]] / seen[j], spread, expected.log_weights[j])
-        best = int(np.argmax(logs))
+        best = int(np.argmax(np.where(np.isfinite(logs), score[at] ** 2 / seen, -np.inf)))
         if not logs[best] > least:
             break
         k = int(at[best])
