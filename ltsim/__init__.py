@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         verify as verify,
     )
     from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
-    from ltsim.campaigns.recovering import recover as recover
+    from ltsim.campaigns.recovering import recover as recover, recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
     from ltsim.effects.made import Effect as Effect
@@ -44,7 +44,7 @@ _ROOMS = {
     "calibration.verbs": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
-    "campaigns.recovering": ("recover",),
+    "campaigns.recovering": ("recover", "recovery_checks"),
     "campaigns.injecting": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),

@@ -14,8 +14,9 @@ and `Solution.require_success()` raises `ConvergenceError` for callers who want 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 
 class LtsimError(Exception):
@@ -85,9 +86,45 @@ class ConvergenceError(LtsimError):
         super().__init__(message)
 
 
+_SPELLED = {"flags": False}
+SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
+"""Options that the command line does not call by their own name."""
+
+
+@contextmanager
+def options_are_flags() -> Iterator[None]:
+    """What `option` gives is spelled for the command line."""
+    before, _SPELLED["flags"] = _SPELLED["flags"], True
+    try:
+        yield
+    finally:
+        _SPELLED["flags"] = before
+
+
+def option(name: str) -> str:
+    """An option as the reader writes it: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
+    if not _SPELLED["flags"]:
+        return name
+    return SPECIAL.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
+
+
 def missing_extra(what: str, extra: str) -> SetupError:
     """Build the error for something that needs packages which a plain installation leaves out."""
     return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
+
+
+def require(packages: Sequence[str], what: str, extra: str) -> None:
+    """Raise SetupError, saying what to install, where a package of an extra is missing."""
+    if not all(installed(name) for name in packages):
+        raise missing_extra(what, extra)
+
+
+def installed(package: str) -> bool:
+    """Whether a package can be imported."""
+    try:
+        return find_spec(package) is not None
+    except ValueError:  # it was hidden from this process
+        return False
 
 
 def printable(text: str) -> str:

@@ -80,12 +80,12 @@ def _read_result(file: Path) -> Any:
     from ltsim.calibration.schema import CalibrationFile
     from ltsim.evaluation.schema import BenchFile
     from ltsim.pages.schemas import RESULTS
-    from ltsim.simulation.truth import TruthFile, read_truth
+    from ltsim.simulation.truth import read_truth
 
     kind = str(read_json(file, "result of ltsim").get("format", ""))
     if kind == CalibrationFile.model_fields["format"].default:
         return read_calibration(file)
-    if kind == TruthFile.model_fields["format"].default:
+    if kind.startswith("ltsim-truth/"):
         return read_truth(file)
     known: tuple[type[ResultFile], ...] = (*RESULTS, BenchFile)
     model = next((m for m in known if m.model_fields["format"].default == kind), None)

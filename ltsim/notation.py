@@ -8,6 +8,9 @@ written as an expanded uncertainty with its factor, `U = b (k = 2)`, or as an in
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+from ltsim.errors import ModelError
 
 NONE = "-"
 """What stands for a number that does not exist; never `nan`."""
@@ -51,6 +54,27 @@ def decimals(sigma: float) -> int:
     """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
     rounded = float(f"{sigma:.1e}")  # 0.0996 is 0.10
     return min(max(1 - math.floor(math.log10(rounded)), 0), MOST_DECIMALS)
+
+
+def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Rows as aligned text, the first `left` columns to the left, the others to the right.
+
+    Raises
+    ------
+    ModelError
+        When a row is not as long as the header.
+    """
+    if any(len(row) != len(header) for row in rows):
+        raise ModelError("a row of a table is not as long as its header")
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i < left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
 
 
 def _fixed(value: float, places: int) -> str:

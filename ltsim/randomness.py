@@ -50,14 +50,20 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
 def trials_normal(seed: int, trials: Ints, size: int, *key: str | int) -> Floats:
     """Standard normal numbers (size, B) of trials (B,) for `key`: the same whichever trials are asked for together.
 
-    `BLOCK` consecutive trials share a stream, which gives them their numbers one trial after the other.
+    Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
     """
-    blocks, rows = np.divmod(trials, BLOCK)
-    numbers = np.empty((size, len(trials)))
+    blocks, places = np.divmod(trials, BLOCK)
+    numbers = []
     for block in np.unique(blocks).tolist():
-        own = blocks == block
-        drawn = stream(seed, *key, *((block,) if block else ())).standard_normal((int(rows[own].max()) + 1, size))
-        if own.all() and len(drawn) == len(trials):
-            return drawn.T if np.array_equal(rows, np.arange(len(rows))) else drawn[rows].T
-        numbers[:, own] = drawn[rows[own]].T
-    return numbers
+        own = places[blocks == block]
+        drawn = np.zeros((size, BLOCK))
+        if block or np.any(own):
+            drawn = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
+        if not block:
+            drawn[:, 0] = stream(seed, *key).standard_normal(size)
+        whole = len(own) == BLOCK and np.array_equal(own, np.arange(BLOCK))
+        numbers.append(drawn if whole else drawn[:, own])
+    if len(numbers) == 1:
+        return numbers[0]
+    order = np.argsort(np.argsort(blocks, kind="stable"), kind="stable")
+    return np.concatenate(numbers, axis=1)[:, order]

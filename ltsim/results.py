@@ -23,7 +23,7 @@ from pydantic import BaseModel
 from ltsim.arrays import Floats
 from ltsim.chances import p_text
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
-from ltsim.notation import NONE, number, with_sigma
+from ltsim.notation import NONE, aligned, decimals, number, with_sigma
 from ltsim.saved import Valued, save
 from ltsim.units import BY_ENDING, unit_of_key
 
@@ -57,6 +57,8 @@ class Column:
         How a person reads it; by default four digits.
     sigma : str
         Name of the column with its standard deviation: a person reads both in one cell, `1.23 +- 0.10`.
+    like : str
+        Name of the column whose two digits say to which place a person reads it: value and U alike.
     unit : str
         By default the one in the name.
     title : str
@@ -71,6 +73,7 @@ class Column:
     form: str = ""
     shown: str = ""
     sigma: str = ""
+    like: str = ""
     unit: str = ""
     title: str = ""
     field: str = ""
@@ -93,8 +96,8 @@ class Column:
             return repr(float(value)) if self.form == "r" else format(value, self.form)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
-    def words(self, value: Any, sigma: Any = None) -> str:
-        """A value as a person reads it, with its standard deviation where that is given; a dash for none."""
+    def words(self, value: Any, beside: Any = None) -> str:
+        """A value as a person reads it, `beside` the cell of its `sigma` or `like`; a dash for none."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return NONE
         if isinstance(value, bool | np.bool_):
@@ -104,7 +107,9 @@ class Column:
         if self.kind == "chance":
             return p_text(value)
         if self.sigma:
-            return with_sigma(float(value), sigma)
+            return with_sigma(float(value), beside)
+        if self.like and beside:
+            return f"{value:.{decimals(beside)}f}"
         if self.shown:
             return format(value, self.shown)
         return str(value) if isinstance(value, int | np.integer) else number(float(value), 4)
@@ -191,7 +196,7 @@ class Table(Valued):
     def only(self, names: str) -> Table:
         """The table with some of its columns, named with blanks between, and the standard deviations of these."""
         wanted = set(names.split())
-        wanted |= {column.sigma for column in self.columns if column.name in wanted}
+        wanted |= {column.sigma or column.like for column in self.columns if column.name in wanted}
         at = [i for i, column in enumerate(self.columns) if column.name in wanted]
         rows = tuple(tuple(row[i] for i in at) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in at), rows=rows)
@@ -273,8 +278,10 @@ class Table(Valued):
     def cells(self) -> list[list[str]]:
         """The rows as a person reads them, in the columns of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
+        beside = [c.sigma or c.like for c in self._read]
         return [
-            [c.words(row[at[c.name]], row[at[c.sigma]] if c.sigma else None) for c in self._read] for row in self.rows
+            [c.words(row[at[c.name]], row[at[b]] if b else None) for c, b in zip(self._read, beside, strict=True)]
+            for row in self.rows
         ]
 
     def text(self) -> str:
@@ -353,27 +360,6 @@ class Result(Valued):
         return figure
 
 
-def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Rows as aligned text, the first `left` columns to the left, the others to the right.
-
-    Raises
-    ------
-    ModelError
-        When a row is not as long as the header.
-    """
-    if any(len(row) != len(header) for row in rows):
-        raise ModelError("a row of a table is not as long as its header")
-    lines = [header, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
-
-
 def guarded(text: str) -> str:
     """A text that no spreadsheet takes for a formula."""
     return f"'{text}" if text.startswith(FORMULA) else text
@@ -382,6 +368,11 @@ def guarded(text: str) -> str:
 def plain(text: str) -> str:
     """The text that was guarded."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA) else text
+
+
+def _is_nothing(value: Any) -> bool:
+    """What a person need not be told: no value, an empty text, a flag that is not up."""
+    return value is None or (isinstance(value, str) and not value) or (isinstance(value, bool | np.bool_) and not value)
 
 
 def _kind_of(column: Sequence[Any]) -> Kind:

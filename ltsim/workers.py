@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ltsim.errors import WorkerError
+from ltsim.errors import WorkerError, option
 
 MOST = 256
 """Processes at once."""
@@ -70,7 +70,7 @@ def _parallel(
         yield from pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
     except TerminatedWorkerError:
         raise WorkerError(
-            "a worker process was ended from outside, perhaps for want of memory; take fewer --jobs"
+            f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
         ) from None
 
 

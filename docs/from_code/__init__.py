@@ -11,7 +11,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from from_code import catalogue, command_line, gallery, keys, mathml, python_names, results
+from from_code import catalogue, command_line, drawn, gallery, keys, mathml, python_names, results
 from from_code.pictures import Pictures
 from ltsim.recording import FORMATS
 from ltsim.recording.specification import figures, sheet_names
@@ -51,7 +51,7 @@ MAKERS: dict[str, Maker] = {
     "command-line": command_line.verbs,
     "python-names": python_names.names,
 }
-DRAWING_MAKERS: dict[str, Maker] = {"catalogue": catalogue.cards, "gallery": gallery.shown}
+DRAWING_MAKERS: dict[str, Maker] = {"catalogue": catalogue.cards, "gallery": gallery.shown, "drawn": drawn.shown}
 """Those that are also given a place for pictures, and the lines of the directive."""
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Made, Options, Row, tell, write_table
+from experiments.sobol import Index, sensitivity
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.sensitivity import Index, sensitivity
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -13,19 +13,9 @@ from ltsim.acceptance.prediction import Plan, Prediction, Worst
 from ltsim.arrays import Floats
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, write_result
-from ltsim.recording.result_table import ResultTable, numbers, texts
 from ltsim.recording.specification import Specification
+from ltsim.results import Result, Table, columns_of
 from ltsim.units import MICROMETRE
-
-TESTS = ResultTable(
-    "accept.csv",
-    "tests against the maker's limits",
-    (
-        *texts(test="name", group="of tests"),
-        *numbers(".6g", limit_um="what the maker permits", error_um="expected or found", U_um="expanded, 95 %"),
-        *numbers(".4g", passes="chance to keep the limit; 1 or 0 for an error that was found"),
-    ),
-)
 
 
 class TestEntry(Entry):
@@ -60,6 +50,23 @@ class GroupEntry(Entry):
     """Largest error over its limit; of a prediction the error and its uncertainty together."""
 
 
+TESTS = Table(
+    "accept.csv",
+    "tests against the maker's limits",
+    columns_of(
+        TestEntry,
+        name={"name": "test"},
+        limit_um={"form": ".6g", "shown": ".1f"},
+        error_um={"form": ".6g", "shown": ".1f"},
+        expanded_um={"name": "U_um", "form": ".6g", "shown": ".1f"},
+        passes={"form": ".4g"},
+    ),
+)
+
+
+GROUPS = Table("groups.csv", "tests by group", columns_of(GroupEntry, name={"name": "group"}))
+
+
 class SensitivityEntry(Entry):
     """What one constant of the instrument does to the tests, alone."""
 
@@ -86,7 +93,7 @@ class WorstEntry(Entry):
     """The largest of them."""
 
 
-class AcceptanceFile(ResultFile):
+class AcceptanceFile(ResultFile, Result):
     """`accept.json`: from `accept`."""
 
     FILE: ClassVar[str] = "accept.json"
@@ -114,6 +121,14 @@ class AcceptanceFile(ResultFile):
     """What each constant of the instrument does."""
     worst_passing: WorstEntry | None = None
     """What the tests are blind to."""
+
+    __repr__ = __str__ = Result.__repr__
+
+    def _lines(self) -> list[str]:
+        return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"tests": lambda: TESTS.filled(self.tests), "groups": lambda: GROUPS.filled(self.groups)}
 
 
 def predicted(
@@ -245,5 +260,4 @@ def write_acceptance(content: AcceptanceFile, folder: Path) -> AcceptanceFile:
     RecordError
         When the folder cannot be written; nothing half-written stays behind.
     """
-    rows = [[t.name, t.group, t.limit_um, t.error_um, t.expanded_um, t.passes] for t in content.tests]
-    return write_result(folder, content, {TESTS.file: TESTS.text(rows)})
+    return write_result(folder, content, {TESTS.file: content.table("tests").csv()})

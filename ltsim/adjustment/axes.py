@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Floats
-from ltsim.errors import NetworkError, RecordError
+from ltsim.errors import NetworkError, RecordError, option
 from ltsim.geometry.alignment import align, robust_align
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.files import shown
@@ -41,7 +41,9 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     """
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        raise RecordError("the recording's known points define the axes already: leave --frame out", file=source)
+        raise RecordError(
+            f"the recording's known points define the axes already: leave {option('frame')} out", file=source
+        )
     if len(common) < 3:
         message = f"holds {len(common)} of the recording's targets, expected three off one line or more"
         raise RecordError(message, file=source)
@@ -71,7 +73,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
         if name not in recording.targets:
             raise RecordError(f"the axes name the target '{shown(name)}', which was never measured")
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        raise RecordError("the recording's known points define the axes already: leave --frame out")
+        raise RecordError(f"the recording's known points define the axes already: leave {option('frame')} out")
     a, b, c = adjust(recording).state.points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))

@@ -153,8 +153,8 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> list[Mend]:
             )
         else:
             told, meant = names if booked[0] == a else names[::-1]
-            rows = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
-            sentence = f"At station {station} what is booked as {told} (row {rows}) is {meant}, {gap:.2f} m away."
+            numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
+            sentence = f"At station {station} what is booked as {told} (row {numbers}) is {meant}, {gap:.2f} m away."
         finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
         found.append((finding, recording.readings[at[members]], nearest[members]))
     return found

@@ -166,7 +166,7 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
     """The known values of a problem, in the order of its rows."""
     recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
     shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
-    for i in np.flatnonzero(np.isfinite(gauge.sigma)):
+    for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
         name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
         reached = np.flatnonzero(shown[:, i])
         column = shown[reached, i : i + 1]
@@ -174,7 +174,7 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
     first += len(gauge)
     marks = problem.known_marks, problem.marks.names, state.position
     for known, names, here in ((problem.control, recording.targets, state.points), marks):
-        for i, place in enumerate(known.target):
+        for i, place in enumerate(known.target.tolist()):
             axes = known.axes[i]
             root = known.root[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
@@ -182,10 +182,10 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
             rows = first + np.arange(len(root))
             yield KnownValue("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
             first += len(root)
-    for i, tilt in enumerate(-problem.levels.predict(state.rotation)):
-        sigma = np.full(2, problem.levels.sigma[i])
-        name, rows = recording.stations[problem.levels.station[i]], first + 2 * i + np.arange(2)
-        yield KnownValue("level", name, "", sigma, tilt, rows, np.diag(1.0 / sigma))
+    tilts = -problem.levels.predict(state.rotation)
+    for i, station in enumerate(problem.levels.station.tolist()):
+        sigma, rows = np.full(2, problem.levels.sigma[i]), first + 2 * i + np.arange(2)
+        yield KnownValue("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
     yield from _centrings(problem, state)
 
 
@@ -197,7 +197,7 @@ def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
         return
     number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
     by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
-    for s in np.flatnonzero(shared):
+    for s in np.flatnonzero(shared).tolist():
         own = problem.use & (recording.station == s)[:, None]
         if own.any():
             name = recording.stations[s]
@@ -226,6 +226,7 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
 def _test(value: KnownValue, left: Floats, pull: Floats) -> KnownTest:
     """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
+    size = np.where(size > 0, size, 1.0)  # no reading feels the height of a mark in a plan
     share, turned = np.linalg.eigh(left / np.outer(size, size))
     checked = share > CHECKED
     share, turned = share[checked], turned[:, checked]
@@ -254,7 +255,8 @@ def judged(
 
     One at a time, by the fall of chi-square; single readings that explain more are set aside while the rest is judged.
     """
-    given, out, aside = (problem, solution), [], loosened(problem, solution.x)
+    given, aside = (problem, solution), loosened(problem, solution.x)
+    out: list[KnownTest] = []
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):

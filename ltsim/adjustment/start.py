@@ -79,5 +79,6 @@ def _flat_points(recording: Recording) -> Floats | None:
     if not flat.any():
         return None
     readings = recording.readings.copy()
+    readings[flat & np.isnan(readings[:, 2]), 2] = 0.0  # a network in plan has no elevations
     readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
     return from_polar(readings)

@@ -13,8 +13,8 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.verdict import Verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.determined import determined
+from ltsim.calibration.known_values import KNOWN, KnownEntry
 from ltsim.calibration.schema import (
-    KNOWN,
     NOISE,
     OUTLIERS,
     PARAMETERS,
@@ -25,7 +25,6 @@ from ltsim.calibration.schema import (
     DeterminedEntry,
     Fit as Fit,
     FittedEffectEntry,
-    KnownEntry,
     NoiseRow as NoiseRow,
     OutlierRow as OutlierRow,
     ParameterEntry,

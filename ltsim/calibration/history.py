@@ -20,7 +20,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.dates import days_of
 from ltsim.calibration.evidence import Evidence, evidence
 from ltsim.chances import p_is
-from ltsim.errors import RecordError
+from ltsim.errors import RecordError, option
 from ltsim.model.construction import Construction
 from ltsim.remedies.undetermined import SILENT
 from ltsim.results import Columns, Result
@@ -131,7 +131,7 @@ class History(Result):
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in named:
             if calibration.informed:
-                message = "was calibrated with earlier calibrations as its prior (--prior)"
+                message = f"was calibrated with earlier calibrations as its prior ({option('prior')})"
                 raise RecordError(f"{label} {message}; expected calibrations that know nothing of each other")
         chosen = _estimated([one_instrument(calibration, instrument, label) for label, calibration in named])
         for (label, _), calibration in zip(named, chosen, strict=True):
@@ -305,7 +305,7 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
     if len(names) == 1:
         return calibration
     if instrument not in names:
-        raise RecordError(f"{label} holds the instruments {', '.join(names)}: say which (--instrument)")
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: say which ({option('instrument')})")
     i, size = names.index(instrument), calibration.construction.size
     at = slice(i * size, (i + 1) * size)
     return replace(

@@ -17,12 +17,12 @@ from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.choice import WIDE, Choice
 from ltsim.calibration.conflict import disagreement
+from ltsim.calibration.known_values import known_of
 from ltsim.calibration.result import (
     criteria_of,
     directions_of,
     fit_of,
     frame_of,
-    known_of,
     noise_of,
     notes_on_axes,
     notes_on_hand,

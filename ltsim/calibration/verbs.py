@@ -22,7 +22,7 @@ from ltsim.calibration.known import Known
 from ltsim.calibration.result import gross_rows
 from ltsim.effects.effect import Effect
 from ltsim.effects.made import effect_from, names
-from ltsim.errors import LtsimError, ModelError, RecordError, unknown_name
+from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law
 from ltsim.model.construction import Construction, built_construction
@@ -163,14 +163,14 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
     effects = (with_effects,) if isinstance(with_effects, str | Effect) else tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
-        raise ModelError(f"box goes with the methods equation-9 and equation-9-l1, not {method}")
+        raise ModelError(f"{option('box')} goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
     if method == "network":
         beside = [wanted(asked, seen) for asked in effects]
         return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
     if any(options.values()) or prior is not None or effects:
-        listed = "robust, noise_from_data, datum, prior and with_effects"
-        raise ModelError(f"{listed} go with the method network, not {method}")
+        listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
+        raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
@@ -213,7 +213,7 @@ def _named_construction(name: str | None, harmonics: int | None, degree: int | N
     if name is not None:
         return built_construction(name, harmonics, degree)
     if harmonics is not None or degree is not None:
-        raise ModelError("harmonics and degree go with the construction dh")
+        raise ModelError(f"{option('harmonics')} and {option('degree')} go with the construction dh")
     return None
 
 

@@ -16,12 +16,13 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.judge import Columns, Judge
 from ltsim.campaigns.network import BatchNetwork
-from ltsim.campaigns.truth import BLOCK, Block, Truth
+from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction
+from ltsim.randomness import BLOCK
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.simulation.lengths import certified_by

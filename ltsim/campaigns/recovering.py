@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.foreign import Calibrator, checked_command
 from ltsim.campaigns.recovery import Errors, How, Recovery, errors_of, recover as trials_of, recovered
-from ltsim.errors import SetupError, unknown_name
+from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
+from ltsim.errors import SetupError, option, unknown_name
 from ltsim.model.construction import construction as construction_called
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.verbs import ScenarioSource, scenario, simulate
@@ -62,7 +63,7 @@ def recover(
     built = scenario(source)
     own = construction_of(built)
     if own.name == "dh" and construction not in (None, "dh"):
-        raise SetupError("the scenario's instrument is a dh one: recover with --construction dh")
+        raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
     mode = errors or errors_of(built)
     if mode not in ("drawn", "stated"):
         raise unknown_name("mode of errors", mode, ("drawn", "stated"))

@@ -39,11 +39,12 @@ from ltsim.campaigns.recovery_checks import (
     parameter_checks,
     tolerance_check,
 )
+from ltsim.campaigns.schema import TRIALS
 from ltsim.campaigns.scoring import Trial, check_known, score, true_values
 from ltsim.errors import ConvergenceError, LtsimError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.recording import Recording
-from ltsim.results import Columns, Result, by_row
+from ltsim.results import Columns, Result, Table, by_row
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import instrument_law
 from ltsim.simulation.scenario import Scenario
@@ -88,11 +89,11 @@ class Recovery(Result):
         """Within what everything is to be recovered."""
         return "the given tolerances" if self.tolerance else "its stated uncertainty"
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
         return {
             "checks": lambda: by_row([vars(check) | {"passed": check.passed} for check in self.checks()]),
             "parameters": self._parameters,
-            "trials": lambda: by_row(self.rows()),
+            "trials": lambda: TRIALS.filled(self.rows()),
         }
 
     @property

@@ -80,6 +80,13 @@ def recovery_checks(
     ------
     ModelError
         When the arrays differ in shape, or a tolerance names no parameter.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> (check,) = lt.recovery_checks([[1.9], [2.2]], None, [[2.0], [2.0]], names=["a"], tolerance={"a": 0.5})
+    >>> check.sentence()
+    'a passes: share of errors within 0.5 1.000, allowed 0.950 to 1.000'
     """
     estimate, truth = np.atleast_2d(estimate), np.atleast_2d(truth)
     called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)

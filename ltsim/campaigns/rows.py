@@ -147,8 +147,9 @@ class Prepared:
         for trial in trials:
             with suppress(SetupError):
                 key = place_key(trial, self.campaign.geometry)
-                like = {"like": self.shared.truth, "plan": self._plan}
-                found[trial] = truth_of(self.scenario, self.campaign.seed, *key, **like)
+                found[trial] = truth_of(
+                    self.scenario, self.campaign.seed, *key, like=self.shared.truth, plan=self._plan
+                )
         return found
 
 
@@ -288,17 +289,18 @@ def z_scores(
 
 
 def _effect_z_scores(truth: Truth, block: Block, found: Calibrated, effects: Sequence[Effect]) -> Columns:
-    """The same of fitted effects, where one of the same name acts at the same place."""
-    true = effect_columns(
-        [law.effect for law in truth.effects], np.concatenate([*block.amounts, np.empty((0, len(found.chi2)))]), "z"
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        both = zip(
-            effect_columns(effects, found.extra, "z").items(),
-            effect_columns(effects, np.broadcast_to(found.extra_sigma, found.extra.shape), "z").values(),
-            strict=True,
-        )
-        return {name: (value - true[name]) / sigma for (name, value), sigma in both if name in true}
+    """The same of fitted effects that are among the true ones."""
+    if not effects:
+        return {}
+    both = [(law.effect, own) for law, own in zip(truth.effects, block.amounts, strict=True) if law.effect in effects]
+    columns: Columns = {}
+    parts = np.split(np.arange(len(found.extra)), np.cumsum([len(e.parameters) for e in effects])[:-1])
+    for effect, rows in zip(effects, parts, strict=True):
+        true = next((own for other, own in both if other == effect), None)
+        if true is not None:
+            z = (found.extra[rows] - true) / found.extra_sigma[rows]
+            columns |= effect_columns([effect], z, "z")
+    return columns
 
 
 def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:

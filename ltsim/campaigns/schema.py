@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from ltsim.recording.result_file import Entry, Known, ResultFile
-from ltsim.recording.result_table import Column, ResultTable, numbers, texts
+from ltsim.results import Column, Table, numbers, texts
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -31,23 +31,24 @@ POOLED = (
 
 
 @dataclass(frozen=True)
-class RowColumn:
+class RowColumn(Column):
     """A result in the rows of a campaign; one whose name ends in `:` stands for a column a parameter."""
 
-    name: str
-    unit: str
-    group: Statistic | None
+    group: Statistic | None = None
     """Which of the statistics of the campaign's file it belongs to; None for what all rows have."""
-    meaning: str
+
+
+def _column(name: str, unit: str, group: Statistic | None, meaning: str) -> RowColumn:
+    return RowColumn(name, meaning, unit=unit, group=group)
 
 
 def _criterion(kind: str, what: str) -> list[RowColumn]:
     return [
-        RowColumn(f"{kind}_{when}_{which}_um", "um", "criteria", f"{word} of {what}, {said}")
+        _column(f"{kind}_{when}_{which}_um", "um", "criteria", f"{word} of {what}, {said}")
         for when, said in (("before", "readings as they are"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
     ] + [
-        RowColumn(
+        _column(
             f"{kind}_improvement_percent", "%", "criteria", f"100 (1 - after / before) of the mean {kind} criterion"
         ),
     ]
@@ -55,27 +56,27 @@ def _criterion(kind: str, what: str) -> list[RowColumn]:
 
 def _errors(prefix: str, what: str) -> list[RowColumn]:
     return [
-        RowColumn(f"{prefix}error_raw_um", "um", "errors", f"{what}; readings as they are"),
-        RowColumn(f"{prefix}error_calibrated_um", "um", "errors", f"{what}; readings corrected as found"),
-        RowColumn(
+        _column(f"{prefix}error_raw_um", "um", "errors", f"{what}; readings as they are"),
+        _column(f"{prefix}error_calibrated_um", "um", "errors", f"{what}; readings corrected as found"),
+        _column(
             f"{prefix}error_true_parameters_um",
             "um",
             "errors",
             f"{what}; readings corrected by the true parameters: the floor of noise, and of what no parameter removes",
         ),
-        RowColumn(f"{prefix}share_removed", "", "errors", POOLED.format(prefix)),
+        _column(f"{prefix}share_removed", "", "errors", POOLED.format(prefix)),
     ]
 
 
 COLUMNS: tuple[RowColumn, ...] = (
-    RowColumn("chi2", "", None, "least sum of squares of the weighted residuals"),
-    RowColumn(
+    _column("chi2", "", None, "least sum of squares of the weighted residuals"),
+    _column(
         "full_difference_sigma", "sigma", None, "largest difference of parameters and targets from the full solver"
     ),
     *_criterion("distance", "the distance criterion: deviations of distances from their mean over stations"),
     *_criterion("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
     *_errors("", BY_READING),
-    RowColumn(
+    _column(
         "target_error_um",
         "um",
         "errors",
@@ -83,10 +84,10 @@ COLUMNS: tuple[RowColumn, ...] = (
         "ones; the noise of the readings that were adjusted is in it",
     ),
     *_errors("new_point_", NEW_POINT + BY_READING),
-    RowColumn("z:", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
-    RowColumn("estimate:", OF_PARAMETER, "estimates", "estimate of a parameter"),
-    RowColumn("sigma:", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
-    RowColumn("true:", OF_PARAMETER, "truth", "true value of a parameter"),
+    _column("z:", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
+    _column("estimate:", OF_PARAMETER, "estimates", "estimate of a parameter"),
+    _column("sigma:", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
+    _column("true:", OF_PARAMETER, "truth", "true value of a parameter"),
 )
 """Every result that rows and statistics can hold, defined once: for files, docs and report."""
 SHARES = tuple(column.name for column in COLUMNS if column.name.endswith("share_removed"))
@@ -98,7 +99,7 @@ def column_of(name: str) -> RowColumn | None:
     return next((c for c in COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None)
 
 
-ROWS = ResultTable(
+ROWS = Table(
     "rows/cell-*/shard-*.parquet",
     "one row a trial and method; settings of the cell stand behind its number",
     (
@@ -106,12 +107,12 @@ ROWS = ResultTable(
         *texts(method="name"),
         *numbers(trial="number: `ltsim simulate --trial` writes its recording"),
         *texts(status="converged, full solver (the batch was not enough), failed"),
-        *(Column(c.name, f"[{c.unit}] {c.meaning}" if c.unit else c.meaning) for c in COLUMNS),
+        *COLUMNS,
     ),
 )
 
 
-def summary_table(factors: Mapping[str, str]) -> ResultTable:
+def summary_table(factors: Mapping[str, str]) -> Table:
     """`summary.csv` of a campaign: one row a cell, method and column of the rows; factors are names with kinds."""
     about = "setting of the cell, in the unit that manifest.json says"
     settings = [
@@ -119,7 +120,7 @@ def summary_table(factors: Mapping[str, str]) -> ResultTable:
         for name, kind in factors.items()
         for column in (numbers if kind in ("number", "integer") else texts)(**{name: about})
     ]
-    return ResultTable(
+    return Table(
         SUMMARY,
         "every statistic over the trials of a cell and method, with the settings of the cell",
         (
@@ -134,7 +135,7 @@ def summary_table(factors: Mapping[str, str]) -> ResultTable:
     )
 
 
-TRIALS = ResultTable(
+TRIALS = Table(
     "trials.csv",
     "what was found in each trial that gave a result, one row a trial and parameter",
     (

@@ -110,11 +110,14 @@ def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float
     fitted = {name: entry for name, entry in effects.items() if name in more}
     right = [more[name] / FACTOR[entry.unit] for name, entry in fitted.items()]
     plain = 1.0 if _as_the_prior(mean, drawn) else np.nan  # else the parameters' priors move effects too
-    beside = [
-        [e.value, e.sigma, t, plain * (e.value - t) / e.sigma] for e, t in zip(fitted.values(), right, strict=True)
-    ]
-    parts = (np.concatenate([own, other]) for own, other in zip(columns, np.reshape(beside, (-1, 4)).T, strict=True))
-    return Trial(names + tuple(fitted), units + tuple(e.unit for e in fitted.values()), *parts, network)
+    beside = np.array([[e.value, e.sigma or np.nan, t] for e, t in zip(fitted.values(), right, strict=True)]).reshape(
+        -1, 3
+    )
+    z = plain * (beside[:, 0] - beside[:, 2]) / beside[:, 1]
+    own = np.stack(columns)
+    value, sigma, known, scores = np.concatenate([own, np.concatenate([beside.T, z[None]])], axis=1)
+    shown = units + tuple(entry.unit for entry in fitted.values())
+    return Trial(names + tuple(fitted), shown, value, sigma, known, scores, network)
 
 
 def _of_effects(found: Calibration) -> dict[str, Estimate]:

@@ -253,9 +253,9 @@ class Cell:
     scenario: Scenario
     judge: Scenario | None
     """Where it is judged; None for nowhere else."""
-    settings: Mapping[str, Any]
+    settings: dict[str, Any]
     """What it changes, by dotted key."""
-    levels: Mapping[str, Any]
+    levels: dict[str, Any]
     """Value of each factor, by the factor's name."""
     mark: str
     """Digest of all that decides its rows but how many, and which of their columns are kept."""

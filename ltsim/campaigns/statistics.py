@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,13 @@ from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED
+from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.recording.result_table import ResultTable
-from ltsim.results import Columns, Result, by_row
+from ltsim.results import Columns, Result, Table, by_row
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -47,50 +47,10 @@ class Spread:
     mean: float
     low: float
     high: float
-    deviation: float | None = None
-    least: float | None = None
-    largest: float | None = None
-    quantiles: tuple[float | None, ...] = (None,) * len(LEVELS)
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`."""
-
-    settings: Mapping[str, Any]
-    """What both have in common."""
-    first: str
-    second: str
-    statistic: str
-    unit: str
-    trials: int
-    difference: float
-    low: float
-    high: float
-    """95 % interval of the difference."""
-
-
-@dataclass(frozen=True, repr=False)
-class Paired(Result):
-    """Differences on common draws."""
-
-    entries: tuple[Difference, ...]
-
-    def _lines(self) -> list[str]:
-        return [
-            f"{e.statistic}, {e.first} less {e.second}: {e.difference:.4g} {e.unit} "
-            f"(95 %: {e.low:.4g} to {e.high:.4g}; {e.trials} trials"
-            + "".join(f", {name} {value}" for name, value in e.settings.items())
-            + ")"
-            for e in self.entries
-        ]
-
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"differences": lambda: by_row([dict(e.settings) | _plain(e) for e in self.entries])}
-
-
-def _plain(entry: Difference) -> dict[str, Any]:
-    return {name: value for name, value in vars(entry).items() if name != "settings"}
+    deviation: float = math.nan
+    least: float = math.nan
+    largest: float = math.nan
+    quantiles: tuple[float, ...] = (math.nan,) * len(LEVELS)
 
 
 @dataclass(frozen=True)
@@ -166,7 +126,7 @@ class Results(Result):
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
             held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
-            self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(_errors_of(name)) <= {*held}))
+            self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(errors_of(name)) <= {*held}))
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
@@ -238,7 +198,7 @@ class Results(Result):
         kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
         return f"{kind}({value}, [{', '.join(str(level) for level in LEVELS)}])"
 
-    def _interval(self, count: int, deviation: float) -> float:
+    def half(self, count: int, deviation: float) -> float:
         """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""
         stops = bool(self.manifest.settings.get("stop"))
         level = level_of(self.manifest.trials, self.manifest.shard or 1, stops=stops)
@@ -248,7 +208,7 @@ class Results(Result):
         """Mean, spread and quantiles of a column in every cell and for every method."""
         name = self._known(column)
         if column in SHARES:
-            return [self._share(column, row) for row in self.query(_SHARE.format(*_terms(column)))]
+            return [self._share(column, row) for row in self.query(_SHARE.format(*terms_of(column)))]
         found = self.query(
             f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
             f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
@@ -259,7 +219,7 @@ class Results(Result):
                 cell, method, column, count, mean, mean - half, mean + half, _number(sd), low, high, tuple(quantiles)
             )
             for cell, method, count, mean, sd, low, high, quantiles in found
-            for half in [self._interval(count, _number(sd))]
+            for half in [self.half(count, _number(sd))]
         ]
 
     def _share(self, column: str, row: tuple[Any, ...]) -> Spread:
@@ -267,7 +227,7 @@ class Results(Result):
         cell, method, count, gained, correctable, by_gained, by_both, by_correctable = row
         value = gained / correctable if correctable > 0 else math.nan
         variance = _number(by_gained) - 2 * value * _number(by_both) + value**2 * _number(by_correctable)
-        half = self._interval(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
+        half = self.half(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
         return Spread(cell, method, column, count, value, value - half, value + half)
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
@@ -321,52 +281,7 @@ class Results(Result):
             When there is no such statistic, method, factor or level.
         """
         self._known(statistic)
-        if len(between) != 1:
-            raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
-        ((along, (first, second)),) = between.items()
-        found = []
-        for common, one, other in self._pairs(along, first, second):
-            values = [self._terms(statistic, *place) for place in (one, other)]
-            both = np.isin(values[0][0], values[1][0]), np.isin(values[1][0], values[0][0])
-            a, b = (terms[1][:, keep] for terms, keep in zip(values, both, strict=True))
-            (mean, scatter), (less, other_scatter) = _linear(a), _linear(b)
-            count, gap = a.shape[1], mean - less
-            half = self._interval(count, float(np.std(scatter - other_scatter, ddof=1))) if count > 1 else math.inf
-            unit = self.units.get(statistic, "")
-            found.append(
-                Difference(common, str(first), str(second), statistic, unit, count, gap, gap - half, gap + half)
-            )
-        return Paired(tuple(found))
-
-    def _pairs(self, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
-        """What two places (cell, method) have in common, and both."""
-        methods = self.manifest.methods
-        known = methods if along == "method" else [level.get(along) for level in self.levels]
-        if along != "method" and along not in {f.name for f in self.factors}:
-            raise unknown_name("factor of this campaign", along, ("method", *(f.name for f in self.factors)))
-        for level in (first, second):
-            if level not in known:
-                raise unknown_name(f"level of {along}", str(level), [str(k) for k in dict.fromkeys(known)])
-        for cell, own in enumerate(self.levels):
-            if along == "method":
-                yield dict(own), (cell, first), (cell, second)
-            elif own[along] == first:
-                rest = {name: value for name, value in own.items() if name != along}
-                twin = next((k for k, level in enumerate(self.levels) if level == own | {along: second}), None)
-                for method in methods if twin is not None else ():
-                    several = {"method": method} if len(methods) > 1 else {}
-                    yield rest | several, (cell, method), (twin, method)
-
-    def _terms(self, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
-        """Trials (N,) of a place and what is averaged of each, (1, N), or (2, N) of a share."""
-        terms = _terms(statistic) if statistic in SHARES else (f'"{statistic}"',)
-        words = method.replace("'", "''")
-        rows = self.query(
-            f"SELECT trial, {', '.join(terms)} FROM rows WHERE cell = {cell} AND method = '{words}' "
-            f"AND {terms[0]} IS NOT NULL ORDER BY trial"
-        )
-        table = np.array(rows, dtype=np.float64).reshape(len(rows), 1 + len(terms)).T
-        return table[0], table[1:]
+        return paired(self, statistic, **between)
 
     def summary(self) -> dict[str, Any]:
         """Everything a report needs, as plain data."""
@@ -379,25 +294,34 @@ class Results(Result):
             "cells": [
                 cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
             ],
-            "ends": [asdict(entry) for entry in self.checked()],
+            "ends": [_known(asdict(entry)) for entry in self.checked()],
             "levels": LEVELS,
             "meanings": {c: known.meaning for c in wanted if (known := column_of(c))},
             "columns": [
-                asdict(entry) | {"unit": self.units.get(column, "")}
+                _known(asdict(entry)) | {"unit": self.units.get(column, "")}
                 for column in wanted
                 for entry in self.spread(column)
             ],
-            "z_scores": [asdict(entry) for entry in self.z_scores()],
+            "z_scores": [_known(asdict(entry)) for entry in self.z_scores()],
         }
+
+
+def _known(value: Any) -> Any:
+    """The same with None for what is not known, as JSON has it."""
+    if isinstance(value, dict):
+        return {key: _known(own) for key, own in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_known(own) for own in value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def summary_csv(summary: Mapping[str, Any]) -> str:
     """The content of `summary.csv`: one line a cell, method and column."""
     table, columns = _tidy(summary)
-    return table.text(zip(*columns.values(), strict=True))
+    return table.filled(zip(*columns.values(), strict=True)).csv()
 
 
-def _tidy(summary: Mapping[str, Any]) -> tuple[ResultTable, Columns]:
+def _tidy(summary: Mapping[str, Any]) -> tuple[Table, Columns]:
     """The statistics with the settings of their cells, column by column, and how they are written."""
     table = summary_table({factor["name"]: factor["kind"] for factor in summary["factors"]})
     levels = {cell["cell"]: cell["levels"] for cell in summary["cells"]}
@@ -407,33 +331,11 @@ def _tidy(summary: Mapping[str, Any]) -> tuple[ResultTable, Columns]:
     return table, fixed | quantiles
 
 
-Place = tuple[int, str]
-"""Cell and method."""
 _SHARE = (
     "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
     "FROM (SELECT cell, method, {0} AS a, {1} AS b FROM rows) WHERE a IS NOT NULL AND b IS NOT NULL "
     "GROUP BY cell, method ORDER BY cell, method"
 )
-
-
-def _errors_of(share: str) -> tuple[str, str, str]:
-    """The columns that a share is made of: raw, calibrated, with the true parameters."""
-    prefix = share.removesuffix("share_removed")
-    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
-
-
-def _terms(share: str) -> tuple[str, str]:
-    """SQL of the mean square that was removed, and of that which could be."""
-    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in _errors_of(share))
-    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
-
-
-def _linear(terms: Floats) -> tuple[float, Floats]:
-    """A mean of (1, N), or a ratio of means of (2, N), and how far each trial draws it (N,)."""
-    if len(terms) == 1:
-        return float(np.mean(terms)), terms[0]
-    ratio = float(terms[0].mean() / terms[1].mean())
-    return ratio, (terms[0] - ratio * terms[1]) / terms[1].mean()
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:

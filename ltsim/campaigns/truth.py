@@ -20,7 +20,7 @@ from ltsim.effects.effect import Effect
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import State
-from ltsim.randomness import BLOCK
+from ltsim.randomness import BLOCK as BLOCK
 from ltsim.recording.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import Draw, EffectLaw, Normal, Population

@@ -9,7 +9,7 @@ import typer
 
 from ltsim.cli.options import Out
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.terminal import Terminal
 from ltsim.notation import with_sigma
 
 if TYPE_CHECKING:
@@ -60,14 +60,12 @@ def show(terminal: Terminal, found: BenchFile) -> None:
 
     off = f"{words(found.eccentricity_forward)} forward, {words(found.eccentricity_side)} to the side"
     terminal.say(f"sphere off the table's axis: {off}; run-out {found.run_out_um:.1f} um\n")
-    shown = [(f"{r.angle_deg:+.1f}", r.as_read_um, r.error_um, r.sigma_um) for r in found.table]
-    rows = [[angle, *(f"{x:.2f}" for x in lengths)] for angle, *lengths in shown]
-    terminal.say(table(["incidence [deg]", "as read [um]", "range error", "sigma"], rows))
+    terminal.say(found.table().text())
     vertex = f"{words(found.vertex_axial)} axial, {words(found.vertex_side)} to the side"
     terminal.say(f"\nas a vertex off the centre (smr-centring): {vertex}")
     terminal.say(f"what no offset explains (smr-incidence): {found.remainder_um:.2f} um rms")
-    if [round(r.angle_deg, 3) for r in found.table] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
-        values = ", ".join(f"{r.error_um:.2f}" for r in found.table)
+    if [round(r.angle_deg, 3) for r in found.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
+        values = ", ".join(f"{r.error_um:.2f}" for r in found.angles)
         terminal.say(f"\nfor a scenario: [smr] incidence_error = true, table_um = [{values}]")
 
 

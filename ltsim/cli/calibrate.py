@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import FramedReading, Out, PointsFile, Source, Treatment, in_flags, names_of
+from ltsim.cli.options import FramedReading, Out, PointsFile, Source, Treatment, names_of
 from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.summary import show_calibration
 from ltsim.cli.terminal import Terminal
@@ -130,7 +130,7 @@ def calibrate(
     claim_results(out, points, adjusted=False, force=force)
     recording = reading.open(source, terminal)
     built = construction.value if construction else None
-    with in_flags(), terminal.busy("calibrating"):
+    with terminal.busy("calibrating"):
         found = lt.calibrate(recording, method=method.value, construction=built, **options)
     finish(terminal, found, out, points)
 

@@ -112,7 +112,7 @@ def campaign(
     results = Results(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", summary_csv(summary))
-    terminal.answer(plain(summary))
+    terminal.answer(summary)
     show(terminal, outcome, results, summary)
     failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
     for failure in failures:
@@ -142,17 +142,6 @@ def parsed(changes: list[str]) -> dict[str, Any]:
         except tomllib.TOMLDecodeError:
             found[key] = value
     return found
-
-
-def plain(content: Any) -> Any:
-    """The same without values that JSON does not have (they become null)."""
-    if isinstance(content, dict):
-        return {key: plain(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [plain(value) for value in content]
-    if isinstance(content, float) and not abs(content) < float("inf"):
-        return None
-    return content
 
 
 def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[str, Any]) -> None:

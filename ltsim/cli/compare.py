@@ -9,7 +9,7 @@ import typer
 
 import ltsim as lt
 from ltsim.chances import p_is
-from ltsim.cli.options import Out, Reading, Robust, Source, in_flags, names_of
+from ltsim.cli.options import Out, Reading, Robust, Source, names_of
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal
 
@@ -68,7 +68,7 @@ def compare(
     lists = holds_coordinates(source) or holds_coordinates(second)
     one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
     how: dict[str, Any] = {"free": free, "same_instrument": same_instrument, "calibrate": calibrate, "robust": robust}
-    with in_flags(), terminal.busy("comparing"):
+    with terminal.busy("comparing"):
         found = lt.compare(one, other, stable=names_of(stable), scaled=scale, level=level, **how)
     content = comparison_file(found) if out is None else write_comparison(found, out)
     terminal.answer(content.content())

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import ltsim as lt
 from ltsim.cli.options import OptionalCalibrationFile, Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import calibration_of, criteria_table
+from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from ltsim.arrays import Bools
     from ltsim.evaluation import Criteria
     from ltsim.recording import Recording
 
@@ -40,17 +40,8 @@ def evaluate(
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings miss their target by far and are left out (rows {rows})"])
-    show(terminal, criteria_with(terminal, recording, calibration, ~gross), recording, out)
-
-
-def criteria_with(terminal: Terminal, recording: Recording, calibration: Path | None, use: Bools) -> Criteria:
-    """The criteria of a recording with the parameters of a calibration file."""
-    from ltsim.evaluation import evaluate as criteria_of
-
-    if calibration is None:
-        return criteria_of(recording, use=use)
-    found = calibration_of(terminal, calibration)
-    return criteria_of(recording, found.construction, found.values_for(recording), use=use)
+    found = None if calibration is None else calibration_of(terminal, calibration)
+    show(terminal, lt.evaluate(recording, found), recording, out)
 
 
 def show(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
@@ -62,6 +53,6 @@ def show(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path
     if out is not None:
         write_result(out, content, {})
     terminal.answer(content.content())
-    terminal.say(criteria_table(criteria))
+    terminal.say(criteria.table().text())
     if out is not None:
         terminal.say(f"\nwritten to {out}")

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from ltsim.cli.options import ungrouped
-from ltsim.errors import LtsimError, StoppedError, printable
+from ltsim.errors import LtsimError, StoppedError, options_are_flags, printable
 
 BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
@@ -109,7 +109,8 @@ def run(arguments: Sequence[str]) -> int:
     (with a traceback), 130 interrupted.
     """
     try:
-        status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
+        with options_are_flags():
+            status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
         sys.stdout.flush()
     except UsageProblem as problem:
         return _refuse(_usage_sentence(problem))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import ModelError, RecordError, SetupError
+from ltsim.errors import RecordError
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -83,35 +81,6 @@ Datum = Annotated[
 PointsFile = Annotated[
     Path | None, typer.Option("--points", metavar="FILE", help="Write the adjusted points too: .csv, .ply or .glb.")
 ]
-
-
-FLAGS = {
-    "noise_from_data": "--noise-from-data",
-    "same_instrument": "--same-instrument",
-    "with_effects": "--with",
-    "robust": "--robust",
-    "datum": "--datum",
-    "prior": "--prior",
-    "harmonics": "--harmonics",
-    "degree": "--degree",
-    "box": "--box",
-    "free is": "--free is",
-    "and calibrate say": "and --no-calibrate say",
-}
-"""Options as functions name them, and as the command line spells them."""
-
-
-@contextmanager
-def in_flags() -> Iterator[None]:
-    """What a function says of its options, told of the flags."""
-    try:
-        yield
-    except ModelError as problem:
-        words = str(problem)
-        if "go with" in words or "say nothing" in words or "free is" in words:
-            for option, flag in FLAGS.items():
-                words = re.sub(rf"(?<![-\w]){option}\b", flag, words)
-        raise SetupError(words) from None
 
 
 def names_of(listed: str | None) -> tuple[str, ...] | None:

@@ -117,8 +117,7 @@ def recover(
     if out is not None:
         from ltsim.recording.result_file import write_result
 
-        rows = TRIALS.text(row.values() for row in result.rows())
-        content = write_result(out, content, {TRIALS.file: rows})
+        content = write_result(out, content, {TRIALS.file: result.table("trials").csv()})
     if junit is not None:
         junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())
@@ -168,8 +167,13 @@ def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
     checks = result.checks()
     failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
-    counts = {"tests": str(len(checks)), "failures": failed, "errors": "0", "time": f"{result.seconds:.3f}"}
-    root = Element("testsuite", name=f"ltsim recover {suite}", **counts)
+    counts: dict[str, str] = {
+        "tests": str(len(checks)),
+        "failures": failed,
+        "errors": "0",
+        "time": f"{result.seconds:.3f}",
+    }
+    root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
         case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
         inside = SubElement(case, "properties")

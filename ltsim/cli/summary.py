@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.terminal import Terminal
 from ltsim.notation import number, with_sigma
-from ltsim.units import MICROMETRE
+from ltsim.results import aligned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ltsim.calibration import Calibration
-    from ltsim.calibration.schema import KnownEntry
-    from ltsim.evaluation import Comparison, Criteria
+    from ltsim.calibration.known_values import KnownEntry
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
@@ -71,7 +70,7 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
         show_outliers(terminal, calibration)
     if calibration.criteria is not None:
         terminal.say()
-        terminal.say(criteria_table(calibration.criteria))
+        terminal.say(calibration.criteria.table().text())
     if not math.isfinite(fit.chi2):
         terminal.say("the fit is not finite")
 
@@ -200,29 +199,6 @@ def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
         for entry in worst[:MOST_KNOWN]
     ]
     terminal.say("known values (stated less adjusted; error by what the rest says):")
-    terminal.say(table(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
+    terminal.say(aligned(["known", "residual", "error", "unit", "redundancy", "w", ""], rows))
     if len(known) > len(rows):
         terminal.say(f"  and {len(known) - len(rows)} more in calibration.json")
-
-
-def criteria_table(criteria: Criteria) -> str:
-    """Mean and maximum before and after in um, and the improvement of the mean."""
-    rows = [_criterion("distance", criteria.distance)]
-    if criteria.distance_to_first is not None:
-        rows.append(_criterion("distance, to the first station (eq. 11)", criteria.distance_to_first))
-    rows.append(_criterion("coordinate", criteria.coordinate))
-    header = ["criterion [um]", "mean", "max", "mean after", "max after", "improvement"]
-    return table(header, rows)
-
-
-def _criterion(name: str, comparison: Comparison) -> list[str]:
-    before, after = comparison.before, comparison.after
-    row = [name, f"{before.mean / MICROMETRE:.1f}", f"{before.maximum / MICROMETRE:.1f}"]
-    if after is None or comparison.improvement_percent is None:
-        return [*row, "", "", ""]
-    return [
-        *row,
-        f"{after.mean / MICROMETRE:.1f}",
-        f"{after.maximum / MICROMETRE:.1f}",
-        f"{comparison.improvement_percent:.1f} %",
-    ]

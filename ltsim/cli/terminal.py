@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ltsim.errors import printable
-from ltsim.results import aligned
+from ltsim.notation import aligned
 
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""

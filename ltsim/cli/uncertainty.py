@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import ltsim as lt
 from ltsim.cli.options import Out, Reading
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, digits, table
+from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError
 from ltsim.simulation.builtin import builtin_names
 
 if TYPE_CHECKING:
     from ltsim.recording.recording import Recording
+    from ltsim.tasks.evaluation import Evaluation
     from ltsim.tasks.files import UncertaintyFile
     from ltsim.tasks.spec import Tasks
 
@@ -61,12 +62,12 @@ def uncertainty(
     content = told(evaluation)
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
     if out is not None:
-        content = write_uncertainty(content, out)
+        content = write_uncertainty(evaluation, out)
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
     terminal.answer(answer)
-    show(terminal, content)
+    show(terminal, evaluation, content)
     if other is not None:
         _show_against(terminal, other)
     terminal.written(out)
@@ -87,34 +88,17 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, besid
     return Reading().open(place, terminal)
 
 
-def show(terminal: Terminal, content: UncertaintyFile) -> None:
+def show(terminal: Terminal, evaluation: Evaluation, content: UncertaintyFile) -> None:
     """A line a result: value, expanded uncertainty, what makes most of it, verdict; then what to mind."""
-    rows = []
-    for r in content.results:
-        value, expanded = digits(r.value, r.expanded_uncertainty)
-        top = r.budget[0] if r.budget else None
-        rows.append(
-            [
-                r.task,
-                r.name,
-                value,
-                expanded,
-                r.unit,
-                f"{top.source} ({100 * top.share:.0f} %)" if top else "",
-                _verdict(r.conformity),
-            ]
-        )
     percent, trials = 100 * content.coverage, content.trials
     terminal.say(f"\nResults with expanded uncertainty U ({percent:g} %, {trials} trials); frame: {content.frame}")
-    terminal.say(table(["task", "result", "value", "U", "unit", "largest source", "verdict"], rows, left=2))
+    terminal.say(evaluation.table().only("task result value U unit judgement largest_source").text())
+    for r in content.results:
+        if r.conformity is not None:
+            judged, chance = r.conformity.judgement, r.conformity.probability
+            terminal.say(f"{r.task}, {r.name}: {judged} (conforms with probability {chance:.3f})")
     for warning in content.warnings:
         terminal.say(f"mind: {warning}")
-
-
-def _verdict(conformity: Any) -> str:
-    if conformity is None:
-        return ""
-    return f"{conformity.judgement} (conforms with probability {conformity.probability:.3f})"
 
 
 def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:

@@ -85,23 +85,15 @@ def add_effect(kind: type[Effect]) -> type[Effect]:
     ModelError
         Why it cannot be an effect, or that the name is taken.
 
+    Notes
+    -----
+    The page "An effect of your own" shows one that is simulated and fitted.
+
     Examples
     --------
-    >>> from dataclasses import dataclass
     >>> import ltsim as lt
-    >>> @lt.add_effect
-    ... @dataclass(frozen=True)
-    ... class CableDrag(lt.effects.Effect):
-    ...     name = "cable-twist"
-    ...     stage = lt.effects.Stage.AXES
-    ...     parameters = (lt.effects.Parameter("twist", "urad", "azimuth per turn of the head", 5e-6),)
-    ...
-    ...     def design(self, sightings):
-    ...         column = 0 * sightings.raw[:, :, None]
-    ...         column[:, 1, 0] = self.mask(sightings) * sightings.azimuth
-    ...         return column
-    >>> changes = {"effects": [{"name": "cable-twist", "values": {"twist": 6.0}}]}
-    >>> lt.simulate("paper-workshop", changes=changes).truth.effects[0].effect.name
-    'cable-twist'
+    >>> lt.add_effect(int)
+    Traceback (most recent call last):
+    ltsim.errors.ModelError: <class 'int'> cannot be an effect: it is no class derived from ltsim.effects.Effect
     """
     return CATALOGUE.add(kind)

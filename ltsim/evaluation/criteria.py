@@ -7,7 +7,6 @@ the mean-based one behind the paper's Table 3, `distance_to_first` the other.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -21,7 +20,7 @@ from ltsim.evaluation.clouds import in_first_frame, measured_points, station_mea
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
-from ltsim.results import Columns, Result
+from ltsim.results import Column, Result, Table
 from ltsim.units import MICROMETRE
 
 MOST_PLACES = 20_000_000
@@ -49,9 +48,14 @@ class Differences:
         """[m]."""
         return float(self.values.max())
 
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Mean and maximum in um."""
+        return self.mean / MICROMETRE, self.maximum / MICROMETRE
+
     def as_json(self) -> dict[str, float]:
         """Mean and maximum in um."""
-        return {"mean_um": self.mean / MICROMETRE, "max_um": self.maximum / MICROMETRE}
+        return dict(zip(("mean_um", "max_um"), self.sizes, strict=True))
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,20 @@ class Comparison:
         return entry
 
 
+CRITERIA = Table(
+    "criteria.csv",
+    "how far stations disagree, before and after a calibration",
+    (
+        Column("criterion", "of the paper", "text"),
+        Column("mean_um", "over pairs of targets, or targets", shown=".1f"),
+        Column("max_um", "the largest", shown=".1f"),
+        Column("mean_after_um", "readings corrected", shown=".1f"),
+        Column("max_after_um", "as mean_after_um", shown=".1f"),
+        Column("improvement_percent", "of the mean", shown=".1f"),
+    ),
+)
+
+
 @dataclass(frozen=True, repr=False)
 class Criteria(Result):
     """Both criteria; verification fills only the first and the last."""
@@ -97,20 +115,15 @@ class Criteria(Result):
         parts = {"distance": self.distance, "coordinate": self.coordinate}
         return [f"Criteria: {'; '.join(f'{name} {compared.words}' for name, compared in parts.items())}"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"criteria": self._criteria}
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"criteria": lambda: CRITERIA.filled(self._rows())}
 
-    def _criteria(self) -> Columns:
-        parts = {"distance": self.distance, "coordinate": self.coordinate}
-        after = [compared.after for compared in parts.values()]
-        return {
-            "criterion": list(parts),
-            "mean_um": [c.before.mean / MICROMETRE for c in parts.values()],
-            "max_um": [c.before.maximum / MICROMETRE for c in parts.values()],
-            "mean_after_um": [math.nan if a is None else a.mean / MICROMETRE for a in after],
-            "max_after_um": [math.nan if a is None else a.maximum / MICROMETRE for a in after],
-            "improvement_percent": [c.improvement_percent for c in parts.values()],
-        }
+    def _rows(self) -> Iterator[list[Any]]:
+        named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
+        for name, found in {**named, "coordinate": self.coordinate}.items():
+            if found is not None:
+                sides = found.before.sizes, (None, None) if found.after is None else found.after.sizes
+                yield [name, *sides[0], *sides[1], found.improvement_percent]
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""

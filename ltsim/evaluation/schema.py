@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
+from pydantic import Field
+
+from ltsim.notation import with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
-from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.recording.result_table import ResultTable
+from ltsim.results import Result, Table, columns_of, numbers, texts
 
 NOMINAL = ResultTable(
     "nominal.csv",
@@ -80,7 +85,19 @@ class BenchRow(Entry):
     """Standard deviation of the error."""
 
 
-class BenchFile(ResultFile):
+ANGLES = Table(
+    "angles.csv",
+    "the reflector's range error against incidence",
+    columns_of(
+        BenchRow,
+        angle_deg={"title": "incidence", "shown": "+.1f"},
+        as_read_um={"shown": ".2f"},
+        error_um={"title": "range error", "sigma": "sigma_um"},
+    ),
+)
+
+
+class BenchFile(ResultFile, Result):
     """`bench.json`: from `bench`."""
 
     FILE: ClassVar[str] = "bench.json"
@@ -92,7 +109,7 @@ class BenchFile(ResultFile):
     """The same to the side."""
     run_out_um: Finite
     """Largest less smallest displacement that the probe saw."""
-    table: tuple[BenchRow, ...]
+    angles: tuple[BenchRow, ...] = Field(alias="table")
     """Range error against incidence."""
     vertex_axial: EstimateEntry
     """Vertex of the mirrors off the sphere's centre, out of the open face, if an offset is the cause."""
@@ -100,3 +117,13 @@ class BenchFile(ResultFile):
     """The same to the side."""
     remainder_um: Finite
     """Root mean square of what no offset of the vertex explains: optics."""
+
+    __repr__ = __str__ = Result.__repr__
+
+    def _lines(self) -> list[str]:
+        worst = max(self.angles, key=lambda row: abs(row.error_um))
+        size = with_sigma(worst.error_um, worst.sigma_um, "um")
+        return [f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"angles": lambda: ANGLES.filled(self.angles)}

@@ -33,7 +33,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     >>> rows = [[str(a), str(0.1 * a) if abs(a) <= 30 else "", "0.0"] for a in range(-180, 180, 15)]
     >>> lines = [",".join(row) for row in [["angle_deg", "length_um", "probe_um"], *rows]]
     >>> _ = Path("reflector.csv").write_text(chr(10).join(lines))
-    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").table]
+    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").angles]
     [-3.0, -1.5, 0.0, 1.5, 3.0]
     """
     how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}

@@ -45,11 +45,11 @@ class Explained:
     def size(self, which: slice) -> tuple[float, float]:
         """Length of some of the values, and its standard deviation."""
         part, spread = self.values[which], self.covariance[which, which]
-        length = float(np.linalg.norm(part))
+        length = float(np.sqrt(part @ part))
         if not np.isfinite(np.diag(spread)).all():
             return length, float("inf")
         along = part / length if length else np.full(len(part), 1.0 / np.sqrt(len(part)))
-        return length, float(np.sqrt(max(along @ spread @ along, 0.0)))
+        return length, float(np.sqrt(max(float(along @ spread @ along), 0.0)))
 
 
 @dataclass(frozen=True)

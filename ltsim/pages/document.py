@@ -128,7 +128,7 @@ class Section:
     """One folder's part of the report; `answer` is one sentence that stands first.
 
     `title` says what a page of this section alone is about; `kind` and `folder` head it among others. The first
-    `shown` blocks stand open, the others are details.
+    `shown` blocks stand open, the others are details; `lead` of them stand side by side in the head of the page.
     """
 
     title: str
@@ -144,6 +144,7 @@ class Section:
     axes: str = ""
     measured: str = ""
     shown: int = 3
+    lead: int = 0
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,9 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
     figure.draw_without_rendering()
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers).reshape(-1, 2) / point
-    taken = np.concatenate([spots - 3.0, spots + 3.0], axis=1)
+    left, below = ax.get_window_extent().p0 / point
+    numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
+    taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
     for label in labels:
         half = 0.5 * label.size * np.array([WIDE * len(label.text), HIGH])
         for turn in label.away + TURNS:

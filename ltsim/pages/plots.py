@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import singledispatch
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,6 +24,10 @@ from ltsim.tasks.congruence import Congruence
 @singledispatch
 def figure_of(result: Result) -> Figure:
     """The picture of a result; raises ModelError for one that has none."""
+    if type(result).__module__ == "ltsim.campaigns.statistics":  # not registered: its packages may be missing
+        from ltsim.pages.sections.campaign import campaign_figure
+
+        return campaign_figure(cast(Any, result))
     raise ModelError(f"a {type(result).__name__} has no picture of its own; lt.report makes a page of its folder")
 
 

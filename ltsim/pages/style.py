@@ -35,7 +35,7 @@ DIVERGING = "RdBu_r"
 ON_PALE, ON_DEEP = "#23282c", "#fefefe"
 """Letters on coloured cells."""
 
-WIDTH = 5.6
+WIDTH = 4.9
 """Inches of every figure: on a phone its letters still have nine pixels."""
 
 OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}

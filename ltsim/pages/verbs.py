@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ltsim.pages import scene3d
+from ltsim.errors import require
 from ltsim.pages.page import report as write_report
 from ltsim.pages.planned import from_scenario, with_cad
-from ltsim.pages.scene_page import scene_page
 from ltsim.pages.workshop import Workshop, from_recording
 from ltsim.recording import Recording
 from ltsim.recording.exchange import read
@@ -34,18 +33,26 @@ class View(Result):
         return [f"View: {title}{len(w.stations)} stations, {len(w.targets)} targets; png(), html() or show()"]
 
     def _repr_html_(self) -> str:
+        from ltsim.pages.scene_page import scene_page  # pyvista takes a second to load
+
         return f'<iframe srcdoc="{escape(scene_page(self.workshop))}" width="100%" height="600"></iframe>'
 
     def png(self, path: str | Path) -> None:
         """Write a picture."""
+        from ltsim.pages import scene3d
+
         write_text(Path(path), scene3d.picture(self.workshop))
 
     def html(self, path: str | Path) -> None:
         """Write one page to turn in a browser, offline."""
+        from ltsim.pages.scene_page import scene_page
+
         write_text(Path(path), scene_page(self.workshop))
 
     def show(self) -> None:
         """Open a window; returns when it is closed."""
+        from ltsim.pages import scene3d
+
         scene3d.show(self.workshop)
 
 
@@ -80,6 +87,7 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
     """
+    require(("pyvista", "trame_vtk"), "3D views", "view")
     shown = _workshop_of(source).coloured(colour)
     return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit, cad_up))
 

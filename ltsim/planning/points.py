@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 from ltsim.errors import RecordError, as_setup_error
 from ltsim.recording.coordinates import Points, read_points as read_coordinates
@@ -51,7 +52,7 @@ def _points(path: Path) -> tuple[Point, ...]:
 
 
 def _point(found: Points, i: int, path: Path) -> Point:
-    where = {"file": path, "row": found.lines[i]}
+    where: dict[str, Any] = {"file": path, "row": found.lines[i]}
 
     def further(column: str, usual: float | None) -> float | None:
         text = found.further[column][i] if column in found.further else ""

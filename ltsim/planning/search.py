@@ -254,24 +254,23 @@ class Searcher:
         """
         survey, free = self.site.survey, self._free
         tables = {slot: self.table(slot) for slot in free}
-        least: tuple[int, list[int]] | None = None
-        for attempt in range(TRIES):
-            chosen = self.placement.stations(len(free), self.site.least, None if attempt % 2 else rng)
-            if len(chosen) == len(free):
-                lacking = self.placement.missing(chosen, self.site.least)
-                least = min(least or (lacking, chosen), (lacking, chosen))
-                pools = [self.pool(survey.position[[s]], survey.yaw[[s]], s) for s in range(self.stations)]
-                for slot, place in zip(free, chosen, strict=True):
-                    at = np.flatnonzero((tables[slot].position == self.placement.position[place]).all(axis=1))
-                    if len(at):
-                        pools[slot] = tables[slot].take(rng.choice(at, size=1))
-                made = self._joined(pools)
-                if self.site.joined(made.position[None], made.seen[None])[0]:
-                    return made
-        where = "" if least is None else self._lacking(least[1])
+        lacking: list[int] | None = None
+        for _ in range(TRIES):
+            chosen = self.placement.stations(len(free), self.site.least, rng)
+            if len(chosen) < len(free) or self.placement.missing(chosen, self.site.least):
+                lacking = chosen
+                break
+            pools = [self.pool(survey.position[[s]], survey.yaw[[s]], s) for s in range(self.stations)]
+            for slot, place in zip(free, chosen, strict=True):
+                at = np.flatnonzero((tables[slot].position == self.placement.position[place]).all(axis=1))
+                pools[slot] = tables[slot].take(rng.choice(at, size=1)) if len(at) else pools[slot]
+            made = self._joined(pools)
+            if self.site.joined(made.position[None], made.seen[None])[0]:
+                return made
+        where = "" if lacking is None else self._lacking(lacking)
         raise SetupError(
-            f"no layout of {self.stations} stations was found in {TRIES} tries that keeps them "
-            f"{self.site.spacing:g} m apart and every reflector in sight of {self.site.least}{where}; "
+            f"no layout of {self.stations} stations was found among {len(self.placement.position)} places that keeps "
+            f"them {self.site.spacing:g} m apart and every reflector in sight of {self.site.least}{where}; "
             "ask for less, or widen the floor"
         )
 

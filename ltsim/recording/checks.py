@@ -27,7 +27,7 @@ def idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )
     if setup.reference_radius_mm is not None and not setup.reflectors:
-        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives a ball its radius")
+        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives an SMR its radius")
     return tuple(notes)
 
 

@@ -71,8 +71,8 @@ class Points:
     @property
     def by_name(self) -> dict[str, Floats]:
         """Coordinates (3,) [m] of the points that have all three."""
-        whole = np.isfinite(self.points).all(axis=1)
-        return {name: p for name, p, is_whole in zip(self.names, self.points, whole, strict=True) if is_whole}
+        whole = np.asarray(np.isfinite(self.points).all(axis=1))
+        return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
 
 
 def read_points(path: str | Path, unit: Unit | None = None, *, strict: bool = True) -> Points:
@@ -341,7 +341,7 @@ def _from_list(path: Path) -> Coordinates:
     """A list of points along the axes that it has, with the covariance beside it or its own."""
     found = read_points(path)
     measured = np.isfinite(found.points)
-    axes = "".join(axis for axis, any_ in zip(AXES, measured.any(axis=0), strict=True) if any_)
+    axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
     at = [AXES.index(axis) for axis in axes]
     if not measured[:, at].all():
         row, axis = np.argwhere(~measured[:, at])[0]

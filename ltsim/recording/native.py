@@ -27,7 +27,7 @@ from ltsim.recording.files import (
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.plausibility import check_degrees
 from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, REFLECTOR_COLUMN, SIGMA_COLUMNS, Recording
-from ltsim.recording.reflectors import balls_of, excess_radii
+from ltsim.recording.reflectors import excess_radii, smrs_of
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables.sheets import is_folder
@@ -141,7 +141,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     )
     if not growing:
         _check_gauge(recording, folder / SETUP)
-    _check_balls(recording, folder)
+    _check_smrs(recording, folder)
     return recording.replace(notes=idle_settings(recording))
 
 
@@ -233,14 +233,14 @@ def _check_gauge(recording: Recording, file: Path) -> None:
     KnownLengths.of(recording, file)
 
 
-def _check_balls(recording: Recording, folder: Path) -> None:
-    """Where balls have radii, every pointing names one of them, and its nest has a normal if it needs one."""
+def _check_smrs(recording: Recording, folder: Path) -> None:
+    """Where SMRs have radii, every pointing names one of them, and its nest has a normal if it needs one."""
     excess_radii(recording, folder / SETUP)
-    names = balls_of(recording)
+    names = smrs_of(recording)
     if recording.setup.reflectors and "" in names:
         row = names.index("")
         target = recording.targets[recording.target[row]]
-        message = f"no ball is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
+        message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
         raise RecordError(message, file=folder / OBSERVATIONS, row=row + 1, column=REFLECTOR_COLUMN)
 
 

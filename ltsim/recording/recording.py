@@ -27,7 +27,7 @@ KIND_COLUMN = "distance_kind"
 MODE_COLUMN = "distance_mode"
 """Label ``adm``, ``ifm`` or empty: by which meter a distance was measured."""
 REFLECTOR_COLUMN = "reflector"
-"""Label: name of the ball of each pointing; an empty cell leaves the target's."""
+"""Label: name of the SMR of each pointing; an empty cell leaves the target's."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 
 

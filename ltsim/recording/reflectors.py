@@ -1,4 +1,4 @@
-"""Balls of several radii: how much farther from the seat of its nest each pointing's ball stood than the reference."""
+"""SMRs of several radii: how much farther from the seat of its nest each pointing's SMR stood than the reference."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ltsim.recording.setup import Reflector
 from ltsim.units import MILLIMETRE
 
 
-def balls_of(recording: Recording) -> tuple[str, ...]:
-    """Name of the ball of each pointing, '' where none is stated: that of its row, else that of its target."""
+def smrs_of(recording: Recording) -> tuple[str, ...]:
+    """Name of the SMR of each pointing, '' where none is stated: that of its row, else that of its target."""
     usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
     own = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
     return tuple(name or usual[target] for name, target in zip(own, recording.target, strict=True))
 
 
 def reference_radius(names: Sequence[str], reflectors: Mapping[str, Reflector], stated: float | None) -> float:
-    """[mm] Radius of the ball whose centre is meant by the coordinates of a target.
+    """[mm] Radius of the SMR whose centre is meant by the coordinates of a target.
 
     Parameters
     ----------
     names : sequence of str
-        The balls in use.
+        The SMRs in use.
     reflectors : mapping
         Them by name.
     stated : float, optional
@@ -36,7 +36,7 @@ def reference_radius(names: Sequence[str], reflectors: Mapping[str, Reflector], 
     Raises
     ------
     RecordError
-        When a ball has no table, or they differ and nothing is stated.
+        When an SMR has no table, or they differ and nothing is stated.
     """
     for name in names:
         if name not in reflectors:
@@ -47,27 +47,27 @@ def reference_radius(names: Sequence[str], reflectors: Mapping[str, Reflector], 
     if len(radii) > 1:
         found = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
-            f"the balls have different radii ({found} mm): state reference_radius_mm at the head of the file, the "
-            "radius of the ball whose centre a target's coordinates mean, or 0 for the seat of its nest"
+            f"the SMRs have different radii ({found} mm): state reference_radius_mm at the head of the file, the "
+            "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest"
         )
     return next(iter(radii), 0.0)
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
-    """How much farther (n,) [m] than the reference each ball's centre stood from its seat; None where none did.
+    """How much farther (n,) [m] than the reference each SMR's centre stood from its seat; None where none did.
 
-    A pointing that names no ball, such as one that is only thought of, has the reference.
+    A pointing that names no SMR, such as one that is only thought of, has the reference.
 
     Raises
     ------
     RecordError
-        When a ball has no table, one of another radius sat in a nest without a normal, or the reference is not stated.
+        When an SMR has no table, one of another radius sat in a nest without a normal, or the reference is not stated.
         `file` is named.
     """
     reflectors = recording.setup.reflectors
     if not reflectors:
         return None
-    names = balls_of(recording)
+    names = smrs_of(recording)
     used = tuple(name for name in dict.fromkeys(names) if name)
     try:
         reference = reference_radius(used, reflectors, recording.setup.reference_radius_mm)
@@ -83,18 +83,18 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
     return excess if np.any(excess) else None
 
 
-def without_normal(target: str, ball: str, radius: float, reference: float) -> str:
-    """The sentence for a ball of another radius [mm] at a target whose nest has no normal."""
+def without_normal(target: str, smr: str, radius: float, reference: float) -> str:
+    """The sentence for an SMR of another radius [mm] at a target whose nest has no normal."""
     return (
-        f"targets.{target}.nest_normal is missing: its ball {shown(ball)} has a radius of {radius:g} mm, the reference "
+        f"targets.{target}.nest_normal is missing: its SMR {shown(smr)} has a radius of {radius:g} mm, the reference "
         f"{reference:g} mm, and the difference lies along the nest's normal"
     )
 
 
 def require_one_radius(recording: Recording, what: str) -> None:
-    """NetworkError where balls stand off the targets' places and `what` knows of none."""
+    """NetworkError where SMRs stand off the targets' places and `what` knows of none."""
     if excess_radii(recording) is not None:
         raise NetworkError(
-            f"{what} takes every target for one place, and balls of several radii stood at different ones; adjust or "
-            "calibrate by the network, which puts each ball along its nest's normal"
+            f"{what} takes every target for one place, and SMRs of several radii stood at different ones; adjust or "
+            "calibrate by the network, which puts each SMR along its nest's normal"
         )

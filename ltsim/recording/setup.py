@@ -243,7 +243,7 @@ class Target(Section):
     nest_normal: Direction | None = None
     """Where the open face of a fixed reflector looks, on the floor plan."""
     reflector: str | None = None
-    """Name of the ball, where a pointing names no other; targets that share one share its errors."""
+    """Name of the SMR, where a pointing names no other; targets that share one share its errors."""
     reaimed: bool = True
     """Turned toward the station before each pointing."""
     known_mm: Vector | None = None
@@ -265,7 +265,7 @@ class Target(Section):
 
 
 class Reflector(Section):
-    """One ball, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
+    """One SMR, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
 
     radius_mm: Positive
     """Height of its centre over the surface or the seat of the nest that it stands in: its radius on a plane."""
@@ -312,11 +312,11 @@ class Setup(Section):
     targets: dict[str, Target] = Field(default_factory=dict)
     """What is known about reflectors, tables `[targets.NAME]`."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """Balls with radii of their own, tables `[reflectors.NAME]`; the difference to the reference lies along the nest's
-    normal. Without any, all balls are taken for one."""
+    """SMRs with radii of their own, tables `[reflectors.NAME]`; the difference to the reference lies along the nest's
+    normal. Without any, all SMRs are taken for one."""
     reference_radius_mm: NonNegative | None = None
-    """A target is the centre of a ball of this radius in its nest, 0 for the seat itself, whatever ball was in it; the
-    radius of the balls in use where they have one. It stands above the first table."""
+    """A target is the centre of an SMR of this radius in its nest, 0 for the seat itself, whatever SMR was in it; the
+    radius of the SMRs in use where they have one. It stands above the first table."""
 
     def instrument_of(self, station: str) -> Instrument:
         """Give the instrument that stood at `station`."""

@@ -1,7 +1,7 @@
 """Obstacles: what stands between a station and a target, and where no station can stand.
 
-Embree casts the rays in single precision; rays that pass close
-to an edge, where it may err either way, are cast again here in double precision.
+Embree (the extra `cad`) casts the rays in single precision; rays that pass close to an edge, where it may err either
+way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.rotations import about_z, perpendicular
@@ -36,14 +35,15 @@ class Obstacles:
     """[m]: height on which tripods stand."""
 
     @cached_property
-    def _mesh(self) -> Any:
-        count = len(self.triangles)
-        faces = np.arange(3 * count).reshape(-1, 3)
-        return trimesh.Trimesh(vertices=self.triangles.reshape(-1, 3), faces=faces, process=False)
-
-    @cached_property
     def _rays(self) -> Any:
-        return RayMeshIntersector(self._mesh)
+        """Embree's rays; None where it is not installed."""
+        try:
+            import embreex  # noqa: F401  # what the next line needs and does not ask for
+            from trimesh.ray.ray_pyembree import RayMeshIntersector
+        except ImportError:
+            return None
+        faces = np.arange(3 * len(self.triangles)).reshape(-1, 3)
+        return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def blocked(self, origins: Floats, ends: Floats) -> Bools:
         """(n,): a triangle lies between origins and ends (n, 3) [m]; touching an edge counts."""
@@ -52,6 +52,8 @@ class Obstacles:
         way = ends - origins
         length = np.linalg.norm(way, axis=1)
         beam = way / length[:, None]
+        if self._rays is None:
+            return native_hits(self.triangles, origins, beam, length) > 0
         votes = np.stack([self._cast(origins + shift, beam, length) for shift in (0.0 * beam, *_bundle(beam))], axis=1)
         hit: Bools = votes[:, 0].copy()
         doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))

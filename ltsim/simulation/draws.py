@@ -141,8 +141,10 @@ class Population:
         """
         amounts = tuple(self._amounts(law, numbers) for law in self.effects)
         own = (apart, "noise") if apart else ("noise",)
-        white = np.stack([numbers(len(self.sightings), *own, name) for name in OBSERVABLES], axis=1)
-        white *= self.noise_sigma(amounts)
+        sigma, count = self.noise_sigma(amounts), len(self.sightings)
+        white = np.empty((count, len(OBSERVABLES), len(numbers.trials)))
+        for column, name in enumerate(OBSERVABLES):
+            np.multiply(sigma[:, column], numbers(count, *own, name), out=white[:, column])
         errors = self._values(numbers) if values is None else values
         return Draw(numbers.trials, errors, amounts, white, self._certified(amounts, numbers))
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy import special
 
 from ltsim.arrays import Bools, Floats
+from ltsim.notation import expanded
 from ltsim.recording.recording import Recording
-from ltsim.results import Columns, Result, by_row
+from ltsim.results import Column, Result, Table, numbers, texts
 from ltsim.solve.threads import in_one_thread
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.linearity import CURVED, curvature
@@ -21,6 +24,31 @@ from ltsim.tasks.verdict import Conformity, conformity
 
 MOST_TOLD = 8
 """Results that stand in the few lines of an evaluation."""
+
+
+RESULTS = Table(
+    "uncertainty.csv",
+    "results of the tasks",
+    (
+        *texts(task="name", result="name", unit="of all numbers"),
+        Column("value", "estimate", form=".9g", like="U"),
+        Column("u", "standard uncertainty", form=".9g", shown=".2g"),
+        Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
+        Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
+        Column("mc_low", "end of its interval", form=".9g", like="U"),
+        Column("mc_high", "as mc_low", form=".9g", like="U"),
+        Column("agrees", "True where both intervals agree", "flag"),
+        *texts(judgement="against the tolerance, empty without one", largest_source="of its variance, with its share"),
+    ),
+)
+BUDGET = Table(
+    "budget.csv",
+    "where the uncertainty comes from",
+    (
+        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
+        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+    ),
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,39 +69,37 @@ class Evaluation(Result):
 
     def _lines(self) -> list[str]:
         coverage = self.tasks.monte_carlo.coverage
-        expanded = self.linear.expanded(coverage)
+        sizes, k = self.linear.expanded(coverage), float(special.ndtri(0.5 + coverage / 2))
         told = [
-            f"{task.name}, {o.name}: {self.linear.values[i] / o.factor:.6f} +- {expanded[i] / o.factor:.2g} {o.unit}"
+            f"{task.name}, {o.name}: {expanded(self.linear.values[i] / o.factor, sizes[i] / o.factor, o.unit, k)}"
             for i, (task, o) in enumerate(self.results[:MOST_TOLD])
         ]
         more = len(self.results) - len(told)
         head = f"{len(self.results)} results, {100 * coverage:g} % intervals, {self.drawn.trials} trials"
         return [head, *told, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"results": self._results, "budget": self._budget}
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"results": lambda: RESULTS.filled(self._results()), "budget": lambda: BUDGET.filled(self._budget())}
 
-    def _results(self) -> Columns:
-        factor = np.array([output.factor for _, output in self.results])
-        return {
-            "task": [task.name for task, _ in self.results],
-            "result": [output.name for _, output in self.results],
-            "unit": [output.unit for _, output in self.results],
-            "value": list(self.linear.values / factor),
-            "standard_uncertainty": list(self.linear.sigma / factor),
-            "expanded_uncertainty": list(self.linear.expanded(self.tasks.monte_carlo.coverage) / factor),
-            "low": list(self.drawn.symmetric[:, 0] / factor),
-            "high": list(self.drawn.symmetric[:, 1] / factor),
-            "agrees": list(self.agrees),
-        }
+    def _results(self) -> Iterator[list[Any]]:
+        wide, judged = self.linear.expanded(self.tasks.monte_carlo.coverage), dict(self.conformities())
+        for i, (task, output) in enumerate(self.results):
+            sizes = self.linear.values[i], self.linear.sigma[i], wide[i], self.drawn.sigma[i], *self.drawn.symmetric[i]
+            largest, share = worst_first(self.linear.shares, i)[0]
+            yield [
+                *(task.name, output.name, output.unit),
+                *(float(size) / output.factor for size in sizes),
+                bool(self.agrees[i]),
+                judged[i].judgement if i in judged else "",
+                f"{largest} ({100 * share:.0f} %)",
+            ]
 
-    def _budget(self) -> Columns:
-        rows = [
-            {"task": task.name, "result": o.name, "source": name, "type": self.linear.kinds[name], "share": share}
-            for i, (task, o) in enumerate(self.results)
-            for name, share in worst_first(self.linear.shares, i)
-        ]
-        return by_row(rows)
+    def _budget(self) -> Iterator[list[Any]]:
+        for i, (task, o) in enumerate(self.results):
+            for name, share in worst_first(self.linear.shares, i):
+                u = float(np.sqrt(share) * self.linear.sigma[i]) / o.factor
+                kind = "B" if self.linear.kinds[name] == "B" else "A"
+                yield [task.name, o.name, name, kind, o.unit, share, u]
 
     @property
     def results(self) -> list[tuple[Task, Output]]:

@@ -10,28 +10,8 @@ import numpy as np
 
 from ltsim.calibration.result import frame_of
 from ltsim.recording.result_file import Entry, Known, ResultFile, SourceEntry, write_result
-from ltsim.recording.result_table import ResultTable, numbers, texts
-from ltsim.tasks.evaluation import Evaluation, worst_first
+from ltsim.tasks.evaluation import BUDGET as BUDGET, RESULTS as RESULTS, Evaluation, worst_first
 from ltsim.tasks.verdict import Judgement, normalised_error
-
-RESULTS = ResultTable(
-    "uncertainty.csv",
-    "results of the tasks",
-    (
-        *texts(task="name", result="name", unit="of all numbers"),
-        *numbers(".9g", value="estimate", u="standard uncertainty", U="expanded uncertainty"),
-        *numbers(".9g", mc_u="standard uncertainty by Monte Carlo", mc_low="end of its interval", mc_high="as mc_low"),
-        *texts(agrees="True where both intervals agree", judgement="against the tolerance, empty without one"),
-    ),
-)
-BUDGET = ResultTable(
-    "budget.csv",
-    "where the uncertainty comes from",
-    (
-        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
-        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
-    ),
-)
 
 
 class MonteCarloTold(Entry):
@@ -210,7 +190,7 @@ def _pair(ends: Sequence[float]) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def write_uncertainty(content: UncertaintyFile, folder: Path) -> UncertaintyFile:
+def write_uncertainty(evaluation: Evaluation, folder: Path) -> UncertaintyFile:
     """Write uncertainty.json, uncertainty.csv (a row a result) and budget.csv (a row a source); give what was written.
 
     Raises
@@ -218,14 +198,8 @@ def write_uncertainty(content: UncertaintyFile, folder: Path) -> UncertaintyFile
     RecordError
         When the folder cannot be written; nothing half-written stays behind.
     """
-    results = []
-    parts = []
-    for r in content.results:
-        mc, judged = r.monte_carlo, r.conformity.judgement if r.conformity else ""
-        figures = r.value, r.standard_uncertainty, r.expanded_uncertainty, mc.standard_uncertainty, *mc.symmetric
-        results.append([r.task, r.name, r.unit, *figures, mc.agrees, judged])
-        parts += [[r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty] for p in r.budget]
-    return write_result(folder, content, {RESULTS.file: RESULTS.text(results), BUDGET.file: BUDGET.text(parts)})
+    tables = [evaluation.table(name) for name in ("results", "budget")]
+    return write_result(folder, told(evaluation), {table.file: table.csv() for table in tables})
 
 
 def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str, float]]:

@@ -19,7 +19,7 @@ from ltsim.effects.effect import Effect, NoiseEffect, by_displacement
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.recording.reflectors import balls_of
+from ltsim.recording.reflectors import smrs_of
 from ltsim.tasks.spec import Tasks, TypeB
 from ltsim.units import FACTOR, MILLIMETRE
 
@@ -136,7 +136,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
 
 def ball_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     """The radius of each ball whose standard deviation is stated: one error of all its pointings, along the normals."""
-    problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(balls_of(adjustment.recording))
+    problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
     rows, columns = np.nonzero(problem.use)
     normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
     found = []

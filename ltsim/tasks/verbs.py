@@ -8,7 +8,7 @@ from typing import Any
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.effects.made import names
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, option
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.coordinates import Coordinates, holds_coordinates, read_coordinates
 from ltsim.recording.exchange import RecordingSource, recording_of
@@ -110,13 +110,14 @@ def compare(
     lists = [one for one in (_coordinates_of(first), _coordinates_of(second)) if one is not None]
     held = None if stable is None else names(stable)
     if lists and (same_instrument or robust or not calibrate):
-        raise ModelError("lists of coordinates hold no readings: same_instrument, robust and calibrate say nothing")
+        asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
+        raise ModelError(f"lists of coordinates hold no readings: {asked} say nothing")
     if len(lists) == 2:
         return compare_coordinates(*lists, stable=held, free=free, scaled=scaled, level=level)
     if lists:
         raise ModelError("a list of coordinates is compared with another one alone")
     if free:
-        raise ModelError("free is for lists of coordinates: what a recording leaves open of its frame is known")
+        raise ModelError(f"{option('free=True')} is for lists of coordinates: what a recording leaves open is known")
 
     def adjusted(recording: Recording) -> Adjustment:
         found = adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust)

@@ -163,7 +163,7 @@ def without_normal(recording: Recording) -> Recording:
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
-        (without_normal, r"setup.toml: targets.T10.nest_normal is missing: its ball small has a radius of 6.35 mm"),
+        (without_normal, r"setup.toml: targets.T10.nest_normal is missing: its SMR small has a radius of 6.35 mm"),
         (
             lambda r: with_setup(r, reference_radius_mm=None),
             r"different radii \(small of 6.35 and middle of 11.1125 and large of 19.05 mm\): state reference_radius_mm",
@@ -174,7 +174,7 @@ def without_normal(recording: Recording) -> Recording:
         ),
         (
             lambda r: with_setup(r.replace(labels={}), targets={}),
-            r"observations.csv, row 1, column reflector: no ball is named here or by targets.T\d+.reflector",
+            r"observations.csv, row 1, column reflector: no SMR is named here or by targets.T\d+.reflector",
         ),
     ],
 )

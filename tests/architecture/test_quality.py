@@ -13,6 +13,7 @@ SCRIPTS = Path(sysconfig.get_path("scripts"))
 
 CHECKS = {
     "lint": [sys.executable, "-m", "ruff", "check", "--output-format", "concise", "."],
+    "format": [sys.executable, "-m", "ruff", "format", "--check", "-q", "."],
     "types": [sys.executable, "-m", "mypy", "--no-pretty"],
     "layers": [str(SCRIPTS / "lint-imports")],
 }

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from ltsim.effects import CATALOGUE
 from tests.conftest import ROOT
 from tests.docs.snippets import blocks, check_page
 
@@ -15,6 +17,15 @@ PAGES = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").rglob("*.md")) 
 RUNNING = [p for p in PAGES if any(b.runs and b.kind in ("sh", "python") for b in blocks(p))]
 NEEDS = {"campaign-results.md": ("duckdb", "pandas", "xarray")}
 """What the recipes of a page need that ltsim does not."""
+
+
+@pytest.fixture(autouse=True)
+def catalogue() -> Iterator[None]:
+    """Effects that a page adds are known on that page alone."""
+    kept = dict(CATALOGUE.__dict__)
+    yield
+    CATALOGUE.__dict__.clear()
+    CATALOGUE.__dict__.update(kept)
 
 
 @pytest.mark.parametrize("page", RUNNING, ids=lambda p: p.relative_to(ROOT).as_posix())

@@ -34,11 +34,11 @@ def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
     bench = BenchTest(eccentricity=np.array([4e-6, -11e-6]), probe_angles=turns)
     true = (np.array(PAPER_TABLE) - PAPER_TABLE[MIDDLE]) / MICROMETRE
     found = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
-    error = np.array([row.error_um for row in found.table]) - true
-    sigma = np.array([row.sigma_um for row in found.table])
+    error = np.array([row.error_um for row in found.angles]) - true
+    sigma = np.array([row.sigma_um for row in found.angles])
     assert np.all(np.abs(error) <= 4 * sigma)
     assert abs(found.eccentricity_side.value_um + 11.0) < 4 * found.eccentricity_side.sigma_um
-    assert np.abs([row.as_read_um for row in found.table] - true).max() > 4.0
+    assert np.abs([row.as_read_um for row in found.angles] - true).max() > 4.0
 
 
 def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

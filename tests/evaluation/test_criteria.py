@@ -151,7 +151,7 @@ def test_share_of_the_correctable_error() -> None:
     assert none.share == pytest.approx(0.0, abs=1e-6)
     assert full.share == pytest.approx(1.0)
     half = share_removed(recording, TARGETS, construction, calibrated=values / 2, true_parameters=values)
-    assert 0.4 < half.share < 0.6
+    assert 0.7 < half.share < 0.8  # three quarters of the mean square; a8a5717 said a half, of its root
     assert half.raw > half.calibrated > half.true_parameters > 0
 
 

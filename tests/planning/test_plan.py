@@ -5,17 +5,20 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
+from ltsim.planning import starts
 from ltsim.planning.files import plan_file, planned_scenario, write_plan
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.making import make_plan
+from ltsim.planning.making import Follower, make_plan
 from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
+from ltsim.planning.search import Searcher
 from ltsim.planning.spec import PlanFile, Search, load_plan, plan_names, plan_text
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import changed, load_scenario, scenario_to_toml
@@ -152,6 +155,36 @@ def test_a_budget_in_hours_buys_the_best_that_it_pays_for(tmp_path: Path) -> Non
     poor = text.replace("1.8", "0.5")
     with pytest.raises(SetupError, match=r"the cheapest way of working takes 1\.4 hours"):
         make_plan(*load_plan(small(poor, tmp_path)))
+
+
+def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody ends the search after the exchange on the grid: the plan is the layout that it had then, and says so."""
+    exchanged = []
+
+    def stop(_searcher: Searcher, layout: Any, value: float, _rng: object) -> None:
+        exchanged.append((layout.position, value))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Searcher, "refine", stop)
+    said: list[str] = []
+    file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
+    made = make_plan(file, scenario, follower=Follower(say=said.append))
+    ((position, value),) = exchanged
+    assert made.chosen.survey.position == pytest.approx(position)
+    assert made.chosen.value == pytest.approx(value, rel=1e-6)
+    assert plan_file(made).reasons[-1].startswith("The search was stopped")
+    assert said[0].startswith("1 search: about ")
+    assert "Ctrl-C ends the search and keeps the best layout so far" in said[0]
+
+
+def test_the_best_so_far_is_given_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(starts, "SAYS", 0.0)
+    kept: list[Any] = []
+    file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path, 2))
+    made = make_plan(file, scenario, follower=Follower(keep=kept.append))
+    assert kept
+    assert kept[-1].target_names == made.chosen.survey.target_names
+    assert made.site.allowed(kept[-1].position).all()
 
 
 def test_built_in_plans_load_and_print() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
+from ltsim.adjustment.estimate import adjust
 from ltsim.errors import RecordError
 from ltsim.recording import Recording, read, write
 from ltsim.recording.setup import Gauge, Setup, Station, Target
@@ -273,18 +274,25 @@ def test_real_networks(tmp_path: Path, name: str, counts: int) -> None:
 def test_a_network_in_plan_keeps_to_its_plan(tmp_path: Path) -> None:
     """Points with adj="xy" were adjusted in three dimensions, or refused, without a word."""
     body = (
-        '<point id="A" x="0" y="0" fix="xy" /><point id="B" x="0" y="50" adj="XY" /><point id="C" adj="xy" />'
-        '<obs from="A"><direction to="B" val="0" /><direction to="C" val="50" />'
+        '<point id="A" x="0" y="0" fix="xy" /><point id="B" x="0" y="50" adj="XY" />'
+        '<point id="C" adj="xy" /><point id="D" adj="xy" />'
+        '<obs from="A"><direction to="C" val="29.517" /><direction to="D" val="370.483" />'
         '<z-angle to="C" from_dh="1.6" to_dh="1.2" val="101" />'
-        '<distance to="C" from_dh="1.6" to_dh="1.2" val="70" /></obs>'
+        '<distance to="C" from_dh="1.6" to_dh="1.2" val="67.082" /><distance to="D" val="44.7214" /></obs>'
+        '<obs from="B"><direction to="C" val="379.517" /><direction to="D" val="333.050" />'
+        '<distance to="C" val="63.2456" /><distance to="D" val="80.6226" /></obs>'
     )
     stated = 'direction-stdev="6" distance-stdev="1" zenith-angle-stdev="50"'
     text = f"{HEAD}<network><points-observations {stated}>{body}</points-observations></network></gama-local>\n"
     (tmp_path / "a.gkf").write_text(text)
     found = read(tmp_path / "a.gkf")
-    assert len(found) == 2 and not found.measured[:, 2].any() and found.is_horizontal[1]
+    assert len(found) == 4 and not found.measured[:, 2].any() and found.is_horizontal[1]
     targets = found.setup.targets
     assert [targets[name].known_axes for name in "ABC"] == ["xyz", "z", "z"]
     assert (targets["B"].datum, targets["B"].datum_axes, targets["B"].height_mm) == (True, "xy", 0.0)
-    assert any("2 points" in note or "3 points" in note for note in found.notes if "adjusted in plan only" in note)
+    assert any("4 points are adjusted in plan only" in note for note in found.notes)
     assert any("1 observations that need heights are left out, as Gama does" in note for note in found.notes)
+    solved = adjust(found)
+    place = dict(zip(found.targets, solved.state.points, strict=True))
+    assert np.linalg.norm(place["D"] - place["C"]) == pytest.approx(np.hypot(20.0, 50.0), abs=2e-3)
+    assert [place[name][2] for name in "CD"] == pytest.approx([0.0, 0.0], abs=1e-6)

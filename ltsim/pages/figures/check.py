@@ -70,7 +70,7 @@ def _course(ax: Axes, check: Check) -> None:
             ax.axvline(item.between[0] / scale, color=RED, lw=1.0, label=None if marked else "moved")
             marked = True
     quiet_axis(ax)
-    ax.set_title("What each pointing misses, targets, instrument and motions fitted")
+    ax.set_title("What each pointing misses")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
     ax.set_ylim(bottom=0)

@@ -17,6 +17,7 @@ from ltsim.pages import figures, style
 from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
+    TRUTH,
     adjusted_if_possible,
     combined,
     residual_blocks,
@@ -29,7 +30,8 @@ from ltsim.pages.words import agreement, count
 from ltsim.pages.workshop import Sights, Workshop, assemble
 from ltsim.recording import Recording, Setup
 from ltsim.recording.result_file import check_source, companion, read_result
-from ltsim.units import MILLIMETRE
+from ltsim.simulation.truth import Truth, read_truth
+from ltsim.units import FACTOR, MILLIMETRE
 
 SETTLED = ("", "converged", "not stated")
 """How a fit may have ended that nobody need worry about."""
@@ -58,7 +60,8 @@ def calibration_section(
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
-    first = _parameters(content) if content.parameters else product
+    truth = read_truth(folder / TRUTH) if (folder / TRUTH).is_file() else None
+    first = _parameters(content, truth) if content.parameters else product
     blocks: list[Block] = [*_warnings(content, converged=converged), *_known_values(content), *first[:1]]
     blocks += _criteria(content)
     shown = len(blocks) + 1
@@ -155,19 +158,21 @@ def _known_values(content: CalibrationFile) -> list[Table]:
     return table_of("How known values fit", shown, *fields, note=note, folds=False)
 
 
-def parameter_rows(content: CalibrationFile) -> list[figures.ParameterRow]:
-    """Rows for the figure."""
+def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[figures.ParameterRow]:
+    """Rows for the figure; of a simulated recording with the true values."""
+    true = {} if truth is None else {n: v / FACTOR[truth.units[n]] for n, v in truth.instrument.items()}
     return [
         figures.ParameterRow(
-            f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma or 0.0, p.unit, p.prior_sigma
+            f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma or 0.0, p.unit, p.prior_sigma,
+            true.get(f"{p.name}@{p.instrument}" if p.instrument else p.name),
         )
         for p in content.parameters
-    ]
+    ]  # fmt: skip
 
 
-def _parameters(content: CalibrationFile) -> list[Block]:
+def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
     """Figure and table of the parameters, and how they hang together."""
-    rows = parameter_rows(content)
+    rows = parameter_rows(content, truth)
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
     note = "Corrections, truth minus reading, ± one sigma."
     blocks: list[Block] = [

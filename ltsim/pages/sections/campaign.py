@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
+from matplotlib.figure import Figure
+
 from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
@@ -172,21 +174,38 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
     return blocks
 
 
+def campaign_figure(results: Results) -> Figure:
+    """The first statistic of interest over what was varied; distributions where nothing was."""
+    if len(results.levels) > 1:
+        for column, label in LABELS.items():
+            if column in results.columns:
+                return next(drawn(results, results.spread(column), label, None))[1]
+    rows = _rows_of(results, list(results.columns), next(iter(cell_words(results))), {})
+    return figures.distributions(rows)
+
+
+def _rows_of(
+    results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]
+) -> list[figures.Distribution]:
+    """The paper's criteria in one cell for the file's first method."""
+    wanted = [c for c in columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
+    wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
+    values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
+    return [
+        figures.Distribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
+        for c, v in values.items()
+        if len(v) > 1
+    ]
+
+
 def _distributions(
     results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]
 ) -> list[Block]:
     """Histograms of the criteria, cell by cell, for the file's first method."""
     names, method = cell_words(results), results.manifest.methods[0]
-    wanted = [c for c in spreads if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
-    wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     blocks: list[Block] = []
     for cell in list(names)[: MOST_CELLS if len(names) <= MOST_CELLS else 1]:
-        rows = []
-        for column in wanted:
-            values = results.values(column, cell, method, most=MOST_DRAWN)
-            if len(values) > 1:
-                unit = "um" if column.endswith("_um") else "%"
-                rows.append(figures.Distribution(_column_words(column), values, unit, published.get(column)))
+        rows = _rows_of(results, list(spreads), cell, published)
         if rows:
             told = " Dashed: the paper's figures and the share of trials below them." if published else ""
             place = f", {names[cell]}" if len(names) > 1 else ""

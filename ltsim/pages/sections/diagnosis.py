@@ -18,6 +18,7 @@ from ltsim.pages import figures
 from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
+    TRUTH,
     Pair,
     adjusted_if_possible,
     combined,
@@ -34,7 +35,6 @@ from ltsim.simulation.physics import effect_from
 from ltsim.simulation.truth import AppliedEffect, Truth, read_truth
 from ltsim.units import FACTOR
 
-TRUTH = "truth.json"
 LEAST_UM = 0.1
 """What an effect hides below this [um] is no matter."""
 MOST_STEPS = 3
@@ -59,6 +59,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     blocks: list[Block] = _beside_truth(content, truth, pair) if truth is not None and truth.effects else []
     if pair is not None and detail == "turn" and blocks:
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
+    lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number_, pair, before, after)
     shown = len(blocks)
@@ -81,7 +82,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
         answer = f"On purpose, {what} was hidden in this simulated recording. The diagnosis, not told of it: {answer}"
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
-        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown,
+        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead,
         measured=(content.recording.measured if content.recording else "") or "",
     )  # fmt: skip
 

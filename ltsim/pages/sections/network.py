@@ -11,15 +11,16 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import Combination, DeterminedEntry
-from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.model.construction import stated_construction
 from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Detail, Scene, Table, picture, table_of
+from ltsim.pages.document import Block, Detail, Note, Scene, Table, picture, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.words import natural
 from ltsim.pages.workshop import Workshop
 from ltsim.recording import Recording
 
+TRUTH = "truth.json"
 Pair = tuple[Adjustment, Adjustment]
 """The network without and with the instrument's parameters."""
 
@@ -65,8 +66,10 @@ def workshop_blocks(workshop: Workshop, *, detail: Detail) -> list[Block]:
     return [scene(workshop), plan] if detail == "turn" else [plan]
 
 
-def scene(workshop: Workshop) -> Scene:
-    """The 3D view, with the page to turn."""
+def scene(workshop: Workshop) -> Scene | Note:
+    """The 3D view, with the page to turn; where it cannot be drawn, what it needs."""
+    if not installed("pyvista"):
+        return Note("No 3D view", str(missing_extra("3D views", "view")))
     from ltsim.pages.scene_page import picture_and_page  # pyvista takes a second to load, and only this needs it
 
     coloured = workshop.coloured("incidence")

@@ -158,7 +158,7 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
     ground = Floor.model_validate(content.settings.get("floor", {}))
-    floor = figures.floor_plan(workshop, reference=places, coordinates=True, ground=ground)
+    floor = figures.floor_plan(workshop, reference=places, ground=ground)
     blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
         blocks += [scene(workshop)] if detail == "turn" else []

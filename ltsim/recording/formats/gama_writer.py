@@ -29,11 +29,11 @@ def write(recording: Recording, path: Path) -> None:
     Raises
     ------
     RecordError
-        For a set-up that is not levelled: gama-local knows levelled instruments only. For balls of several radii: it
+        For a set-up that is not levelled: gama-local knows levelled instruments only. For SMRs of several radii: it
         knows heights of a target, no normals.
     """
     if excess_radii(recording) is not None:
-        message = "balls of several radii stood off along normals of nests, which gama-local does not know"
+        message = "SMRs of several radii stood off along normals of nests, which gama-local does not know"
         raise RecordError(f"{message}; write the recording as native", file=path)
     for name in recording.stations:
         if not recording.station_setup(name).levelled:

@@ -31,7 +31,7 @@ def common_names(sightings: Sequence[tuple[str, str]]) -> tuple[list[str], list[
         name: spellings[0]
         for spellings in alike.values()
         if len(spellings) > 1
-        and sum(len(places[s]) for s in spellings) == len(set().union(*map(places.get, spellings)))
+        and sum(len(places[s]) for s in spellings) == len(set().union(*(places[s] for s in spellings)))
         for name in spellings[1:]
     }
     if one:

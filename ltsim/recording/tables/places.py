@@ -84,7 +84,7 @@ def _sigmas(table: Table, points: Floats, length: str) -> list[dict[str, float]]
     if any(column is None for column in columns):
         return None
     titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
-    found = []
+    found: list[dict[str, float]] = []
     for p, (x, y, z) in zip(table.pointings, points.tolist(), strict=True):
         given = [cells.value(p.further.pop(title, ""), p.grouping) for title, _ in titles]
         if any(sigma is None or not sigma > 0 for sigma in given):

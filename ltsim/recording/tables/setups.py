@@ -28,11 +28,11 @@ def split_rounds(table: Table, readings: Floats) -> list[str]:
     if not gaps or max(gaps) < TURNED:
         return []
     names: dict[tuple[str, str], str] = {}
-    for key in dict.fromkeys(keys):
-        count = sum(station == key[0] for station, _ in names)
-        names[key] = key[0] if not count else f"{key[0]}#{count + 1}"
-    table.marks = {names[key]: key[0] for key in names}
-    table.pointings = [replace(p, station=names[key]) for p, key in zip(table.pointings, keys, strict=True)]
+    for both in dict.fromkeys(keys):
+        count = sum(station == both[0] for station, _ in names)
+        names[both] = both[0] if not count else f"{both[0]}#{count + 1}"
+    table.marks = {name: both[0] for both, name in names.items()}
+    table.pointings = [replace(p, station=names[both]) for p, both in zip(table.pointings, keys, strict=True)]
     return [f"the circle was turned between rounds: {len(names)} rounds are set-ups of their own over their marks"]
 
 

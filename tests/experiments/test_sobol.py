@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.sobol import sensitivity
 from ltsim.errors import ModelError
 from ltsim.planning.improvement import Expected, Predictor
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.sensitivity import sensitivity
 from tests.planning.fixtures import survey
 
 

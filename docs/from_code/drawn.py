@@ -1,0 +1,28 @@
+"""A picture from a few lines of Python, drawn while the documentation is built; nothing of it is committed."""
+
+import base64
+import contextlib
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from matplotlib.figure import Figure
+
+import ltsim as lt
+from from_code.pictures import Pictures
+from ltsim.pages import scene3d
+from ltsim.pages.style import svg, svg_uri
+
+
+def shown(pictures: Pictures, lines: list[str], name: str) -> str:
+    """Markdown: what the last line of the code gives (a figure or a view), with the first line as its caption."""
+    caption, *code, last = lines
+    names: dict[str, Any] = {"lt": lt}
+    with TemporaryDirectory() as place, contextlib.chdir(place):
+        exec("\n".join(code), names)
+        made = eval(last, names)
+    if isinstance(made, Figure):
+        address = svg_uri(svg(made))
+    else:
+        picture = base64.b64encode(scene3d.picture(made.workshop, window_size=(1000, 720))).decode()
+        address = f"data:image/png;base64,{picture}"
+    return f"{pictures.keep(name, address, caption)}\n\n*{caption}*"

@@ -1,0 +1,132 @@
+"""Shares of all trials together, and differences on common draws: what no single row of a campaign says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.campaigns.schema import SHARES
+from ltsim.errors import ModelError, unknown_name
+from ltsim.results import Columns, Result, by_row
+
+if TYPE_CHECKING:
+    from ltsim.campaigns.statistics import Results
+
+Place = tuple[int, str]
+"""Cell and method."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`."""
+
+    settings: Mapping[str, Any]
+    """What both have in common."""
+    first: str
+    second: str
+    statistic: str
+    unit: str
+    trials: int
+    difference: float
+    low: float
+    high: float
+    """95 % interval of the difference."""
+
+    @property
+    def sentence(self) -> str:
+        """All of it for a person."""
+        where = "".join(f", {name} {value}" for name, value in self.settings.items())
+        gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
+        interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
+        return (
+            f"{self.statistic}, {self.first} less {self.second}{where}: {gap}{unit} ({interval}; {self.trials} trials)"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Paired(Result):
+    """Differences on common draws."""
+
+    entries: tuple[Difference, ...]
+
+    def _lines(self) -> list[str]:
+        return [entry.sentence for entry in self.entries]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        plain = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
+        return {"differences": lambda: by_row(plain)}
+
+
+def errors_of(share: str) -> tuple[str, str, str]:
+    """The columns that a share is made of: raw, calibrated, with the true parameters."""
+    prefix = share.removesuffix("share_removed")
+    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
+
+
+def terms_of(statistic: str) -> tuple[str, ...]:
+    """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
+    if statistic not in SHARES:
+        return (f'"{statistic}"',)
+    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in errors_of(statistic))
+    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
+
+
+def paired(results: Results, statistic: str, **between: tuple[Any, Any]) -> Paired:
+    """As `Results.paired`."""
+    if len(between) != 1:
+        raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
+    ((along, (first, second)),) = between.items()
+    found = []
+    for common, one, other in _pairs(results, along, first, second):
+        values = [_values(results, statistic, *place) for place in (one, other)]
+        both = np.isin(values[0][0], values[1][0]), np.isin(values[1][0], values[0][0])
+        (mean, scatter), (less, apart) = (_linear(v[1][:, keep]) for v, keep in zip(values, both, strict=True))
+        count, gap = len(scatter), mean - less
+        half = results.half(count, float(np.std(scatter - apart, ddof=1))) if count > 1 else math.inf
+        named = str(first), str(second), statistic, results.units.get(statistic, "")
+        found.append(Difference(common, *named, count, gap, gap - half, gap + half))
+    return Paired(tuple(found))
+
+
+def _pairs(results: Results, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
+    """What two places have in common, and both."""
+    methods, levels = results.manifest.methods, results.levels
+    factors = [factor.name for factor in results.factors]
+    if along not in ("method", *factors):
+        raise unknown_name("factor of this campaign", along, ("method", *factors))
+    known = list(methods) if along == "method" else [level[along] for level in levels]
+    for level in (first, second):
+        if level not in known:
+            raise unknown_name(f"level of {along}", str(level), [str(k) for k in dict.fromkeys(known)])
+    for cell, own in enumerate(levels):
+        if along == "method":
+            yield dict(own), (cell, first), (cell, second)
+        elif own[along] == first and (own | {along: second}) in levels:
+            rest = {name: value for name, value in own.items() if name != along}
+            for method in methods:
+                several = {"method": method} if len(methods) > 1 else {}
+                yield rest | several, (cell, method), (levels.index(own | {along: second}), method)
+
+
+def _values(results: Results, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
+    """Trials (N,) of a place and what is averaged of each, (1, N), or (2, N) of a share."""
+    terms, words = terms_of(statistic), method.replace("'", "''")
+    rows = results.query(
+        f"SELECT trial, {', '.join(terms)} FROM rows WHERE cell = {cell} AND method = '{words}' "
+        f"AND {terms[0]} IS NOT NULL ORDER BY trial"
+    )
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), 1 + len(terms)).T
+    return table[0], table[1:]
+
+
+def _linear(terms: Floats) -> tuple[float, Floats]:
+    """A mean of (1, N), or a ratio of means of (2, N), and how far each trial draws it (N,)."""
+    if len(terms) == 1:
+        return float(np.mean(terms)), terms[0]
+    ratio = float(terms[0].mean() / terms[1].mean())
+    return ratio, (terms[0] - ratio * terms[1]) / terms[1].mean()

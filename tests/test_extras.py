@@ -1,0 +1,48 @@
+"""What only some need is an extra: without it the rest works, and a sentence says what to install."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.cli.main import run
+from ltsim.scene.meshes import Obstacles, box, cylinder, placed
+
+HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
+
+
+@pytest.fixture
+def plain_install(monkeypatch):
+    """As `pip install ltsim` leaves it."""
+    for name in [n for n in sys.modules if n.partition(".")[0] in HEAVY]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in HEAVY:
+        monkeypatch.setitem(sys.modules, name, None)
+
+
+def test_the_main_verbs_need_no_extra(plain_install, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for line in (
+        "simulate paper-workshop --out rec",
+        "calibrate rec --out cal",
+        "report cal --quiet",
+    ):
+        assert run(line.split()) == 0, capsys.readouterr().err
+    assert "3D views need the extra" in (tmp_path / "cal" / "report.html").read_text()
+    for line, extra in (("view rec --html v.html", "view"), ("campaign x.toml", "campaigns")):
+        assert run(line.split()) == 2
+        assert f"need the extra '{extra}': pip install \"ltsim[{extra}]\"" in capsys.readouterr().err
+
+
+def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
+    bodies = [box(np.array([1.0, 2.0, 3.0])), placed(cylinder(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3)]
+    obstacles = Obstacles(np.concatenate(bodies))
+    rng = np.random.default_rng(2)
+    origins, ends = rng.uniform(-5, 5, (2, 300, 3))
+    blocked = obstacles.blocked(origins, ends)
+    assert 5 < blocked.sum() < 150
+    inside = obstacles.holds(np.array([[0.4, 0.9, 2.9], [0.6, 0.0, 1.0], [3.4, 0.0, 1.0], [3.6, 0.0, 1.0]]))
+    assert inside.tolist() == [True, False, True, False]
