@@ -22,7 +22,6 @@ ONLY_HERE: dict[str, set[str]] = {
     "diagnose": {"fail_on_mismatch"},
     "inject": {"truth", "curve", "injections"},
     "history": {"each_set_up", "fail_on_change"},
-    "inject": {"truth", "curve", "injections"},
     "recover": {"junit"},
     "simulate": {"truth"},
     "uncertainty": {"against"},
