@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
 from ltsim.cli.terminal import Terminal
-from ltsim.notation import number, with_sigma
-from ltsim.results import aligned
+from ltsim.notation import aligned, number, with_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

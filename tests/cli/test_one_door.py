@@ -20,7 +20,6 @@ READING = {"format_name", "hint", "columns", "frame", "control"}
 ONLY_HERE: dict[str, set[str]] = {
     "check": {"watch"},
     "diagnose": {"fail_on_mismatch"},
-    "inject": {"truth", "curve", "injections"},
     "history": {"each_set_up", "fail_on_change"},
     "recover": {"junit"},
     "simulate": {"truth"},
