@@ -21,6 +21,7 @@ ONLY_HERE: dict[str, set[str]] = {
     "check": {"watch"},
     "diagnose": {"fail_on_mismatch"},
     "history": {"each_set_up", "fail_on_change"},
+    "inject": {"truth", "curve", "injections"},
     "recover": {"junit"},
     "simulate": {"truth"},
     "uncertainty": {"against"},
