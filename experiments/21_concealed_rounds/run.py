@@ -1,7 +1,7 @@
 """Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
 
 python -m experiments 21                  rounds 1 and 2: diagnosed today, both against the truth
-python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3, its truth sealed
+python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3; scored once its truth is open
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def recordings_of(name: str) -> list[Path]:
 
 def run(given: Options) -> Made:
     """Diagnose what was asked for, and score whatever has an open truth."""
-    if SEALED in given.words:
+    if SEALED in given.words and not (SHARED / f"{SEALED}-truth.json").is_file():
         out = COMMITTED / SEALED if given.out == ROOT / "results" / given.out.name else given.out / SEALED
         if any(out.glob("*/diagnosis.json")):
             sys.exit(f"{out} holds diagnoses already: a sealed round is diagnosed once")
@@ -52,7 +52,7 @@ def run(given: Options) -> Made:
         return Made(seed=0, folder=out, more={"note": "Diagnosed once, with default settings, its truth sealed."})
     names = given.words or OPEN
     for name in names:
-        if name not in OPEN:
+        if name not in (*OPEN, SEALED):
             sys.exit(f"there is no round '{name}'; there are {', '.join((*OPEN, SEALED))}")
         folders = recordings_of(name)
         shutil.rmtree(TODAY / name, ignore_errors=True)

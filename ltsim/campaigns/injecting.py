@@ -262,7 +262,7 @@ def _drawn(injector: Injector, cause: str | Tunable, rng: np.random.Generator) -
     tries: Sequence[Tunable] = [effect]
     if isinstance(effect, Mistake) and not effect.place:
         tries = type(effect).possible(sightings)
-    elif isinstance(effect, Effect) and not (effect.place and not effect.shape):
+    elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
         tries = asked.tries(injector.space.adjustment)
     if not tries:
         raise ModelError(f"{effect.name} can act nowhere in this recording")

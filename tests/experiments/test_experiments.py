@@ -46,16 +46,6 @@ def test_what_does_not_exist_is_said(words: list[str], capsys: pytest.CaptureFix
     assert not list(tmp_path.iterdir())
 
 
-def test_every_folder_of_results_says_where_it_comes_from(root: Path) -> None:
-    holding = {f.parent for f in (root / "results").rglob("*") if f.is_file()}
-    own = {f for f in holding if not any((up / "manifest.json").is_file() for up in f.parents)}
-    for folder in own:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        assert manifest["command"], folder
-        assert "versions" in manifest, folder
-        assert manifest.get("commit") or manifest.get("commits"), folder
-
-
 def table(file: Path, **wanted: str) -> list[dict[str, str]]:
     """The rows of a table that have the wanted values."""
     with file.open(encoding="utf-8", newline="") as text:

@@ -91,6 +91,13 @@ def test_what_is_injected_is_found(recording: Recording) -> None:
     assert list(found.findings[0].where.targets) == truth.to_json()["injected"][0]["targets"]
 
 
+def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) -> None:
+    """The moment of a bump at a station that is named lies within its visit."""
+    _, truth = lt.inject(recording, "station-bump:S2", noncentrality=200.0, seed=3)
+    there = recording.time[recording.station == recording.stations.index("S2")]
+    assert there.min() < truth.causes[0].to_json()["shape"]["time"] < there.max()
+
+
 def test_the_curve_rises(recording: Recording) -> None:
     found = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
     weak, strong = found.table().json()
