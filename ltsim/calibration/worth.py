@@ -35,6 +35,8 @@ CONTRADICTS = 3.32
 """Log-likelihood over that of the stated scale (1) that chance exceeds in one of a hundred correct priors."""
 PLAUSIBLE = 1.35
 """Log-likelihood under the largest, within which a scale is plausible: 95 %, one-sided."""
+UNLIKELY = 30.0
+"""Scale beyond which what the readings show is none of these parameters: no instrument is so far off in all of them."""
 NOTHING = 0.02
 """Share of the estimated correction below which it counts as none."""
 
@@ -128,9 +130,13 @@ class ScaledPrior:
         return bool(self._likelihood[self._best] - self._likelihood[stated] > CONTRADICTS)
 
     @property
+    def _is_something_else(self) -> bool:
+        return self.contradicts and not self._unstated and self.scale > UNLIKELY
+
+    @property
     def followed(self) -> float:
         """The scale to follow: the stated one unless the readings contradict it."""
-        return self.scale if self.contradicts or self._unstated else 1.0
+        return self.scale if (self.contradicts and not self._is_something_else) or self._unstated else 1.0
 
     @property
     def doubt(self) -> str:
@@ -139,6 +145,11 @@ class ScaledPrior:
             return ""
         low, high = self.plausible
         likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
+        if self._is_something_else:
+            return (
+                f"the readings ask for parameters {self.scale:.2g} times the stated priors, as no instrument has them: "
+                "something else bends them, and no correction is applied"
+            )
         if not self._unstated:
             return f"the readings contradict the stated priors: {likely}; what is applied follows the readings"
         share = self._strength / (self._strength + self.scale**-2)
@@ -155,6 +166,8 @@ class ScaledPrior:
         `by_unit` (q, q) is the mean square of a new point's error as a form of the parameters' errors, `middle` (q,)
         the prior's mean.
         """
+        if self._is_something_else:
+            return np.zeros(len(self._told)), ""
         found, cautious = middle + self.estimate(self.followed), middle + self.estimate(self.plausible[0])
         if found @ by_unit @ (found - 2.0 * cautious) <= 0.0:
             return found, ""

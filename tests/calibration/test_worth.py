@@ -205,3 +205,10 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
         ratios.append(np.sqrt((gap @ by_value @ gap) / (values @ by_value @ values)))
     print(f"prior x {factor:g}, noise x {noise:g}: new points err {np.mean(ratios):.3f} of what they did")
     assert np.mean(ratios) < 1.02
+
+
+def test_what_no_instrument_has_is_not_applied() -> None:
+    asked = ScaledPrior(100.0 * np.eye(4), 100.0 * np.array([200.0, -150.0, 300.0, 90.0]))
+    applied, _ = asked.harmless(np.eye(4))
+    assert not applied.any()
+    assert "as no instrument has them: something else bends them, and no correction is applied" in asked.doubt
