@@ -19,6 +19,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from experiments.common import manifest, refuse_changes
 from ltsim.recording.files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -114,6 +115,8 @@ def rows() -> list[list[str]]:
 
 def main() -> None:
     """Print the table, and write it where a folder is named."""
+    if sys.argv[1:]:
+        refuse_changes(Path(sys.argv[1]).resolve())
     header = ["package", "extra", "whole [MB]", "freed [MB]", "loads in [s]", "what it saves"]
     lines = [header, ["---"] * len(header), *sorted(rows(), key=lambda row: -float(row[3] or -1))]
     text = "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
@@ -121,10 +124,9 @@ def main() -> None:
     if sys.argv[1:]:
         folder = Path(sys.argv[1])
         write_text(folder / "install_cost.md", text)
-        versions = {name: version(name) for name in declared()}
-        git = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
-        made = {"command": f"python -m benchmarks.install_cost {folder}", "commit": git.stdout.strip() or None}
-        write_text(folder / "manifest.json", json.dumps(made | {"versions": versions}, indent=1) + "\n")
+        versions = {name: version(name) for name in declared() if needs(name, {})}
+        made = manifest(f"python -m benchmarks.install_cost {folder}", versions=versions)
+        write_text(folder / "manifest.json", json.dumps(made, indent=1) + "\n")
 
 
 if __name__ == "__main__":

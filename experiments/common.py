@@ -196,6 +196,19 @@ def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[flo
     return round(share(columns, prefix), 4), round(float(low), 4), round(float(high), 4)
 
 
+def beside_floor(columns: Mapping[str, Floats]) -> Row:
+    """What no calibration touches, the error with the true parameters, and what is left above it (rms, in quadrature).
+
+    Held-out errors hold the noise of the readings that new points are measured with: two methods are compared by what
+    is above it.
+    """
+    error, floor = (
+        float(np.nanmean(columns[f"held_out_error_{k}_um"] ** 2)) for k in ("calibrated", "true_parameters")
+    )
+    above = round(max(error - floor, 0.0) ** 0.5, 2)
+    return {"held_out_floor_um": round(floor**0.5, 2), "held_out_above_floor_um": above}
+
+
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
     """Columns of several blocks as one."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -242,19 +255,19 @@ def changes() -> str | None:
 def write_manifest(here: Path, given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
     words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
-    content = {
-        "command": " ".join(["python -m experiments", *words]),
-        "seed": made.seed,
-        "trials": made.trials,
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in USED},
-        "commit": commit(),
-        "uncommitted_changes": bool(changes()),
-        "settings": {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))},
-    }
+    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))}
+    own = {"seed": made.seed, "trials": made.trials} | {"settings": settings} | dict(made.more)
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(content | dict(made.more), indent=1) + "\n"
+    text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **own), indent=1) + "\n"
     (folder / manifest_name(given.words if made.folder is None else ())).write_text(text, encoding="utf-8")
+
+
+def manifest(command: str, **more: Any) -> dict[str, Any]:
+    """Where results come from: command, versions, commit, and whether its sources had been changed."""
+    versions = {"python": platform.python_version()} | {name: version(name) for name in USED}
+    made = {"command": command, "versions": versions, "commit": commit(), "uncommitted_changes": bool(changes())}
+    return made | more
 
 
 def manifest_name(words: Sequence[str]) -> str:

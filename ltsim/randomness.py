@@ -10,8 +10,7 @@ import zlib
 from functools import lru_cache
 
 import numpy as np
-
-from ltsim.arrays import Floats, Ints
+from numpy.typing import NDArray
 
 WORD = 2**32
 BLOCK = 256
@@ -47,23 +46,27 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
-def trials_normal(seed: int, trials: Ints, size: int, *key: str | int) -> Floats:
+def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers (size, B) of trials (B,) for `key`: the same whichever trials are asked for together.
 
     Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
     """
+    first, count = int(trials[0]), len(trials)
+    if count == BLOCK and not first % BLOCK and np.array_equal(trials, np.arange(first, first + BLOCK)):
+        return _block(seed, first // BLOCK, size, *key)
+    if count == 1 and not first:
+        return stream(seed, *key).standard_normal((size, 1))
     blocks, places = np.divmod(trials, BLOCK)
-    numbers = []
+    numbers = np.empty((size, count))
     for block in np.unique(blocks).tolist():
-        own = places[blocks == block]
-        drawn = np.zeros((size, BLOCK))
-        if block or np.any(own):
-            drawn = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
-        if not block:
-            drawn[:, 0] = stream(seed, *key).standard_normal(size)
-        whole = len(own) == BLOCK and np.array_equal(own, np.arange(BLOCK))
-        numbers.append(drawn if whole else drawn[:, own])
-    if len(numbers) == 1:
-        return numbers[0]
-    order = np.argsort(np.argsort(blocks, kind="stable"), kind="stable")
-    return np.concatenate(numbers, axis=1)[:, order]
+        own = blocks == block
+        numbers[:, own] = _block(seed, block, size, *key)[:, places[own]]
+    return numbers
+
+
+def _block(seed: int, block: int, size: int, *key: str | int) -> NDArray[np.float64]:
+    """All trials (size, BLOCK) of a block."""
+    numbers = stream(seed, *key, "block", block).standard_normal((size, BLOCK))
+    if not block:
+        numbers[:, 0] = stream(seed, *key).standard_normal(size)
+    return numbers

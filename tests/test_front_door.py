@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 import ltsim as lt
-from ltsim.errors import ModelError, SetupError
+from ltsim.cli.main import run
+from ltsim.errors import ModelError, RecordError, SetupError
 from ltsim.results import MOST_SHOWN, Result
 
 SMALL_PLAN = """
@@ -171,3 +172,46 @@ def test_results_are_written_as_their_commands_do(recording, tmp_path: Path):
 def test_a_campaign_that_is_no_file_needs_a_folder():
     with pytest.raises(SetupError, match="needs a folder"):
         lt.campaign({"format": "ltsim-campaign/1"})
+
+
+def test_a_bare_text_is_one_name_and_effects_are_objects_or_words(recording):
+    words = lt.calibrate(recording, with_effects="index-drift:S3", parameters="beam-tilt", advise=False)
+    made = lt.calibrate(recording, with_effects=lt.Effect("index-drift", stations="S3"), parameters=["beam-tilt"])
+    assert words.effects == made.effects
+    assert int((~words.held).sum()) == 1
+    assert lt.adjust(recording, datum=["T01", "T05", "T12"]).frame.endswith("T01, T05, T12")
+    with pytest.raises(ModelError, match="no constant called 'colour'"):
+        lt.Effect("index-drift", colour="red")
+
+
+def test_an_effect_of_a_class_of_ones_own_is_fitted(recording):
+    class Mine(lt.effects.find_effect("index-drift")):  # type: ignore[misc]
+        """An index drift, by another class."""
+
+    found = lt.calibrate(recording, with_effects=Mine(stations=("S3",)), advise=False)
+    words = lt.calibrate(recording, with_effects="index-drift:S3", advise=False)
+    assert found.effects[0].chi2_drop == pytest.approx(words.effects[0].chi2_drop)
+
+
+def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
+    calibration = lt.calibrate(recording, advise=False)
+    calibration.save(tmp_path / "mine.lt")
+    assert lt.read(tmp_path / "mine.lt") == calibration
+    lt.write(calibration, tmp_path / "folder")
+    assert lt.read(tmp_path / "folder").names == calibration.names
+    truth = lt.simulate("paper-workshop").truth
+    lt.write(truth, tmp_path / "truth.json")
+    assert lt.read(tmp_path / "truth.json").construction == truth.construction
+    (tmp_path / "other.json").write_text('{"format": "elsewhere/1"}')
+    with pytest.raises(RecordError, match="no recording and no result of ltsim"):
+        lt.read(tmp_path / "other.json")
+
+
+def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path, capsys):
+    with pytest.raises(
+        ModelError, match="robust, noise_from_data, datum, prior and with_effects go with method network"
+    ):
+        lt.calibrate(recording, method="distance", robust=True)
+    lt.write(recording, tmp_path / "rec")
+    assert run(["calibrate", str(tmp_path / "rec"), "--method", "distance", "--robust"]) == 2
+    assert "--prior and --with go with --method network" in capsys.readouterr().err

@@ -10,5 +10,5 @@ def run(given: Options) -> Made:
     """Draw it into `results/readme`."""
     folder = given.out.parent / "readme"
     folder.mkdir(parents=True, exist_ok=True)
-    lt.view("paper-workshop", png=folder / "workshop.png")
+    lt.view("paper-workshop").png(folder / "workshop.png")
     return Made(folder=folder)

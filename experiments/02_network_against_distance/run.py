@@ -16,6 +16,7 @@ from experiments.common import (
     Options,
     Row,
     batches,
+    beside_floor,
     calibrator_for,
     cells_of,
     compared,
@@ -80,7 +81,11 @@ def parameter_rows(campaign: Campaign, cell: Cell, drawn: dict[str, Columns]) ->
 def judged_row(columns: Columns) -> Row:
     """Errors on new points, and the share of the correctable error that was removed, with 95 % intervals."""
     out, raw = summary(columns["held_out_error_calibrated_um"]), summary(columns["held_out_error_raw_um"])
-    row: Row = {f"held_out_error_{k}_um": out[k] for k in ("mean", "low", "high")} | {"as_read_um": raw["mean"]}
+    row: Row = (
+        {f"held_out_error_{k}_um": out[k] for k in ("mean", "low", "high")}
+        | {"as_read_um": raw["mean"]}
+        | beside_floor(columns)
+    )
     row |= dict(zip(("share", "share_low", "share_high"), share_interval(columns, "held_out_"), strict=True))
     worse = columns["held_out_error_calibrated_um"] > columns["held_out_error_raw_um"]
     return row | {"worse_than_as_read_percent": round(100 * float(np.mean(worse)), 1), "trials": out["trials"]}

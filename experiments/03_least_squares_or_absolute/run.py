@@ -14,6 +14,7 @@ from experiments.common import (
     Made,
     Options,
     batches,
+    beside_floor,
     calibrated,
     calibrator_for,
     cells_of,
@@ -120,6 +121,7 @@ def run(given: Options) -> Made:
             setting = f"{percent:g} % outliers"
             row: dict[str, Any] = {"outliers_percent": percent, "method": title}
             row |= {f"held_out_error_{name}_um": value for name, value in spread.items() if name != "trials"}
+            row |= beside_floor(columns)
             kept = share_interval(columns, "held_out_")
             row |= dict(zip(("held_out_share", "share_low", "share_high"), kept, strict=True))
             targets = summary(columns["target_error_um"])

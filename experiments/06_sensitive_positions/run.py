@@ -14,6 +14,7 @@ from experiments.common import (
     Options,
     Row,
     batches,
+    beside_floor,
     cells_of,
     compared,
     share,
@@ -109,7 +110,9 @@ def run(given: Options) -> Made:
             columns = stacked(spread_out(compared, tasks, given.jobs))
             out = summary(columns["held_out_error_calibrated_um"])
             row: Row = {"heights": name, "method": method.title}
-            row |= {f"held_out_error_{key}_um": value for key, value in out.items() if key != "trials"}
+            row |= {f"held_out_error_{key}_um": value for key, value in out.items() if key != "trials"} | beside_floor(
+                columns
+            )
             # The same instruments, mesh by mesh: the difference from the first design is better known than either mean.
             error = columns["held_out_error_calibrated_um"]
             more = summary(error - first.setdefault(method.title, error))

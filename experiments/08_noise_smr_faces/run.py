@@ -9,6 +9,7 @@ from experiments.common import (
     Options,
     Row,
     batches,
+    beside_floor,
     cells_of,
     compared,
     share,
@@ -38,7 +39,7 @@ def run(given: Options) -> Made:
             out = summary(columns["held_out_error_calibrated_um"])
             row: Row = {"cell": cell.title, "method": method.title}
             row |= {f"held_out_error_{name}_um": value for name, value in out.items() if name != "trials"}
-            row["held_out_true_parameters_um"] = summary(columns["held_out_error_true_parameters_um"])["mean"]
+            row |= beside_floor(columns)
             row["held_out_share"] = round(share(columns, "held_out_"), 4)
             for name in ("target_error_um", "distance_improvement_percent", "coordinate_improvement_percent"):
                 row[name] = summary(columns[name])["mean"]

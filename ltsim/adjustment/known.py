@@ -340,6 +340,8 @@ def _most_suspect(
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     if unlikely(float(np.nan_to_num(w).flat[worst] ** 2), 1, int(problem.use.sum()))[0] <= chance:
         alike = [k for k, (other, _) in enumerate(chances) if other > chance - np.log(RIVAL)]
+        if len(alike) > 1 and tests[best].kind == "level":
+            return None  # A few levels against each other: nothing that others would not tell better.
         marks = all(tests[k].kind == "mark" for k in alike)  # Either way they stand apart: the later one goes.
         chosen = alike[-1] if marks else best
         rivals = tuple(tests[k].name for k in alike if k != chosen)

@@ -92,7 +92,7 @@ class Recovery(Result):
     def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
         return {
             "checks": lambda: by_row([vars(check) | {"passed": check.passed} for check in self.checks()]),
-            "parameters": self._parameters,
+            "parameters": self.parameters,
             "trials": lambda: TRIALS.filled(self.rows()),
         }
 
@@ -125,7 +125,7 @@ class Recovery(Result):
             for k, name in enumerate(trial.names)
         ]  # fmt: skip
 
-    def _parameters(self) -> Columns:
+    def parameters(self) -> Columns:
         """What became of each parameter, beside ltsim's own calibrator where another one is checked."""
         error, z = self._stacked("estimate") - self._stacked("truth"), self.z
         columns: dict[str, Sequence[object]] = {

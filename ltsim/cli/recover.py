@@ -188,7 +188,7 @@ def recovery_table(result: Recovery) -> str:
     """One row a parameter: its errors, beside ltsim's where another calibrator is checked, and its z-scores."""
     if len(result.converged) < 2:
         return "fewer than two trials gave a result"
-    columns = result._tables()["parameters"]()
+    columns = result.parameters()
     heads = {"rms_error": "rms error", "ltsim_rms_error": "ltsim's", "mean_z": "mean z", "deviation_z": "sd of z"}
     shown = [name for name in ("parameter", "unit", *heads) if name in columns]
     cover = ["" if c != c else f"{100 * c:.1f} %" for c in columns["coverage_95"]]

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from ltsim.chances import AGREES, p_is, two_sided
 from ltsim.cli.terminal import Terminal
-from ltsim.notation import number, with_sigma
-from ltsim.results import aligned
+from ltsim.notation import aligned, number, with_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -182,7 +181,7 @@ def show_outliers(terminal: Terminal, calibration: Calibration) -> None:
 
 def show_known(terminal: Terminal, known: Sequence[KnownEntry]) -> None:
     """Known values by their tests, the worst first: how far each is from what the rest says."""
-    told = [entry for entry in known if entry.kind not in ("level", "mark") or entry.left_out or entry.w > CONSPICUOUS]
+    told = [e for e in known if (e.sigma_error and e.kind not in ("level", "mark")) or e.left_out or e.w > CONSPICUOUS]
     if not told:
         return
     worst = sorted(told, key=lambda entry: (not entry.left_out, -entry.w))

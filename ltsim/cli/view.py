@@ -15,7 +15,7 @@ import ltsim as lt
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import RecordError, SetupError, require
 
 
 class Colour(StrEnum):
@@ -90,6 +90,7 @@ def view(
 
     Example: ltsim view paper-workshop --html workshop.html
     """
+    require(("pyvista", "trame_vtk"), "3D views", "view")
     terminal = Terminal(quiet)
     if plan is not None and place is None:
         _by_hand(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)

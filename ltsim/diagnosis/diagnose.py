@@ -28,6 +28,7 @@ from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
+from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
@@ -102,7 +103,7 @@ def diagnose(
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
     apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
-    odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)]
+    odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
     explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)

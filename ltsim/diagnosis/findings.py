@@ -12,10 +12,11 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
+from ltsim.diagnosis.blind import distortion
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import carried_by
+from ltsim.diagnosis.evidence import carried_by, posterior
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY, Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
@@ -90,6 +91,10 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
+        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
+        moved = distortion(space, effect, mean)
+        more["moves_targets_um"] = moved
+        sentence += f" Not modelled, it moves the targets by {number(moved, 2)} um rms."
         return Finding(
             effect=name,
             known=hypothesis.known,

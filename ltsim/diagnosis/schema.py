@@ -108,6 +108,8 @@ class Finding(Entry):
     """What it is confined to."""
     parameters: tuple[Estimate, ...] = ()
     """Its size."""
+    moves_targets_um: Known = None
+    """What it does to the coordinates of the targets where it is not modelled: rms after the best rigid fit."""
     evidence: Evidence
     """How strong it is."""
     equivalents: tuple[Equivalent, ...] = ()

@@ -36,7 +36,7 @@ from ltsim.laws.names import name_of
 from ltsim.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
-"""Findings that are told at most."""
+"""Findings that are told at most, and as many constants of instruments; the tables have all of these."""
 FLEXIBLE = 10
 """Coefficients of a curve in one quantity, `MODES` and a slope; what has more can imitate several effects."""
 REFINED, FEW = 7, 3

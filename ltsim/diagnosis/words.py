@@ -140,4 +140,4 @@ def _course(before: float | None, after: float | None) -> str:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"
     course = f"{'falls' if after < before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
-    return f" With what the search finds without them, the error on readings left out {course} times their noise."
+    return f" On readings that neither search nor fit has seen the error {course} times their noise."

@@ -154,7 +154,7 @@ def bench_file(record: BenchRecord, found: BenchResult) -> BenchFile:
         eccentricity_forward=entry(found.eccentricity[0], off[0]),
         eccentricity_side=entry(found.eccentricity[1], off[1]),
         run_out_um=found.run_out / MICROMETRE,
-        angles=tuple(
+        table=tuple(
             BenchRow(angle_deg=a / DEGREE, as_read_um=u / MICROMETRE, error_um=t / MICROMETRE, sigma_um=s / MICROMETRE)
             for a, u, t, s in zip(record.angles, found.uncorrected, found.table, found.sigma, strict=True)
         ),

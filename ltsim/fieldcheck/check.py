@@ -237,6 +237,8 @@ def _instrument_drift(visit: Visit, family: Family) -> Item:
 def _closure(visit: Visit, family: Family) -> Item:
     """Scatter of repeated pointings against the stated noise, two-sided; less noise than stated passes with a word."""
     name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
+    if visit.dof < 1:
+        return Item(name, "closure", True, f"{name}: what is left of its repeated pointings tells no scatter")
     p, less = two_sided(visit.chi2, visit.dof)
     p = family.adjusted(p)
     scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the stated noise ({visit.dof} degrees of freedom)"

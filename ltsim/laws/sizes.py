@@ -21,7 +21,7 @@ class Size(NamedTuple):
 
 
 def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -> tuple[Size, ...]:
-    """Amplitude and phase of a wave, the size of a constant, how far a curve swings.
+    """Amplitude and phase of a wave, the size of a constant, how far a curve swings and its rms over the pointings.
 
     Of what moves in space each component, at the set-up where it moves farthest. The coefficients have a `mean` (k,)
     and a `covariance` (k, k) [SI].
@@ -40,11 +40,16 @@ def sizes_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
         amplitude = _size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
         return amplitude, Size("phase", phase, min(turn, 180.0), "deg")
     columns = law.columns(sightings)[law.mask(sightings) > 0]
-    values = columns @ means.T @ way
+    each = columns @ means.T
+    values = each @ way
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]
-    return tuple(
+    swings = (
         _size(law, f"swing {w}", float(gap @ means[i]), float(gap @ spread[i, :, i] @ gap)) for i, w in enumerate(ways)
     )
+    rms = float(np.sqrt(np.mean(np.sum(each**2, axis=1))))
+    slope = np.einsum("nc,nk->ck", each, columns) / max(rms * len(each), 1e-300)
+    felt = _size(law, "rms", rms, float(np.einsum("ck,ckdl,dl->", slope, spread, slope)))
+    return felt, *swings
 
 
 def _size(law: Law, name: str, value: float, variance: float) -> Size:

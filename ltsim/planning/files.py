@@ -240,7 +240,8 @@ def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
         When one of them cannot be read.
     """
     names: dict[str, str] = {}
-    found, obstacles = {}, []
+    found: dict[str, bytes] = {}
+    obstacles = []
     for entry in scenario.workshop.obstacles:
         if entry.file is not None and entry.file not in names:
             own = Path(entry.file).name

@@ -130,8 +130,8 @@ class LayoutInformation:
         moved = adjustment.factor.covariance_columns(inside)[problem.unknowns.target].reshape(-1, inside.shape[1])
         motion = rigid_motion(self.survey.points) @ problem.free
         moved -= motion @ (np.linalg.pinv(motion) @ moved)
-        moved = moved.reshape(-1, 3, inside.shape[1])
-        return moved @ np.swapaxes(moved, 1, 2)
+        errors_of = moved.reshape(-1, 3, inside.shape[1])
+        return np.asarray(errors_of @ np.swapaxes(errors_of, 1, 2))
 
     @cached_property
     def target_sigma(self) -> Floats:

@@ -113,7 +113,8 @@ class Searcher:
             if self.site.least >= self.stations and not self.placement.seen.all(axis=1).any():
                 raise SetupError(self._nowhere())
             turns = np.arange(self.yaws) * (2 * np.pi / self.yaws)
-            position, seen = (np.repeat(a, self.yaws, axis=0) for a in (places, self.placement.seen))
+            position: Floats = np.repeat(places, self.yaws, axis=0)
+            seen: Bools = np.repeat(self.placement.seen, self.yaws, axis=0)
             good = seen.all(axis=1) if self.site.least >= self.stations else np.ones(len(seen), dtype=bool)
             yaw = np.tile(turns, len(places))
             self._tables[key] = self.pool(position[good], yaw[good], key, seen[good])

@@ -69,7 +69,8 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
 def check_in_sight(site: Site, file: PlanFile) -> None:
     """Raise SetupError, with their names, where points are in sight from no place on the floor, or from too few."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
-    hidden = [n for n, some in zip(site.survey.target_names, placement.seen.any(axis=0), strict=True) if not some]
+    unseen = np.flatnonzero(placement.seen.sum(axis=0) == 0)
+    hidden = [site.survey.target_names[t] for t in unseen]
     if not len(placement.position):
         raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
     if hidden:

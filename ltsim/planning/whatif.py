@@ -68,17 +68,23 @@ def without(file: PlanFile, scenario: Scenario, name: str) -> tuple[Alternative,
     count, settings = len(survey.position), file.search
     others = tuple(s for s in range(count) if s != slot)
     site = site_of(file, scenario, stations=count, faces=len(survey.faces), repeats=survey.repeats)
-    least = site.least if "seen_from" in file.stations.model_fields_set else 1
-    site = site.replace(survey=survey, fixed=others, least=least)
-    step = grid_step(site.areas, settings.grid_mm)
-    work = Searcher(site, objective_of(file, survey), built, step, settings.yaws, settings.heights)
+    step, objective = grid_step(site.areas, settings.grid_mm), objective_of(file, survey)
+    where = site.replace(survey=survey, fixed=others, least=0)
+    work = Searcher(where, objective, built, step, settings.yaws, settings.heights)
     table = work.table(slot)
     values = work.replacements(work.layout(survey), slot, table)
     values[_gap(table.position, survey.position[slot]) < CLEAR] = np.inf
+    # Sights of points with a tolerance that would be missing decide first.
+    demanded = Demands.of(file).tolerance or survey.target_names
+    asked = np.array([name in demanded for name in survey.target_names])
+    had = survey.seen[list(others)].sum(axis=0)
+    lacking = np.maximum(site.least - had - table.seen, 0)[:, asked].sum(axis=1)
     found = [_alternative(file, survey.without(slot), f"without {name}", built)]
-    for best in np.argsort(values, kind="stable").tolist():
-        if not np.isfinite(values[best]) or len(found) > MOST:
+    for best in np.lexsort((values, lacking)).tolist():
+        if len(found) > MOST:
             break
+        if not np.isfinite(values[best]):
+            continue
         taken = [one.survey.position[slot] for one in found[1:]]
         if any(_gap(table.position[[best]], place)[0] < CLEAR for place in taken):
             continue

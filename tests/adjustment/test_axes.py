@@ -93,7 +93,7 @@ def test_wrong_frames(recording: Recording) -> None:
     with pytest.raises(RecordError, match="lie on one line"):
         in_axes_of_three(recording, "T01", "T02", "T03")
     known = recording.setup.model_copy(update={"targets": {"T01": Target(known_mm=(0.0, 0.0, 0.0))}})
-    with pytest.raises(RecordError, match="leave --frame out"):
+    with pytest.raises(RecordError, match="leave frame out"):
         in_axes_of_points(recording.replace(setup=known), goal, "hall.csv")
 
 

@@ -9,6 +9,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.seeds import multilaterate, relative_orientation
 from ltsim.adjustment.start import start_network
 from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z, from_rotation_vector
 from ltsim.model.construction import ideal, misalignment
@@ -467,3 +468,26 @@ def test_any_readings_may_be_missing(kind, seed):
     assert not found.gross.any()
     rough = 0.02 if kind == "marks" else 1e-3
     assert_same_shape(found, points, atol=rough)
+
+
+def test_a_network_in_plan_needs_no_elevations() -> None:
+    """Azimuths and horizontal distances between levelled set-ups, every height stated: solved as surveyors do in xy."""
+    recording, truth = network(seed=3, stations=3)
+    flat = recording.readings.copy()
+    flat[:, 0] *= np.cos(flat[:, 2])
+    flat[:, 2] = np.nan
+    points = truth.state.points
+    targets = {
+        name: Target(known_mm=(0.0, 0.0, 1e3 * float(points[t, 2])), known_axes="z", known_sigma_mm=1e-3)
+        for t, name in enumerate(recording.targets)
+    }
+    stations = {name: Station(levelled=True, over=f"M{name}") for name in recording.stations}
+    for name, place in zip(recording.stations, truth.state.position, strict=True):
+        targets[f"M{name}"] = Target(known_mm=(0.0, 0.0, 1e3 * float(place[2])), known_axes="z", known_sigma_mm=1e-3)
+    setup = recording.setup.model_copy(update={"targets": targets, "stations": stations, "gauge": None})
+    kind = {KIND_COLUMN: ("horizontal",) * len(recording)}
+    found = adjust(recording.replace(readings=flat, setup=setup, labels={**recording.labels, **kind}))
+    assert found.solution.converged
+    assert found.sigma0 == pytest.approx(1.0, abs=0.3)
+    turn, shift = align(found.state.points, points)
+    assert np.abs(found.state.points @ turn.T + shift - points).max() < 1e-4

@@ -1,4 +1,4 @@
-"""Networks that nobody here made, where they lie beside the checkout; see results/04_real_networks/README.md."""
+"""Networks that nobody here made, where they lie beside the checkout; see experiments/04_real_networks/README.md."""
 
 from importlib import import_module
 from pathlib import Path

@@ -20,8 +20,8 @@ READING = {"format_name", "hint", "columns", "frame", "control"}
 ONLY_HERE: dict[str, set[str]] = {
     "check": {"watch"},
     "diagnose": {"fail_on_mismatch"},
-    "inject": {"truth", "curve", "injections"},
     "history": {"each_set_up", "fail_on_change"},
+    "inject": {"truth", "curve", "injections"},
     "recover": {"junit"},
     "simulate": {"truth"},
     "uncertainty": {"against"},

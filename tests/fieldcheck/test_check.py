@@ -102,11 +102,10 @@ def test_a_gross_pointing_is_named_and_nothing_else() -> None:
     assert item.targets == (name,)
     twin = np.flatnonzero((recording.station == 1) & (recording.target == recording.target[70])) + 1
     assert item.rows[0] in twin  # two pointings of a target cannot tell which of them is wrong
-    apart = re.fullmatch(
-        rf"S2 to {name}, row {item.rows[0]}: ([\d.]+) um from the other .*: measure again", item.sentence
-    )
+    apart = re.fullmatch(rf"S2 to {name}: rows (\d+) and (\d+) are ([\d.]+) um apart, .*: measure again", item.sentence)
     assert apart is not None, item.sentence
-    assert float(apart[1]) == pytest.approx(80.0, abs=4 * np.sqrt(2) * 1e6 * recording.sigma()[70, 0])
+    assert {int(apart[1]), int(apart[2])} == set(twin.tolist())
+    assert float(apart[3]) == pytest.approx(80.0, abs=4 * np.sqrt(2) * 1e6 * recording.sigma()[70, 0])
 
 
 def test_creeping_is_called_drift() -> None:

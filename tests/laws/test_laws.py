@@ -113,8 +113,11 @@ def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings)
     expected = (station_design(sightings)[:, :, 3:5] @ way) * column[:, None]
     np.testing.assert_allclose(law.design(sightings) @ way, expected, atol=1e-20)
     told = sizes_of(law, sightings, way, 1e-16 * np.eye(2))
-    assert [e.name for e in told] == ["swing about x", "swing about y"]
-    assert told[1].value / told[0].value == pytest.approx(0.8 / 0.6)
+    assert [e.name for e in told] == ["rms", "swing about x", "swing about y"]
+    assert told[2].value / told[1].value == pytest.approx(0.8 / 0.6)
+    assert told[0].value == pytest.approx(
+        np.sqrt(np.mean(column[sightings.station == 1] ** 2)) * 1e6 * np.hypot(*way), rel=1e-6
+    )
     assert set(law.observables) == set(OBSERVABLES)
 
 
@@ -125,8 +128,8 @@ def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_togeth
     parts = [replace(alone, stations=(name,)).design(sightings) for name in sightings.station_names]
     np.testing.assert_array_equal(together.design(sightings), np.concatenate(parts, axis=2))
     mean = np.where(np.arange(len(parts)) == 3, -4e-6, 1e-6)
-    (swing,) = sizes_of(together, sightings, mean, 1e-16 * np.eye(len(mean)))
-    (own,) = sizes_of(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
+    (_, swing) = sizes_of(together, sightings, mean, 1e-16 * np.eye(len(mean)))
+    (_, own) = sizes_of(replace(alone, stations=("S4",)), sightings, mean[[3]], 1e-16 * np.eye(1))
     assert swing == own  # where it does most
 
 

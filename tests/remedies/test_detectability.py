@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from tests.plan.fixtures import survey
 
 from ltsim.adjustment.reliability import POWER, noncentrality, single_level
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -20,6 +19,7 @@ from ltsim.model.construction import misalignment
 from ltsim.planning.detectability import detectability, likeness
 from ltsim.planning.information import LayoutInformation
 from ltsim.remedies.detectability import LEVEL, examine, search_noncentrality
+from tests.planning.fixtures import survey
 
 INFORMATION = LayoutInformation.of(survey())
 SPACE = ResidualSpace.of(INFORMATION.adjustment)

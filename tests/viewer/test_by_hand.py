@@ -17,6 +17,7 @@ from ltsim.errors import SetupError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table
 from ltsim.planning.spec import load_plan
+from ltsim.planning.tolerances import judged
 from ltsim.scene.visibility import Reason
 from ltsim.viewer.board import Board
 from ltsim.viewer.server import Door
@@ -48,6 +49,19 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
     assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.seen.tolist()
     assert found["shadow"] == pytest.approx(survey.position[:, 2] * np.tan(np.radians(35)))
+
+
+def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    survey = board.survey(stations)
+    survey = survey.replace(seen=sight_table(board.site, survey).visible)
+    lost = [judged(survey.without(s), board.demands, board.construction) for s in range(3)]
+    said = board.verdict(stations)
+    assert said.startswith(("Reached: all 8 tolerances", "Not reached: "))
+    assert ("with any one station lost all kept too" in said) == all(one.good for one in lost)
+    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
+    assert board.verdict(stations) == ""
 
 
 def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
@@ -166,6 +180,7 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             assert after[0]["rms_um"] == pytest.approx(judged["rms_um"])
             assert after[0]["shadow"] == pytest.approx(judged["shadow"])
             assert tab.value("layer.sights.childElementCount") > 0
+            tab.until("/eached: /.test(document.querySelector('#verdict').textContent)")
             tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
             tab.value("document.querySelector('#save').click()")
             assert "plan.toml" in tab.until("document.querySelector('#saved').textContent")

@@ -3,14 +3,6 @@
 from ..law import Change, Draw, Hall, law, np, reads
 
 
-@law("time", "height|place|elevation", may="distance")
-def cold_air_from_the_gate(h: Hall, rng: Draw) -> Change:
-    """Whenever the gate opens cold air runs over the floor and warms up again: beams to low targets are bent."""
-    since = h.time[:, None] - rng.choice(h.time, 4, replace=False)
-    cold = (np.exp(-np.maximum(since, 0.0) / rng.uniform(300.0, 900.0)) * (since >= 0.0)).sum(axis=1)
-    return reads(h, "elevation", cold * np.clip(1.4 - h.aim[:, 2], 0.0, 1.0) * h.distance / 4.0)
-
-
 @law("time", "height|elevation|place", may="distance")
 def argon_pools_on_the_floor(h: Hall, rng: Draw) -> Change:
     """Shielding gas of a welder gathers on the floor while he works; it is thinner for light than air."""

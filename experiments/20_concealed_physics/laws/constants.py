@@ -9,12 +9,6 @@ def laser_tires(h: Hall, rng: Draw) -> Change:
     return varies(h, "beam-tilt", np.log1p(h.time / rng.uniform(300.0, 1200.0)))
 
 
-@law("temperature|time")
-def trunnion_with_warmth(h: Hall, rng: Draw) -> Change:
-    """One of the two uprights is nearer to the motor: the transit axis tips as the hall gets warmer."""
-    return varies(h, "transit-tilt", h.warmth)
-
-
 @law("azimuth", "time")
 def sun_walks_round_the_hall(h: Hall, rng: Draw) -> Change:
     """Sun through the roof lights warms the head's brow when it faces the sun, which goes round with the hours."""
@@ -27,9 +21,3 @@ def sun_walks_round_the_hall(h: Hall, rng: Draw) -> Change:
 def carried_on_its_side(h: Hall, rng: Draw) -> Change:
     """One of the trackers travels on its side, and in every set-up its collimator creeps back to where it was."""
     return varies(h, "beam-offset-vertical", h.one_tracker(rng) * np.exp(-h.since_setup / rng.uniform(120.0, 400.0)))
-
-
-@law("temperature|time")
-def clamped_circle_shifts_with_warmth(h: Hall, rng: Draw) -> Change:
-    """The circle's centre wanders from the axis as the head warms up, until its clamp stops it on either side."""
-    return varies(h, "azimuth-eccentricity-cos", np.tanh(h.warmth / rng.uniform(0.15, 0.4)))

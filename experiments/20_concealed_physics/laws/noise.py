@@ -20,9 +20,3 @@ def servo_hunts_about_a_balance(h: Hall, rng: Draw) -> Change:
     """Where the tube is nearly balanced its motor hunts: elevations scatter about one elevation as at a resonance."""
     off = (h.elevation - rng.uniform(-0.2, 0.4)) / rng.uniform(0.08, 0.2)
     return scatters(h, "elevation", 1.0 / (1.0 + off**2))
-
-
-@law("time", may="distance")
-def battery_of_one_tracker_runs_flat(h: Hall, rng: Draw) -> Change:
-    """One of two trackers is run on its battery; as that fades, so does its laser, and the ranges scatter more."""
-    return scatters(h, "distance", h.one_tracker(rng) * (h.time / h.time[-1]) ** rng.uniform(2.0, 4.0))

@@ -15,24 +15,10 @@ def faint_light(h: Hall, rng: Draw) -> Change:
     return reads(h, "distance", (h.distance / 3.0) ** -2.0)
 
 
-@law("distance")
-def ghost_from_the_cover_glass(h: Hall, rng: Draw) -> Change:
-    """A reflex in the head beats with the return where the path fits the modulation: an error about one distance."""
-    off = (h.distance - rng.uniform(2.5, 6.0)) / rng.uniform(0.2, 0.5)
-    return reads(h, "distance", 2.0 * off / (1.0 + off**2))
-
-
 @law("approach|distance", may="distance approach")
 def detector_memory(h: Hall, rng: Draw) -> Change:
     """The detector's gain is slow: after a far target the light of a near one is too bright for a while."""
     return reads(h, "distance", h.change(np.log(h.distance)))
-
-
-@law("distance|approach", may="distance approach time")
-def receiver_changes_its_gain_late(h: Hall, rng: Draw) -> Change:
-    """The receiver turns its gain up for a far reflector, and down again only for one that is much nearer."""
-    middle, half = rng.uniform(3.0, 4.5), rng.uniform(0.4, 0.9)
-    return reads(h, "distance", h.latched(h.distance, middle - half, middle + half))
 
 
 @law("temperature", "distance", may="time")
