@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import duckdb
 import numpy as np
@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
+from ltsim.campaigns.cube import cube
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
@@ -24,6 +25,9 @@ from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.results import Columns, Result, Table, by_row
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -131,6 +135,9 @@ class Results(Result):
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
         self._folder = folder
+
+    def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
+        return Results, (self._folder.resolve(),)
 
     def _cells(self) -> pa.Table:
         """What each cell is, as columns: number, line of words, settings."""
@@ -282,6 +289,27 @@ class Results(Result):
         """
         self._known(statistic)
         return paired(self, statistic, **between)
+
+    def to_xarray(self, *statistics: str) -> xr.Dataset:
+        """Means over the trials with their 95 % intervals, on axes that `sel` takes.
+
+        Parameters
+        ----------
+        *statistics : str
+            Columns of the rows, or shares; default all but those of single parameters.
+
+        Returns
+        -------
+        xarray.Dataset
+            Each statistic with ``NAME_low`` and ``NAME_high``, its unit in `attrs`; axes are `calibrator` (the methods)
+            and the factors, or `cell` with the factors along it where the cells are no grid.
+
+        Raises
+        ------
+        ModelError, SetupError
+            When there is no such statistic; without xarray.
+        """
+        return cube(self, statistics or [c for c in self.columns if ":" not in c and c != CHECKED])
 
     def summary(self) -> dict[str, Any]:
         """Everything a report needs, as plain data."""
