@@ -90,7 +90,7 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     assert judged.column("calibration") == ["network", "distance"]
 
 
-@pytest.mark.parametrize("kind", [lt.calibrate, lt.adjust])
+@pytest.mark.parametrize("kind", [lt.calibrate, lt.adjust, lt.diagnose])
 def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=3)
     table = kind(recording).table("residuals")
