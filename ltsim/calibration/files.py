@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibration.amplitude import Harmonic, harmonics
 from ltsim.calibration.calibration import Calibration
@@ -35,7 +34,6 @@ from ltsim.calibration.schema import (
 from ltsim.errors import ModelError, RecordError
 from ltsim.model.construction import Construction, with_parameters
 from ltsim.recording.files import shown
-from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import read_result, write_result
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 

@@ -16,7 +16,6 @@ import pyarrow.parquet as pq
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.cube import cube
-from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.rows import CHECKED
@@ -97,6 +96,7 @@ class Results(Result):
 
     Attributes
     ----------
+    folder : Path
     manifest : ManifestFile
     factors : tuple of Factor
         What differs between cells: the columns of settings.
@@ -116,7 +116,7 @@ class Results(Result):
     def __init__(self, folder: Path) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
-        self.factors = tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in self.manifest.factors)
+        self.factors = self.manifest.factors
         self.levels = [cell.levels for cell in self.manifest.cells]
         shards = store.shards()
         if not shards:
@@ -134,10 +134,10 @@ class Results(Result):
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
-        self._folder = folder
+        self.folder = folder
 
     def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
-        return Results, (self._folder.resolve(),)
+        return Results, (self.folder.resolve(),)
 
     def _cells(self) -> pa.Table:
         """What each cell is, as columns: number, line of words, settings."""
@@ -155,7 +155,7 @@ class Results(Result):
         cells, methods = manifest.cells, manifest.methods
         return [
             f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells by {', '.join(methods)}",
-            f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self._folder}",
+            f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:
@@ -190,7 +190,7 @@ class Results(Result):
         try:
             return self._base.execute(sql).fetchall()
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
-            raise _damaged(self._folder, problem) from None
+            raise _damaged(self.folder, problem) from None
         except duckdb.Error as problem:
             raise ModelError(f"the query fails: {' '.join(str(problem).split())}") from None
 
@@ -318,7 +318,7 @@ class Results(Result):
             "format": "ltsim-campaign-summary/1",
             "title": self.manifest.title,
             "trials": self.manifest.trials,
-            "factors": [asdict(factor) for factor in self.factors],
+            "factors": [factor.model_dump() for factor in self.factors],
             "cells": [
                 cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
             ],

@@ -1,4 +1,4 @@
-"""The results of campaigns and recoveries as values: on named axes, through a pool of processes, into a file and back."""
+"""The results of campaigns and recoveries as values: on named axes, through a pool of processes, into a file."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ import pytest
 
 import ltsim as lt
 from ltsim.errors import ModelError
+from ltsim.notation import number
+from ltsim.pages.document import Table
+from ltsim.pages.sections.campaign import campaign_section
 
 SWEEP = {
     "format": "ltsim-campaign/1",
@@ -96,3 +99,14 @@ def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
     table = kind(recording).table("residuals")
     assert {"station", "target", "observable", "residual", "unit"} <= set(table.header)
     assert len(table.rows) == 3 * len(recording)
+
+
+def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
+    tables = {block.title: block for block in campaign_section(sweep.folder).blocks if isinstance(block, Table)}
+    for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
+        floors = [row[-2] for row in tables[title].rows]
+        means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]
+        assert [floor.partition(" ")[0] for floor in floors] == means
+    meanings = tables["What the statistics mean"].rows
+    assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
+    assert all(meaning for _, _, meaning in meanings)

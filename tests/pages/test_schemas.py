@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.calibration.calibration import targets_table
-from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.calibration import residuals_table, targets_table
 from ltsim.calibration.files import read_targets
 from ltsim.errors import LtsimError, RecordError
 from ltsim.pages.page import report
