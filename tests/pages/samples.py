@@ -14,7 +14,8 @@ from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration import Calibration, calibrate_network, write_calibration
-from ltsim.calibration.files import history_file, residuals_csv
+from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
 from ltsim.model.construction import misalignment
 from ltsim.planning.files import next_file
@@ -68,8 +69,8 @@ def diagnosis_folder(folder: Path) -> Path:
     target = folder / "diagnosis"
     target.mkdir(parents=True)
     (target / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
-    (target / "residuals.csv").write_text(residuals_csv(after()))
-    (target / "residuals_before.csv").write_text(residuals_csv(before()))
+    (target / "residuals.csv").write_text(residuals_table(after()).csv())
+    (target / "residuals_before.csv").write_text(residuals_table(before()).csv())
     write(recording(), folder / "recording")
     return target
 
