@@ -139,7 +139,9 @@ def inject(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
         )
     seen = recording_of(recording)
-    injector, told = Injector(seen, ResidualSpace.of(calibrate(seen, advise=False).adjustment)), []
+    adjustment = calibrate(seen, advise=False).adjustment
+    assert adjustment is not None  # the method network has one
+    injector, told = Injector(seen, ResidualSpace.of(adjustment)), []
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _sized(injector, cause, noncentrality, rng)
