@@ -17,6 +17,8 @@ LEVEL = 0.01
 """Chance that any parameter of a correct prior is said to contradict it."""
 FREED = 100.0
 """Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
+MOST_FREED = 0.25
+"""Share of an instrument's parameters beyond which its prior is wrong as a whole, and all keep it."""
 MOST_SAID = 3
 MOST_TERMS = 6
 
@@ -52,6 +54,7 @@ def beyond_prior(adjustment: Adjustment) -> Bools:
                 break
             found[i, at[beyond[0]]] = True
             variance[beyond[0], beyond[0]] = FREED**2
+        found[i] &= found[i].sum() <= MOST_FREED * len(at)
     return found
 
 
@@ -61,14 +64,14 @@ def widened(prior: ParameterPrior, freed: Bools) -> ParameterPrior:
     return ParameterPrior(prior.mean, prior.covariance * factor[:, :, None] * factor[:, None, :], prior.held)
 
 
-def contradictions(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
+def _followed(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
     """A sentence on each parameter that follows the readings because they contradict its prior."""
     said, size = [], calibration.construction.size
     for k in np.flatnonzero(freed.ravel()).tolist():
         parameter = calibration.construction.parameters[k % size]
         value, sigma, prior = (
             float(x.ravel()[k]) / parameter.factor
-            for x in (calibration.values, calibration.sigma, calibration.prior_sigma / FREED)
+            for x in (calibration.values, calibration.sigma, calibration.prior_sigma)
         )
         said.append(
             f"{calibration.names[k]} is {with_sigma(value, sigma, parameter.unit)} by the readings, which contradicts "
@@ -77,18 +80,19 @@ def contradictions(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
     return tuple(said)
 
 
-def disagreement(calibration: Calibration) -> tuple[str, ...]:
+def disagreement(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
     """Sentences about the parameters that contradict their prior most, or else the combinations of them.
+
+    Those that were `freed` (I, p) of it are told as such.
 
     Two-sided tests at a level shared out over all that is tested, parameters and then combinations.
     """
     if not calibration.values.size:
         return ()
-    size, w = calibration.construction.size, normalised(calibration, _prior_mean(calibration)).ravel()
-    found = _beyond(w)
+    w = np.where(freed, 0.0, normalised(calibration, _prior_mean(calibration))).ravel()
+    said, size, found = list(_followed(calibration, freed)), calibration.construction.size, _beyond(w)
     if not found:
-        return _of_combinations(calibration)
-    said = []
+        return (*said, *_of_combinations(calibration))
     for k in found[:MOST_SAID]:
         parameter = calibration.construction.parameters[k % size]
         value, prior = (float(x.ravel()[k]) / parameter.factor for x in (calibration.values, calibration.prior_sigma))

@@ -16,7 +16,7 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.choice import WIDE, Choice
-from ltsim.calibration.conflict import beyond_prior, contradictions, disagreement, widened
+from ltsim.calibration.conflict import beyond_prior, disagreement, widened
 from ltsim.calibration.known_values import known_of
 from ltsim.calibration.result import (
     criteria_of,
@@ -107,8 +107,8 @@ def calibrate_network(
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
         calibration = replace(calibration, correction=worth, weighed=weighed)
         calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
-    said = (*contradictions(calibration, freed), *disagreement(calibration))
-    return replace(calibration, notes=(*calibration.notes, *said), informed=informed)
+    calibration = replace(calibration, prior_sigma=prior.sigma, informed=informed)
+    return replace(calibration, notes=(*calibration.notes, *disagreement(calibration, freed)))
 
 
 def adjust_network(

@@ -69,7 +69,7 @@ def test_new_points_do_not_become_worse_under_a_wrong_prior(
 
 @pytest.mark.parametrize("factor", [0.1, 10.0, 1000.0])
 def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) -> None:
-    recording, truth = network(seed=4, values=drawn(BUILT, 4))
+    recording, truth = network(seed=5, values=drawn(BUILT, 5))
     right = lt.calibrate(recording, advise=False)
     wrong = lt.calibrate(with_prior(recording, factor), advise=False)
     assert right.correction is not None
