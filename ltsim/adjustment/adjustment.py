@@ -35,6 +35,10 @@ from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import in_one_thread
 
+STEEP = 1e-4
+"""Cosine of an elevation below which a pointing is one to the zenith."""
+MOST_NAMED = 4
+
 
 @dataclass(frozen=True)
 class Outlier:
@@ -154,10 +158,20 @@ class Adjustment(Result):
         """Chance of a larger chi2 if model and stated noise hold."""
         return float(special.chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
 
+    def require_solution(self) -> None:
+        """ConvergenceError where there is no solution; NetworkError that names pointings to the zenith among them."""
+        rows = np.flatnonzero(np.abs(np.cos(self.recording.readings[:, 2])) < STEEP)
+        if not self.solution.converged and len(rows):
+            where = ", ".join(self.recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
+            raise NetworkError(
+                f"the adjustment did not converge; {where}: at the zenith an azimuth means nothing, leave it out"
+            )
+        self.solution.require_success()
+
     @property
     def factor(self) -> Factor:
         """Factorised normal equations at the optimum."""
-        self.solution.require_success()
+        self.require_solution()
         assert self.solution.factor is not None
         return self.solution.factor
 

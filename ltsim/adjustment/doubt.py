@@ -28,8 +28,6 @@ HEALED = 0.1
 FEW_KEPT = 0.5
 """Share of its pointings that a station keeps, below which its place is in doubt."""
 MOST_NAMED = 4
-STEEP = 1e-4
-"""Cosine of an elevation below which a pointing is one to the zenith."""
 LEAST_PLACES = 3
 """Places of a plan that tell a network from its mirror image."""
 CLEARLY = 0.3
@@ -49,7 +47,7 @@ def require_result(adjustment: Adjustment) -> None:
     ConvergenceError where there is no solution.
     """
     _require_one_sense(adjustment)
-    _require_solution(adjustment)
+    adjustment.require_solution()
     _require_known_points(adjustment)
     left_out = _left_out(adjustment)
     lost = left_out.sum() > MOST_LEFT_OUT * len(left_out)
@@ -59,18 +57,6 @@ def require_result(adjustment: Adjustment) -> None:
         what = out if lost else f"sigma0 is {adjustment.sigma0:.3g}"
         cure = f"they fit as {fits}" if fits else "check units, sense of the angles and names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
-
-
-def _require_solution(adjustment: Adjustment) -> None:
-    """ConvergenceError where there is no solution; NetworkError that names the pointings to the zenith among them."""
-    steep = np.abs(np.cos(adjustment.recording.readings[:, 2])) < STEEP
-    if not adjustment.solution.converged and steep.any():
-        rows = np.flatnonzero(steep)
-        where = ", ".join(adjustment.recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
-        raise NetworkError(
-            f"the adjustment did not converge; {where}: at the zenith an azimuth means nothing, leave it out"
-        )
-    adjustment.solution.require_success()
 
 
 def _require_one_sense(adjustment: Adjustment) -> None:
