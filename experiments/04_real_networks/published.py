@@ -50,9 +50,9 @@ class GamaResult:
     aposteriori: float
 
 
-def gama_result(name: str) -> GamaResult:
+def gama_result(name: str, folder: str = "gama-3d-networks") -> GamaResult:
     """Read the published result of one network."""
-    root: Element = parse(DATA / "gama-3d-networks" / f"{name}.xml").getroot()
+    root: Element = parse(DATA / folder / f"{name}.xml").getroot()
 
     def number(tag: str) -> float:
         found = root.find(f".//{_SPACE}{tag}")

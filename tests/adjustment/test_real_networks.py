@@ -32,6 +32,23 @@ def test_gama_free_networks_agree_to_the_printed_digit(experiment, name):
     assert ours.chi2 * theirs.apriori**2 <= theirs.square_sum
 
 
+def test_a_network_held_by_a_point_in_plan_and_one_in_space_agrees_with_gama():
+    published = import_module("experiments.04_real_networks.published")
+    theirs = published.gama_result("2019-zeman", "field")
+    ours = adjust(read(DATA / "field" / "2019-zeman.gkf"))
+    assert ours.dof == theirs.dof
+    assert ours.sigma0 == pytest.approx(theirs.aposteriori, rel=5e-8)
+    assert ours.chi2 == pytest.approx(theirs.square_sum, rel=5e-8)
+    here = published.coordinates_of(ours, theirs.names)[0][np.arange(len(theirs.names)), theirs.axis]
+    assert np.abs(here - theirs.value).max() < 2.5e-6  # at the same sum of squares, to the printed digit
+
+
+def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
+    found = adjust(read(DATA / "field" / "praha_hrad1010.gkf"))
+    assert found.solution.converged
+    assert found.sigma0 == pytest.approx(0.97, abs=0.005)
+
+
 def test_gama_stopped_short_where_the_coordinates_differ(experiment):
     name = "2019-prager"
     ours, theirs = adjust(read(DATA / "gama-3d-networks" / f"{name}.gkf")), experiment.gama_result(name)
