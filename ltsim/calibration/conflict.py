@@ -17,6 +17,8 @@ LEVEL = 0.01
 """Chance that any parameter of a correct prior is said to contradict it."""
 FREED = 100.0
 """Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
+UNEXPLAINED = 2.0
+"""sigma0 from which the readings contradict each other too, and no parameter is believed beyond its prior."""
 MOST_FREED = 0.25
 """Share of an instrument's parameters beyond which its prior is wrong as a whole, and all keep it."""
 MOST_SAID = 3
@@ -39,7 +41,9 @@ def beyond_prior(adjustment: Adjustment) -> Bools:
     """(I, p) Parameters whose prior the readings contradict: one after the other, those before free to be anything."""
     prior, scale = adjustment.problem.prior, max(1.0, adjustment.sigma0)
     found = np.zeros(prior.mean.shape, dtype=bool)
-    for i in range(len(found) if not prior.correlated and np.isfinite(prior.sigma).all() else 0):
+    if prior.correlated or not np.isfinite(prior.sigma).all() or not scale < UNEXPLAINED:
+        return found
+    for i in range(len(found)):
         at = np.flatnonzero(~prior.held[i])
         unit, gap = prior.sigma[i, at], (adjustment.state.instrument - prior.mean)[i, at]
         said = evidence(gap, adjustment.instrument_covariance_of(i)[np.ix_(at, at)], unit, unit)
