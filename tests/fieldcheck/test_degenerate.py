@@ -84,7 +84,11 @@ def agreed(way: Break, seed: int) -> str:
     recording, state = workshop()
     broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
     said = words(adjust_network, broken)
-    assert said
+    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud; check does not say so yet
+        doubt = adjust_network(broken).verdict.sentence
+        assert way is on_a_line
+        assert "hold its pose so weakly" in doubt
+        return doubt
     assert words(lambda r: calibrate_network(r, advise=False), broken) == said
     if way is clockwise:  # what is understood is mended by a diagnosis, and said
         assert "clockwise" in str(lt.diagnose(broken))
