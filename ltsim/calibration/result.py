@@ -159,6 +159,7 @@ def frame_of(adjustment: Adjustment) -> str:
     free = problem.free.shape[1]
     first = recording.stations[0]
     control = [recording.targets[i] for i in problem.control.target]
+    control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
     if free == 0:
         return f"the frame of the control points {named(control)}"
