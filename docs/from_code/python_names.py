@@ -1,15 +1,41 @@
-"""The page of the Python interface: every name of the front door, by Sphinx's autodoc."""
+"""The page of the Python interface: every name of the front door and every class of results, by Sphinx's autodoc."""
 
 import inspect
+from collections.abc import Iterator
+from importlib import import_module
+from pkgutil import walk_packages
 
 import ltsim
+from ltsim.results import Column, Result, Table
 
 
 def names() -> str:
-    """Markdown: a directive of autodoc a name that can be called, in the order of `ltsim.__all__`."""
+    """Markdown: a directive of autodoc a name that can be called, in the order of `ltsim.__all__`, then the results."""
     lines: list[str] = []
     for name in ltsim.__all__:
-        thing = getattr(ltsim, name)
-        if inspect.isfunction(thing):
+        if inspect.isfunction(getattr(ltsim, name)):
             lines += [f"## ltsim.{name}", "", "```{eval-rst}", f".. autofunction:: ltsim.{name}", "```", ""]
+    lines += ["## Results", "", "What the functions give. All of them have what `Result` has.", ""]
+    for module in walk_packages(ltsim.__path__, "ltsim."):
+        import_module(module.name)
+    kinds = sorted(set(_below(Result)), key=lambda kind: kind.__name__)
+    for kind in (Result, *kinds, Table, Column):
+        path, own = f"{kind.__module__}.{kind.__qualname__}", ", ".join(_told(kind))
+        members = [f"   :members: {own}"] if own else []
+        lines += [f"### {kind.__name__}", "", "```{eval-rst}", f".. autoclass:: {path}", *members, "```", ""]
     return "\n".join(lines)
+
+
+def _below(kind: type) -> Iterator[type]:
+    """All classes below one that belong to ltsim."""
+    for own in kind.__subclasses__():
+        if own.__module__.startswith("ltsim."):
+            yield own
+        yield from _below(own)
+
+
+def _told(kind: type) -> list[str]:
+    """Public methods and properties that a class itself declares and describes."""
+    declared = {name: thing for name, thing in vars(kind).items() if not name.startswith("_")}
+    methods = {name for name, thing in declared.items() if inspect.isfunction(thing) or isinstance(thing, property)}
+    return [name for name in declared if name in methods and inspect.getdoc(declared[name])]

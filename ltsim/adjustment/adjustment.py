@@ -236,7 +236,7 @@ class Adjustment(Result):
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[Outlier]:
         """Readings whose residual is too large for chance over the whole recording, largest first.
 
-        By the stated noise (|w|), or with sigma0 as `estimated` from the residuals themselves (|tau|).
+        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau).
         """
         count = int(self.problem.use.sum())
         limit = self.sigma0 * critical_tau(count, self.dof, level) if estimated else critical_w(count, level)

@@ -35,7 +35,8 @@ def cube(results: Results, statistics: Sequence[str]) -> xr.Dataset:
     for name in statistics:
         bounds = np.full((3, *shape), np.nan)
         for s in results.spread(name):
-            bounds[(slice(None), methods.index(s.method), *places[s.cell])] = s.mean, s.low, s.high
+            for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
+                bound[(methods.index(s.method), *places[s.cell])] = value
         meaning, unit = (known.meaning if (known := column_of(name)) else ""), results.units.get(name, "")
         for own, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
             said = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"

@@ -124,12 +124,8 @@ class BatchDistance:
         places = np.flatnonzero(alone & np.isin(np.arange(len(moved)), wanted))
         if len(places):
             one_by_one = self.single.calibrate(block, places)
-            for mine, theirs in (
-                (found.values, one_by_one.values),
-                (found.points, one_by_one.points),
-                (found.chi2, one_by_one.chi2),
-            ):
-                mine[..., places] = theirs[..., places]
+            for trial in places.tolist():
+                found.take(trial, one_by_one, trial)
             status[places] = np.where(one_by_one.status[places] == 0, STATUSES.index("full solver"), 2)
         return found
 

@@ -55,6 +55,30 @@ class Calibrated:
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """(q, 1) or (q, B) [SI]."""
 
+    @classmethod
+    def none(cls, truth: Truth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
+        """Trials that have given nothing yet, each with a sigma of its own."""
+        values = np.full((len(truth.recording.instruments), construction.size, trials), np.nan)
+        points = np.full((*truth.state.points.shape[:2], trials), np.nan)
+        extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
+        lost = np.full(trials, STATUSES.index(FAILED))
+        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
+
+    def take(self, trial: int, source: Calibrated, place: int) -> None:
+        """Take a trial over from others, of which it is one."""
+        own = "values points chi2 status" + (" sigma" if self.sigma.ndim == 3 else "")
+        for name in (own + (" extra extra_sigma" if len(self.extra) else "")).split():
+            mine, theirs = getattr(self, name), getattr(source, name)
+            shared = theirs.ndim < mine.ndim
+            mine[..., trial] = theirs if shared else theirs[..., min(place, theirs.shape[-1] - 1)]
+
+    def put(self, trial: int, adjustment: Adjustment, true: Floats, status: str) -> None:
+        """Write down targets, by a rigid fit to the true ones (T, 3), chi2 and further effects of an adjustment."""
+        self.points[:, :, trial] = placed_on(adjustment, true) - true
+        self.chi2[trial], self.status[trial] = adjustment.chi2, STATUSES.index(status)
+        if len(self.extra):
+            self.extra[:, trial] = adjustment.state.extra
+
 
 def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
     """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
@@ -131,12 +155,8 @@ class Engine:
             for array in (found.values, found.points, found.chi2, found.extra):
                 array[..., trial] = np.nan
             return
-        found.status[trial] = STATUSES.index(FULL)
         found.values[:, :, trial] = adjustment.state.instrument
-        truth = self.truth.state.points
-        found.points[:, :, trial] = placed_on(adjustment, truth) - truth
-        found.chi2[trial] = adjustment.chi2
-        found.extra[:, trial] = adjustment.state.extra
+        found.put(trial, adjustment, self.truth.state.points, FULL)
 
     def full(self, block: Block, trial: int) -> Adjustment | None:
         """One trial by the full solver, from its readings alone; None where it gives up."""

@@ -37,13 +37,6 @@ Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Clouds:
-    """What each station measured, (S, T, 3, B) [m] in the nominal network frame, from some parameters."""
-
-    points: Floats
-
-
-@dataclass(frozen=True)
 class Judge:
     """Judges trials of one network."""
 
@@ -99,8 +92,10 @@ class Judge:
 
     def clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
-    ) -> Clouds:
-        """Means over faces and repeats of the points that readings describe; raw without a construction.
+    ) -> Floats:
+        """Means (S, T, 3, B) [m] over faces and repeats of the points that readings describe, in the nominal frame.
+
+        Raw without a construction.
 
         Parameters
         ----------
@@ -119,22 +114,22 @@ class Judge:
         clouds = np.zeros((*self.seen.shape, 3, trials))
         station_means(points, self.recording.station, self.recording.target, self._share, clouds)
         to_network(clouds, np.ascontiguousarray(self.state.rotation), self.state.position)
-        return Clouds(clouds)
+        return clouds
 
-    def criteria(self, clouds: Clouds, suffix: str) -> Columns:
+    def criteria(self, clouds: Floats, suffix: str) -> Columns:
         """Distance and coordinate criterion, mean and maximum [um]."""
-        trials = clouds.points.shape[3]
+        trials = clouds.shape[3]
         found = {
             f"{kind}_{suffix}_{which}_um": np.empty(trials)
             for kind in ("distance", "coordinate")
             for which in ("mean", "max")
         }
         mean, largest, coordinate_mean, coordinate_largest = found.values()
-        distance_criterion(clouds.points, self.seen, mean, largest)
-        placed = np.empty_like(clouds.points)
-        placed[0] = clouds.points[0]
+        distance_criterion(clouds, self.seen, mean, largest)
+        placed = np.empty_like(clouds)
+        placed[0] = clouds[0]
         for s in range(1, len(placed)):
-            rigid_fit(clouds.points[s], clouds.points[0], self.seen[s] & self.seen[0], placed[s])
+            rigid_fit(clouds[s], clouds[0], self.seen[s] & self.seen[0], placed[s])
         coordinate_criterion(placed, self.seen, coordinate_mean, coordinate_largest)
         return found
 
@@ -143,15 +138,15 @@ class Judge:
         points = self.state.points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
-    def cloud_error(self, clouds: Clouds) -> Floats:
+    def cloud_error(self, clouds: Floats) -> Floats:
         """Rms (B,) [um] of the distance to the truth over stations, each fitted rigidly, and the targets they see.
 
         A station whose targets fix no frame is left out; NaN where that is every station.
         """
-        trials = clouds.points.shape[3]
+        trials = clouds.shape[3]
         truth, total, count = self._truth(trials), np.zeros(trials), 0
         moved = np.empty_like(truth)
-        for cloud, seen in zip(clouds.points[self.fitted], self.seen[self.fitted], strict=True):
+        for cloud, seen in zip(clouds[self.fitted], self.seen[self.fitted], strict=True):
             rigid_fit(cloud, truth, seen, moved)
             count += add_square_error(moved, truth, seen, total)
         return MICRO * np.sqrt(total / count) if count else np.full(trials, np.nan)

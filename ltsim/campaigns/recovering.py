@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.foreign import Calibrator, checked_command
-from ltsim.campaigns.recovery import Errors, How, Recovery, errors_of, recover as trials_of, recovered
+from ltsim.campaigns.recovery import How, Recovery, errors_of, recover as trials_of, recovered
 from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
+from ltsim.campaigns.schema import Errors
 from ltsim.errors import SetupError, option, unknown_name
 from ltsim.model.construction import construction as construction_called
 from ltsim.simulation.physics import construction_of

@@ -21,7 +21,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from scipy import stats
@@ -39,7 +38,7 @@ from ltsim.campaigns.recovery_checks import (
     parameter_checks,
     tolerance_check,
 )
-from ltsim.campaigns.schema import CHECKS, TRIALS
+from ltsim.campaigns.schema import CHECKS, TRIALS, Errors
 from ltsim.campaigns.scoring import Trial, check_known, score, true_values
 from ltsim.errors import ConvergenceError, LtsimError, SetupError
 from ltsim.model.construction import Construction
@@ -52,8 +51,6 @@ from ltsim.simulation.simulator import measure, place_key
 from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR, in_unit
 from ltsim.workers import parallel
-
-Errors = Literal["drawn", "stated"]
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
 SUMMARY = "summary.csv"
 OF_PARAMETER = "of the parameter"
+Errors = Literal["drawn", "stated"]
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 BY_READING = (
     "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
@@ -206,7 +207,7 @@ class RecoveryFile(ResultFile):
     """Which format and version this file is in."""
     passed: bool
     """All checks passed."""
-    errors: Literal["drawn", "stated"] = "drawn"
+    errors: Errors = "drawn"
     """Whether the instrument's errors were drawn from the prior, or as the scenario states them."""
     trials: Whole
     """How many."""

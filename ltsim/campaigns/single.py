@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration import calibrate_distance
-from ltsim.campaigns.engine import CONVERGED, FAILED, STATUSES, Calibrated, placed_on, recording_of
+from ltsim.campaigns.engine import CONVERGED, Calibrated, recording_of
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
@@ -27,17 +27,7 @@ class Single:
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate the wanted trials of a block."""
-        trials = block.deviation.shape[2]
-        instruments = len(self.truth.recording.instruments)
-        found = Calibrated(
-            np.full((instruments, self.construction.size, trials), np.nan),
-            np.full((instruments, self.construction.size, trials), np.nan),
-            np.full((*self.truth.state.points.shape, trials), np.nan),
-            np.full(trials, np.nan),
-            np.full(trials, STATUSES.index(FAILED)),
-            np.full((sum(len(e.parameters) for e in self.effects), trials), np.nan),
-            np.full((sum(len(e.parameters) for e in self.effects), trials), np.nan),
-        )
+        found = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
         for trial in wanted:
             self._one(block, int(trial), found)
         return found
@@ -60,12 +50,8 @@ class Single:
             return
         found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
         if self.effects:
-            found.extra[:, trial] = adjustment.state.extra
             found.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance))
-        truth = self.truth.state.points
-        found.points[:, :, trial] = placed_on(adjustment, truth) - truth
-        found.chi2[trial] = adjustment.chi2
-        found.status[trial] = STATUSES.index(CONVERGED)
+        found.put(trial, adjustment, self.truth.state.points, CONVERGED)
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
         """It is what others are compared with."""

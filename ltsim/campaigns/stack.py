@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.calibrators import Calibrator, calibrator_of
-from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Engine, suspects
+from ltsim.campaigns.engine import Calibrated, Engine, suspects
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.kernels import readings_of
 from ltsim.campaigns.network import BatchNetwork, Known, Stacked
@@ -166,21 +166,15 @@ class StackCalibrator:
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; a trial whose own geometry determines too little has failed."""
-        trials, instruments = len(self.blocks), len(self.stack.recording.instruments)
-        empty = np.full((instruments, self.construction.size, trials), np.nan)
-        lost = np.full(trials, STATUSES.index(FAILED))
-        points = np.full(self.stack.state.points.shape, np.nan)
-        extra = np.full((sum(len(e.parameters) for e in self.effects), trials), np.nan)
-        found = Calibrated(empty, empty.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
+        found = Calibrated.none(self.stack, self.construction, self.effects, len(self.blocks))
         together = isinstance(self._first, Engine) and not self.effects
         left = self._together(block, found) if together else wanted
         for trial in left.tolist():
             try:
-                self._take(
-                    found, trial, self.alone(trial).calibrate(self.blocks[trial], np.zeros(1, dtype=np.int64)), 0
-                )
+                own = self.alone(trial).calibrate(self.blocks[trial], np.zeros(1, dtype=np.int64))
             except (NetworkError, SetupError):
                 continue
+            found.take(trial, own, 0)
         return found
 
     def _together(self, block: Block, found: Calibrated) -> Ints:
@@ -201,26 +195,12 @@ class StackCalibrator:
         together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
         doubtful = ~fit.converged | suspects(block.deviation, stack.local)
         for trial in np.flatnonzero(~doubtful):
-            self._take(found, int(trial), together, int(trial))
+            found.take(int(trial), together, int(trial))
         return np.flatnonzero(doubtful)
-
-    def _take(self, found: Calibrated, trial: int, source: Calibrated, place: int) -> None:
-        sigma = source.sigma if source.sigma.ndim == 3 else source.sigma[:, :, None]
-        found.values[:, :, trial], found.points[:, :, trial] = source.values[:, :, place], source.points[:, :, place]
-        found.sigma[:, :, trial] = sigma[:, :, min(place, sigma.shape[2] - 1)]
-        found.chi2[trial], found.status[trial] = source.chi2[place], source.status[place]
-        if self.effects:
-            found.extra[:, trial] = source.extra[:, place]
-            found.extra_sigma[:, trial] = source.extra_sigma[:, min(place, source.extra_sigma.shape[1] - 1)]
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
         """Largest difference [sigma] of a trial from the calibrator that users have."""
         one = slice(trial, trial + 1)
-        own = Calibrated(
-            found.values[:, :, one],
-            found.sigma[:, :, trial],
-            found.points[:, :, one],
-            found.chi2[one],
-            found.status[one],
-        )
+        arrays = found.values[..., one], found.sigma[..., trial], found.points[..., one]
+        own = Calibrated(*arrays, found.chi2[one], found.status[one])
         return self.alone(trial).difference(self.blocks[trial], 0, own)
