@@ -71,7 +71,8 @@ def calibrate_network(
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
     weigh : bool
-        Find out what of the estimates is worth applying (`calibrate.worth`).
+        Find out what of the estimates is worth applying (`calibration.worth`), and let constants that contradict their
+        prior follow the readings; without it the estimates are those of the stated priors, linear in the readings.
     beside : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
 
@@ -98,7 +99,7 @@ def calibrate_network(
     prior, informed = chosen.applied(recording, built), chosen.prior is not None
     found, fits = estimated_beside(partial(adjusted, prior), modes, beside)
     freed = beyond_prior(found)
-    freed &= not (informed or chosen.free)
+    freed &= weigh and not (informed or chosen.free)
     if freed.any():
         found, fits = estimated_beside(partial(adjusted, widened(prior, freed)), modes, beside)
     calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)

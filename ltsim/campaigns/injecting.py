@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
+from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.calibration.beside import Wanted
-from ltsim.calibration.verbs import calibrate, wanted
+from ltsim.calibration.verbs import wanted
 from ltsim.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.effects import find_effect
@@ -20,6 +21,7 @@ from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.signature import Tunable
 from ltsim.errors import ModelError
 from ltsim.laws.law import Law
+from ltsim.model.construction import stated_construction
 from ltsim.randomness import stream
 from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, recording_of
@@ -139,9 +141,7 @@ def inject(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
         )
     seen = recording_of(recording)
-    adjustment = calibrate(seen, advise=False).adjustment
-    assert adjustment is not None  # the method network has one
-    injector, told = Injector(seen, ResidualSpace.of(adjustment)), []
+    injector, told = Injector(seen, ResidualSpace.of(adjust(seen, stated_construction(seen)))), []
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _sized(injector, cause, noncentrality, rng)

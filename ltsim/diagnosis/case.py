@@ -36,6 +36,8 @@ class Case:
     use: Bools
     seed: int
     trials: int = TRIALS
+    ordinary: bool = True
+    """Constants are tried against their prior too."""
     sigma: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
     searcher: Searcher = field(init=False)
@@ -66,7 +68,7 @@ class Case:
         if hasattr(self, "searcher"):
             cards, trials = self.searcher.cards.reweighted(self.searcher.space, space), 0
             del self.searcher
-        self.searcher = Searcher(space, self.seed, trials, cards=cards)
+        self.searcher = Searcher(space, self.seed, trials, cards=cards, ordinary=self.ordinary)
         quieter = not any(getattr(one.effect, "repeating", "") for one in self.noise)
         tried = noise_hypotheses(space.sightings, self.recording.instruments, quieter=quieter)
         self.bank = NoiseBank.of(space, tried)

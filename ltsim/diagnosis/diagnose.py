@@ -95,7 +95,8 @@ def diagnose(
     gross = [*wrong, *confused, *stray]
     if gross:
         baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    case = Case(baseline, use if gross else baseline.problem.use, seed, max(TRIALS, ceil(1.0 / level)))
+    taken, trials = use if gross else baseline.problem.use, max(TRIALS, ceil(1.0 / level))
+    case = Case(baseline, taken, seed, trials, ordinary=history is None)
     sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)

@@ -22,6 +22,9 @@ ANYTHING = 1e3
 """Guarantees by which a constant that is known to have changed may be off, when the others are looked at."""
 NOT_APART = float(np.log(100.0))
 """Log evidence that another constant is behind and may still be the one that is off."""
+LEFT = 0.1
+"""What a correction leaves of a constant, in the maker's guarantees: the share to which an ordinary calibration knows
+it (a beam tilt of 10 urad to about 1); nobody states it, and none is exact."""
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
 
@@ -138,8 +141,8 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
 
 
 def _corrected(adjustment: Adjustment) -> Expected:
-    nothing = np.zeros(adjustment.construction.size)
-    return Expected.of(nothing, np.diag(nothing), "the correction that it is said to have")
+    count = adjustment.construction.size
+    return Expected.of(np.zeros(count), LEFT**2 * np.eye(count), "the correction that it is said to have")
 
 
 def _as_others(adjustment: Adjustment, i: int, alike: Sequence[int]) -> Expected:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.cards import Cards, card_hypotheses
+from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
 from ltsim.diagnosis.evidence import log_average, posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
@@ -71,13 +71,21 @@ class Screen(NamedTuple):
 class Searcher:
     """Search over cards and laws in one residual space."""
 
-    def __init__(self, space: ResidualSpace, seed: int, trials: int = 0, *, cards: Cards | None = None) -> None:
-        """A search, judged by so many simulated recordings; with `cards` of one on the same readings, if there are."""
+    def __init__(
+        self, space: ResidualSpace, seed: int, trials: int = 0, *, cards: Cards | None = None, ordinary: bool = True
+    ) -> None:
+        """A search, judged by so many simulated recordings; with `cards` of one on the same readings, if there are.
+
+        Constants of the `ordinary` calibration are tried against their prior, but where a history takes its place.
+        """
         self.space = space
         self.probe = Probe.of(space, seed, trials)
         self.large = self.probe.sampled
         self._most = FEW if self.large else REFINED
-        self.cards = cards or Cards.of(space, card_hypotheses(space.sightings, space.adjustment.recording.instruments))
+        if cards is None:
+            every = card_hypotheses(space.sightings, space.adjustment.recording.instruments)
+            cards = Cards.of(space, [effect for effect in every if ordinary or type(effect) not in ORDINARY])
+        self.cards = cards
         self.panels: list[Panel] = panels(space)
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}

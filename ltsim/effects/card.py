@@ -47,7 +47,7 @@ class Card:
         head, _, rest = inspect.cleandoc(text).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
-            raise ModelError(f"a card begins with 'Title: what happens.', found {head.splitlines()[0]!r}")
+            raise ModelError(f"a card begins with 'Title: what happens.', found {head.partition(chr(10))[0]!r}")
         pieces = _PART.split(rest)
         if tuple(pieces[1::2]) != PARTS:
             found = ", ".join(pieces[1::2]) or "none"
