@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
 USED = ("ltsim", "numpy", "scipy", "numba")
 Row = dict[str, Any]
-METHOD, NEW_POINTS = "method", "rms error of new points [µm]"
+NEW_POINTS = "rms error of new points [µm]"
 ERROR = "new_point_error_calibrated_um"
 
 
@@ -81,22 +81,22 @@ def campaign(file: Path, given: Options, name: str = "", **changes: Any) -> Resu
     return results
 
 
-def swept(results: Results, column: str, along: str, line: str = METHOD, panel: str = "") -> list[Swept]:
-    """A statistic of every cell for `by_factor`: its place along one factor, a line and a panel a level of others.
+def swept(
+    results: Results, column: str, along: str, *, panel: str = "", only: Mapping[str, Any] | None = None
+) -> list[Swept]:
+    """A statistic of the cells with the levels `only`, for `by_factor`: along one factor, a line a method.
 
-    `line` and `panel` are names of factors or `method`; errors of new points have a line for the floor that the noise
-    of the new readings makes.
+    Errors of new points have a further line: the floor that the noise of the new readings makes.
     """
     floor = column.replace("calibrated", "true_parameters") if column.startswith("new_point_error_cal") else ""
-    first, rows = results.manifest.methods[0], []
+    wanted, rows, first = dict(only or {}), [], results.manifest.methods[0]
     for s in [*results.spread(column), *(results.spread(floor) if floor else ())]:
-        if s.column == floor and s.method != first:
+        here = results.levels[s.cell] | {"method": s.method}
+        if (s.column == floor and s.method != first) or any(here[name] != own for name, own in wanted.items()):
             continue
-        here = {name: _words(name, own) for name, own in results.levels[s.cell].items()} | {METHOD: s.method, "": ""}
-        x = results.levels[s.cell][along]
-        what = "true parameters: noise alone" if s.column == floor else here[line]
-        where = x if isinstance(x, float | int) and not isinstance(x, bool) else here[along]
-        rows.append(Swept(where, what, here[panel], s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
+        line = "noise floor" if s.column == floor else s.method
+        where = _words(panel, here[panel]) if panel else ""
+        rows.append(Swept(here[along], line, where, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
     return rows
 
 
@@ -105,9 +105,16 @@ def _words(name: str, level: Any) -> str:
     return level if isinstance(level, str) else f"{name.replace('_', ' ')} {level:g}"
 
 
-def beside(results: Results, column: str, setting: str) -> list[Mean]:
-    """A statistic of cells that have no order, for `by_setting`: a row a level of a factor."""
-    return [Mean(str(s.x), s.line, *astuple(s)[3:]) for s in swept(results, column, setting)]
+def beside(results: Results, column: str, *settings: str) -> list[Mean]:
+    """A statistic of cells that have no order, for `by_setting`: a row a combination of levels of these factors."""
+    rows = []
+    for setting in settings or ("",):
+        rows.append([s.panel for s in swept(results, column, "method", panel=setting)])
+    found = swept(results, column, "method", panel=settings[0] if settings else "")
+    return [
+        Mean(", ".join(words), s.line, s.mean, s.low, s.high, s.five, s.ninety_five)
+        for s, words in zip(found, zip(*rows, strict=True), strict=True)
+    ]
 
 
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:

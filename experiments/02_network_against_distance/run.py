@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pandas as pd
+
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
 from ltsim.pages.figures import by_factor
 
@@ -23,6 +25,5 @@ def run(given: Options) -> Made:
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]
     pairs = [results.paired(ERROR, method=(name, "network")).to_dataframe() for name in rivals]
-    for name, table in zip(rivals, pairs, strict=True):
-        table.to_csv(given.out / f"paired, {name} less network.csv", index=False)
+    pd.concat(pairs).to_csv(given.out / "paired.csv", index=False)
     return Made(results.manifest.seed, results.manifest.trials)

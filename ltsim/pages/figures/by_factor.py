@@ -121,4 +121,4 @@ def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, join
         whole = all(level.is_integer() for level in levels)
         ax.xaxis.set_major_locator(MaxNLocator(6, integer=whole))
         return
-    ax.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
+    ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
