@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.arrays import Floats
-from ltsim.campaigns.statistics import Results, summary_csv
+from ltsim.campaigns.statistics import Results
 from ltsim.pages.figures import Mean, Swept
 from ltsim.pages.style import svg
 
@@ -76,7 +76,8 @@ def campaign(file: Path, given: Options, name: str = "", **changes: Any) -> Resu
     other |= {} if given.trials is None else {"trials": given.trials}
     results = lt.campaign(file, out=given.out / (name or file.stem), jobs=given.jobs, force=True, changes=other)
     folder = given.out / (name or file.stem)
-    (folder / "summary.csv").write_text(summary_csv(results.summary()), encoding="utf-8")
+    tables = [factor.name for factor in results.factors if factor.kind == "table"]  # a title stands for them
+    results.to_dataframe().drop(columns=tables).to_csv(folder / "summary.csv", index=False, float_format="%.6g")
     tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
     return results
 
@@ -107,9 +108,7 @@ def _words(name: str, level: Any) -> str:
 
 def beside(results: Results, column: str, *settings: str) -> list[Mean]:
     """A statistic of cells that have no order, for `by_setting`: a row a combination of levels of these factors."""
-    rows = []
-    for setting in settings or ("",):
-        rows.append([s.panel for s in swept(results, column, "method", panel=setting)])
+    rows = [[s.panel for s in swept(results, column, "method", panel=name)] for name in settings or ("",)]
     found = swept(results, column, "method", panel=settings[0] if settings else "")
     return [
         Mean(", ".join(words), s.line, s.mean, s.low, s.high, s.five, s.ninety_five)

@@ -24,6 +24,8 @@ def run(given: Options) -> Made:
     figure = by_factor(rows, label=NEW_POINTS, axis="change until it is used, over the prior")
     for ax in figure.axes:
         ax.set_yscale("log")
-        ax.yaxis.set_major_formatter("{x:g}")  # a wrong gauge makes eq. 9 many times worse than nothing: all of it is shown
+        ax.yaxis.set_major_formatter(
+            "{x:g}"
+        )  # a wrong gauge makes eq. 9 many times worse than nothing: all of it is shown
     write_figure(given.out / "new_points.svg", figure)
     return Made(results.manifest.seed, results.manifest.trials)

@@ -20,7 +20,8 @@ def run(given: Options) -> Made:
     ratio = f"{ERROR} / new_point_error_raw_um"
     found = results.query(
         f"SELECT error_factor, noise_factor, prior_factor, method, count(*), avg({ratio}), "
-        f"1.96 * stddev_samp({ratio}) / sqrt(count(*)), quantile_cont({ratio}, 0.95) FROM rows GROUP BY ALL ORDER BY ALL"
+        f"1.96 * stddev_samp({ratio}) / sqrt(count(*)), quantile_cont({ratio}, 0.95) FROM rows "
+        "GROUP BY ALL ORDER BY ALL"
     )
     names = ("errors", "noise", "stated_prior", "judged", "trials", "ratio", "half_interval", "p95")
     write_table(given.out / "ratios.csv", [dict(zip(names, row, strict=True)) for row in found])

@@ -15,12 +15,13 @@ from ltsim.pages.figures import Swept, by_factor
 
 HERE = Path(__file__).resolve().parent
 CONSTRUCTIONS = {
-    "source in the head": {"construction": "misalignment"},
+    "source in head": {"construction": "misalignment"},
     "steering mirror": {"construction": "steering-mirror"},
     "D-H of order 2": {"construction": "dh", "harmonics": 2},
     "D-H of order 3": {"construction": "dh", "harmonics": 3},
     "D-H of order 4": {"construction": "dh", "harmonics": 4},
 }
+AXIS = "construction, true and fitted"
 TRACKERS = {1: "AAAA", 2: "ABAB", 3: "ABCA"}
 """Which stands at each station."""
 TRACKER = {"preset": "modern", "errors": {"draw": True}}
@@ -39,10 +40,12 @@ def run(given: Options) -> Made:
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.checked()[0]))
     write_table(given.out / "intervals.csv", rows)
     swept = [
-        Swept(row["instrument"], f"trackers: {row['trackers']}", "", *(row[k] for k in ("inside", "low", "high")), 0, 0)
+        Swept(
+            row["instrument"], f"trackers: {row['trackers']}", AXIS, *(row[k] for k in ("inside", "low", "high")), 0, 0
+        )
         for row in rows
     ]
-    figure = by_factor(swept, label="inside 95 % intervals [%]", axis="construction, true and fitted")
+    figure = by_factor(swept, label="inside 95 % intervals [%]", axis="", joined=False)
     write_figure(given.out / "intervals.svg", figure)
     return Made(results.manifest.seed, results.manifest.trials)
 

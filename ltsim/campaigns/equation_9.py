@@ -40,7 +40,7 @@ class BatchEquation9(BatchDistance):
         return self._kept
 
     def _squares(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
-        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas; of trials that are not wanted inf."""
+        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas; inf where not wanted."""
         prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
         unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         for _ in range(CAP):

@@ -287,7 +287,9 @@ def cells_of(
 
 def _deciding(campaign: Campaign) -> str:
     """The settings that decide the rows of every cell."""
-    return campaign.model_dump_json(include={"seed", "shard", "geometry", "verify", "methods", "judge_drift"}, by_alias=True)
+    return campaign.model_dump_json(
+        include={"seed", "shard", "geometry", "verify", "methods", "judge_drift"}, by_alias=True
+    )
 
 
 def judge_of(campaign: Campaign, scenario: Scenario, path: Path) -> Scenario | None:

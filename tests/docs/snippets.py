@@ -55,6 +55,7 @@ def check_page(page: Path, folder: Path) -> int:
     for beside in page.parent.iterdir():
         if beside.suffix == ".csv" or beside.name.startswith("example-"):
             (shutil.copytree if beside.is_dir() else shutil.copy)(beside, folder / beside.name)
+    (folder / "experiments").symlink_to(ROOT / "experiments")  # a reader's checkout
     names: dict[str, object] = {"__name__": "__main__"}
     count, printed = 0, None
     for block in blocks(page):
