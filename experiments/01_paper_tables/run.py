@@ -104,7 +104,8 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], Columns]
     for here, block, numbers in ready.blocks(0, campaign.trials):
         wanted = np.flatnonzero(numbers < campaign.trials)
         work = Work(campaign, here.bench, block, ready.elsewhere, wanted, wanted[:0])
-        assert work.new_points is not None and cell.judge is not None
+        assert work.new_points is not None
+        assert cell.judge is not None
         there, elsewhere, _ = work.new_points
         room = there.truth
         true = (room.state.points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
