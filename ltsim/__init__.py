@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         verify as verify,
     )
     from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
+    from ltsim.campaigns.judging import judge as judge
     from ltsim.campaigns.recovering import recover as recover, recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
@@ -44,6 +45,7 @@ _ROOMS = {
     "calibration.verbs": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
+    "campaigns.judging": ("judge",),
     "campaigns.recovering": ("recover", "recovery_checks"),
     "campaigns.injecting": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),

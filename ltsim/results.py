@@ -269,12 +269,6 @@ class Table(Valued):
         """What each column that a person reads holds, by its head; those that say nothing are left out."""
         return {column.heading: column.meaning for column in self._read if column.meaning}
 
-    @property
-    def text_columns(self) -> int:
-        """How many columns at the front hold text."""
-        kinds = [column.kind == "text" for column in self._read]
-        return kinds.index(False) if False in kinds else len(kinds)
-
     def cells(self) -> list[list[str]]:
         """The rows as a person reads them, in the columns of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
@@ -286,7 +280,8 @@ class Table(Valued):
 
     def text(self) -> str:
         """Aligned text for a terminal: text to the left, numbers to the right."""
-        return aligned(self.headings, self.cells(), self.text_columns)
+        kinds = [column.kind == "text" for column in self._read]
+        return aligned(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
 
     def html(self) -> str:
         """The first rows for a notebook; texts are escaped."""

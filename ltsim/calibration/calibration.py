@@ -18,6 +18,7 @@ from ltsim.calibration.schema import (
     NOISE,
     OUTLIERS,
     PARAMETERS,
+    RESIDUALS,
     STATIONS,
     TARGETS,
     Combination as Combination,
@@ -34,10 +35,13 @@ from ltsim.chances import p_is, two_sided
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Result, Table
-from ltsim.units import MILLIMETRE
+from ltsim.units import ARCSECOND, MILLIMETRE
+
+SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
+"""Unit of each column of the readings where a person reads it."""
 
 SHARPER = 0.975
 """Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
@@ -174,6 +178,9 @@ class Calibration(Result):
             "noise": lambda: NOISE.filled(self.noise),
             "known": lambda: KNOWN.filled(self.known),
         }
+        adjustment = self.adjustment
+        if adjustment is not None:
+            tables["residuals"] = lambda: residuals_table(adjustment)
         return tables if self.names else {name: tables[name] for name in tables if name != "parameters"}
 
     @cached_property
@@ -238,3 +245,16 @@ def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> T
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     known = np.flatnonzero(np.isfinite(sigma).all(axis=1)).tolist()
     return TARGETS.filled([names[i], *(points[i] / MILLIMETRE).tolist(), *sigma[i].tolist()] for i in known)
+
+
+def residuals_table(adjustment: Adjustment) -> Table:
+    """One row an observation that was used, rows counted from 1."""
+    recording = adjustment.recording
+
+    def row(i: int, k: int) -> list[object]:
+        unit, factor = SHOWN_UNITS[k]
+        names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+        size = adjustment.residuals[i, k] / factor, unit, adjustment.redundancy[i, k], adjustment.w[i, k]
+        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
+
+    return RESIDUALS.filled(row(i, k) for i, k in np.argwhere(adjustment.problem.use).tolist())

@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from ltsim.arrays import Floats
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import ParameterPrior
+from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.evidence import change_seen, evidence
+from ltsim.notation import with_sigma
 from ltsim.remedies.undetermined import SILENT, Direction
 
 LEVEL = 0.01
 """Chance that any parameter of a correct prior is said to contradict it."""
+FREED = 100.0
+"""Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
 MOST_SAID = 3
 MOST_TERMS = 6
 
@@ -25,6 +31,50 @@ def normalised(calibration: Calibration, mean: Floats | None = None) -> Floats:
     heard = ~calibration.held & (before - after > SILENT * before)
     gap = calibration.values if mean is None else calibration.values - mean
     return np.where(heard, gap / np.sqrt(np.where(heard, before - after, 1.0)), 0.0)
+
+
+def beyond_prior(adjustment: Adjustment) -> Bools:
+    """(I, p) Parameters whose prior the readings contradict: one after the other, those before free to be anything."""
+    prior, scale = adjustment.problem.prior, max(1.0, adjustment.sigma0)
+    found = np.zeros(prior.mean.shape, dtype=bool)
+    for i in range(len(found) if not prior.correlated and np.isfinite(prior.sigma).all() else 0):
+        at = np.flatnonzero(~prior.held[i])
+        unit, gap = prior.sigma[i, at], (adjustment.state.instrument - prior.mean)[i, at]
+        said = evidence(gap, adjustment.instrument_covariance_of(i)[np.ix_(at, at)], unit, unit)
+        variance = np.eye(len(at))
+        while True:
+            score, weight = change_seen(said.information, said.told, variance)
+            seen = np.diag(weight)
+            heard = (seen > SILENT) & ~found[i, at]
+            off = np.where(heard, score / np.where(heard, seen, 1.0), 0.0)
+            beyond = _beyond(off * np.sqrt(np.maximum(seen, 0.0)) / scale)
+            if not beyond or abs(off[beyond[0]]) > FREED:
+                break
+            found[i, at[beyond[0]]] = True
+            variance[beyond[0], beyond[0]] = FREED**2
+    return found
+
+
+def widened(prior: ParameterPrior, freed: Bools) -> ParameterPrior:
+    """The prior with some parameters (I, p) practically free."""
+    factor = np.where(freed, FREED, 1.0)
+    return ParameterPrior(prior.mean, prior.covariance * factor[:, :, None] * factor[:, None, :], prior.held)
+
+
+def contradictions(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
+    """A sentence on each parameter that follows the readings because they contradict its prior."""
+    said, size = [], calibration.construction.size
+    for k in np.flatnonzero(freed.ravel()).tolist():
+        parameter = calibration.construction.parameters[k % size]
+        value, sigma, prior = (
+            float(x.ravel()[k]) / parameter.factor
+            for x in (calibration.values, calibration.sigma, calibration.prior_sigma / FREED)
+        )
+        said.append(
+            f"{calibration.names[k]} is {with_sigma(value, sigma, parameter.unit)} by the readings, which contradicts "
+            f"its stated prior of {prior:.3g} {parameter.unit}: the estimate follows the readings"
+        )
+    return tuple(said)
 
 
 def disagreement(calibration: Calibration) -> tuple[str, ...]:

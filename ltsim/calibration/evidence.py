@@ -34,3 +34,13 @@ def evidence(values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floa
     information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
     told = (basis * inverse) @ basis.T @ (values / unit)
     return Evidence(0.5 * (remaining + remaining.T), information, told)
+
+
+def change_seen(information: Floats, surprise: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Score (p,) and weight (p, p) of a change of each parameter beyond what `variance` (p, p) lets it be.
+
+    `surprise` is `told` less `information` times what is expected; score / weight[k, k] estimates a change of
+    parameter k alone, with the variance 1 / weight[k, k].
+    """
+    keeps = np.linalg.inv(np.eye(len(surprise)) + information @ variance)
+    return keeps @ surprise, keeps @ information

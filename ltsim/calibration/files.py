@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.calibration.amplitude import Harmonic, harmonics
 from ltsim.calibration.calibration import Calibration
@@ -22,7 +21,7 @@ from ltsim.calibration.history_schema import (
     EventEntry,
     HistoryFile,
 )
-from ltsim.calibration.result import SHOWN_UNITS, named
+from ltsim.calibration.result import named
 from ltsim.calibration.schema import (
     RESIDUALS,
     TARGETS,
@@ -35,7 +34,6 @@ from ltsim.calibration.schema import (
 from ltsim.errors import ModelError, RecordError
 from ltsim.model.construction import Construction, with_parameters
 from ltsim.recording.files import shown
-from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import read_result, write_result
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 
@@ -52,7 +50,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile
     """
     texts = {TARGETS.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
-        texts[RESIDUALS.file] = residuals_csv(calibration.adjustment)
+        texts[RESIDUALS.file] = calibration.table("residuals").csv()
     return write_result(folder, calibration_file(calibration), texts)
 
 
@@ -123,19 +121,6 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
     names, values = TARGETS.read(file)
     columns = np.stack([values[name] for name in TARGETS.header[1:]], axis=1) * MILLIMETRE
     return tuple(names["target"]), columns[:, :3], columns[:, 3:]
-
-
-def residuals_csv(adjustment: Adjustment) -> str:
-    """The content of `residuals.csv`: one row an observation that was used, rows counted from 1."""
-    recording = adjustment.recording
-
-    def row(i: int, k: int) -> list[object]:
-        unit, factor = SHOWN_UNITS[k]
-        names = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        size = adjustment.residuals[i, k] / factor, unit, adjustment.redundancy[i, k], adjustment.w[i, k]
-        return [i + 1, *names, recording.face[i], recording.repeat[i], OBSERVABLES[k], *size]
-
-    return RESIDUALS.text(row(i, k) for i, k in np.argwhere(adjustment.problem.use))
 
 
 def read_calibration(path: Path) -> Calibration:

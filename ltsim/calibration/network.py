@@ -16,7 +16,7 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.choice import WIDE, Choice
-from ltsim.calibration.conflict import disagreement
+from ltsim.calibration.conflict import beyond_prior, contradictions, disagreement, widened
 from ltsim.calibration.known_values import known_of
 from ltsim.calibration.result import (
     criteria_of,
@@ -93,17 +93,22 @@ def calibrate_network(
     chosen = choice or Choice()
     for wanted in beside:
         wanted.check(recording, built)
-    adjusted = partial(_adjusted, recording, built, robust, noise_from_data, datum, chosen.applied(recording, built))
+    adjusted = partial(_adjusted, recording, built, robust, noise_from_data, datum)
     modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
-    found, fits = estimated_beside(adjusted, modes, beside)
+    prior, informed = chosen.applied(recording, built), chosen.prior is not None
+    found, fits = estimated_beside(partial(adjusted, prior), modes, beside)
+    freed = beyond_prior(found)
+    freed &= not (informed or chosen.free)
+    if freed.any():
+        found, fits = estimated_beside(partial(adjusted, widened(prior, freed)), modes, beside)
     calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)
-    informed = chosen.prior is not None
     if weigh:
         wider = WIDE if chosen.free else None
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
         calibration = replace(calibration, correction=worth, weighed=weighed)
         calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
-    return replace(calibration, notes=(*calibration.notes, *disagreement(calibration)), informed=informed)
+    said = (*contradictions(calibration, freed), *disagreement(calibration))
+    return replace(calibration, notes=(*calibration.notes, *said), informed=informed)
 
 
 def adjust_network(

@@ -12,7 +12,7 @@ from ltsim.adjustment.screening import gross_pointings
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibration.calibration import Combination, Fit, NoiseRow, OutlierRow, StationPose
+from ltsim.calibration.calibration import SHOWN_UNITS, Combination, Fit, NoiseRow, OutlierRow, StationPose
 from ltsim.chances import AGREES
 from ltsim.effects.motions import exact_target_change
 from ltsim.errors import NetworkError
@@ -26,8 +26,6 @@ from ltsim.remedies.determining import determining
 from ltsim.remedies.undetermined import Direction, undetermined
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
-SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
-"""Unit of each column of the readings where a person reads it."""
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
 MOST_NAMED = 6
@@ -161,6 +159,7 @@ def frame_of(adjustment: Adjustment) -> str:
     free = problem.free.shape[1]
     first = recording.stations[0]
     control = [recording.targets[i] for i in problem.control.target]
+    control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
     if free == 0:
         return f"the frame of the control points {named(control)}"

@@ -21,9 +21,9 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.cell import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
-from ltsim.campaigns.rows import JUDGE, Task, rows_of, run_task, task_of
-from ltsim.campaigns.schema import CellEntry, FactorEntry, ManifestFile
-from ltsim.campaigns.spec import Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
+from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
+from ltsim.campaigns.schema import CellEntry, ManifestFile
+from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
 from ltsim.campaigns.stopping import Shard, neighbours, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
@@ -271,7 +271,7 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
         trials=campaign.trials,
         shard=campaign.shard,
         methods=tuple(method.title for method in campaign.methods),
-        factors=tuple(FactorEntry(name=f.name, keys=f.keys, unit=f.unit, kind=f.kind) for f in factors),
+        factors=tuple(factors),
         cells=tuple(
             CellEntry(cell=i, label=label(factors, c.levels), settings=c.settings, levels=c.levels, mark=c.mark)
             for i, c in enumerate(cells)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from pydantic import Field, model_validator
 
 from ltsim.arrays import Floats
 from ltsim.randomness import stream
+from ltsim.recording.result_file import Entry
 from ltsim.recording.setup import Finite, Section
 from ltsim.simulation.keys import Kind, kind_of, unit_of, value_at
 from ltsim.simulation.scenario import Scenario
@@ -84,14 +84,17 @@ class Design(Section):
         return [dict(zip(self.ranges, point, strict=True)) for point in zip(*columns, strict=True)]
 
 
-@dataclass(frozen=True)
-class Factor:
-    """Something that a campaign varies: the column of the rows, and the keys of the scenario that take its value."""
+class Factor(Entry):
+    """Something that a campaign varies."""
 
     name: str
+    """Its column in rows and summary."""
     keys: tuple[str, ...]
+    """Dotted keys of the scenario that take its value."""
     unit: str = ""
+    """Of its values."""
     kind: Kind = "number"
+    """Of values; tables stand as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
         """Its value in a cell, from the tables of the cell's scenario; tables as JSON, None for what is not there."""
@@ -111,7 +114,8 @@ def factors_of(names: Sequence[str], link: Mapping[str, Sequence[str]], scenario
     given = {name: tuple(link.get(name, (name,))) for name in names}
     titles = short_names(names)
     return tuple(
-        Factor(titles[name], keys, unit_of(scenario, keys[0]), kind_of(keys[0])) for name, keys in given.items()
+        Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
+        for name, keys in given.items()
     )
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -39,12 +39,12 @@ from ltsim.campaigns.recovery_checks import (
     parameter_checks,
     tolerance_check,
 )
-from ltsim.campaigns.schema import TRIALS
+from ltsim.campaigns.schema import CHECKS, TRIALS
 from ltsim.campaigns.scoring import Trial, check_known, score, true_values
 from ltsim.errors import ConvergenceError, LtsimError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.recording import Recording
-from ltsim.results import Columns, Result, Table, by_row
+from ltsim.results import Columns, Result, Table
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import instrument_law
 from ltsim.simulation.scenario import Scenario
@@ -91,7 +91,7 @@ class Recovery(Result):
 
     def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
         return {
-            "checks": lambda: by_row([vars(check) | {"passed": check.passed} for check in self.checks()]),
+            "checks": lambda: CHECKS.filled(self.checks()),
             "parameters": self.parameters,
             "trials": lambda: TRIALS.filled(self.rows()),
         }
@@ -151,7 +151,7 @@ class Recovery(Result):
     def checks(self) -> list[Check]:
         """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
         lost = len(self.trials) - len(self.converged)
-        found = [Check("convergence", "trials that did not converge", lost, 0, 0)]
+        found = [Check.of("convergence", "trials that did not converge", lost, 0, 0)]
         if len(self.converged) < 2:
             return found
         chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
@@ -164,7 +164,8 @@ class Recovery(Result):
                 found += parameter_checks(name, standard[:, k], level)
             if self.errors == "stated" and np.all(np.isfinite(z[:, k])):
                 coverage = parameter_checks(name, z[:, k], level)[-1]
-                found.append(replace(coverage, statistic=f"{coverage.statistic}, as stated", high=1.0))
+                said = f"{coverage.statistic}, as stated"
+                found.append(Check.of(name, said, coverage.value or 0.0, coverage.low, 1.0))
             if self.tolerance:
                 given = self.tolerance[name]
                 found.append(tolerance_check(name, error[:, k], given.value, given.words))

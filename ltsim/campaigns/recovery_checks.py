@@ -8,13 +8,13 @@ trials make chance wider: a correct model fails any of them in one run of a hund
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from ltsim.arrays import Floats
 from ltsim.errors import ModelError
+from ltsim.recording.result_file import Entry, Finite, Known
 
 FALSE_ALARM = 0.01
 """Chance that a correct model fails any of the checks."""
@@ -25,25 +25,32 @@ ONE_DEGREE = float(np.sqrt(2.0))
 """Standard deviation of a mean square over its mean where all that it averages is one number."""
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(Entry):
     """One number that has to lie between two bounds."""
 
     what: str
+    """Parameter, or chi-square, targets, stations."""
     statistic: str
-    value: float
-    low: float
-    high: float
+    """Which number of it."""
+    value: Known
+    """What it is."""
+    low: Finite
+    """What it should not be below."""
+    high: Finite
+    """What it should not be above."""
+    passed: bool
+    """It lies between."""
 
-    @property
-    def passed(self) -> bool:
-        """Within the bounds; NaN fails."""
-        return self.low <= self.value <= self.high
+    @classmethod
+    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Check:
+        """The check of a number; NaN fails."""
+        passed = bool(low <= value <= high)
+        return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
 
     def sentence(self) -> str:
         """What was found and what was allowed."""
-        verdict = "passes" if self.passed else "fails"
-        return f"{self.what} {verdict}: {self.statistic} {self.value:.3f}, allowed {self.low:.3f} to {self.high:.3f}"
+        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
+        return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
 
 
 def recovery_checks(
@@ -108,7 +115,7 @@ def recovery_checks(
 def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> Check:
     """That 95 % of errors (N,) lie within a tolerance."""
     share = float(np.mean(np.abs(error) <= tolerance))
-    return Check(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
+    return Check.of(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
 
 
 def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
@@ -119,15 +126,15 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
     inside = stats.binom.ppf([level / 2, 1 - level / 2], count, COVERED) / count
     covered = float(np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED))))
     return [
-        Check(name, "mean z-score", float(z.mean()), -shift, shift),
-        Check(
+        Check.of(name, "mean z-score", float(z.mean()), -shift, shift),
+        Check.of(
             name,
             "standard deviation of the z-scores",
             float(z.std(ddof=1)),
             float(min(1 - SPREAD_WITHIN, np.sqrt(tails[0]))),
             float(max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))),
         ),
-        Check(
+        Check.of(
             name,
             "coverage of 95 % intervals",
             covered,
@@ -143,7 +150,7 @@ def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: floa
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
     low, high = min(1 - CHI2_WITHIN, float(tails[0])), max(1 + CHI2_WITHIN, float(tails[1]))
-    return Check("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
+    return Check.of("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
 def mean_check(what: str, statistic: str, values: Floats, level: float) -> Check:
@@ -156,4 +163,4 @@ def mean_check(what: str, statistic: str, values: Floats, level: float) -> Check
     apart = float(np.median(np.abs(values - middle)))
     relative = min(apart / (stats.norm.ppf(0.75) * middle), ONE_DEGREE) if middle > 0 else ONE_DEGREE
     within = max(WHOLE_WITHIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
-    return Check(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)
+    return Check.of(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)

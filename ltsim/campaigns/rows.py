@@ -29,7 +29,7 @@ from ltsim.campaigns.engine import (
 )
 from ltsim.campaigns.judge import Columns
 from ltsim.campaigns.schema import column_of
-from ltsim.campaigns.spec import Campaign
+from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.stack import StackCalibrator, stacks
 from ltsim.campaigns.store import encoded
 from ltsim.campaigns.truth import Block, Truth
@@ -46,8 +46,6 @@ from ltsim.simulation.workshop import Layout, planned
 
 TOGETHER = 64
 """Trials with geometries of their own that are done side by side, as far as their stations see the same."""
-JUDGE = "judge"
-"""Key of the draws in the place of `judge_in`."""
 CHECKED = "full_difference_sigma"
 """Column of the trials that were calibrated once more by the full solver: largest difference in sigmas."""
 

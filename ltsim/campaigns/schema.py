@@ -8,8 +8,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from ltsim.recording.result_file import Entry, Known, ResultFile
-from ltsim.results import Column, Table, numbers, texts
+from ltsim.campaigns.design import Factor
+from ltsim.campaigns.recovery_checks import Check
+from ltsim.recording.result_file import Entry, ResultFile
+from ltsim.results import Column, Table, columns_of, numbers, texts
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -135,6 +137,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
     )
 
 
+CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(Check))
 TRIALS = Table(
     "trials.csv",
     "what was found in each trial that gave a result, one row a trial and parameter",
@@ -146,19 +149,6 @@ TRIALS = Table(
         *numbers("r", ltsim_estimate="what ltsim found in the same recording, where another calibrator is checked"),
     ),
 )
-
-
-class FactorEntry(Entry):
-    """Something that differs between cells."""
-
-    name: str
-    """Its column in rows and summary."""
-    keys: tuple[str, ...]
-    """Dotted keys of the scenario that take its value."""
-    unit: str = ""
-    """Of its values."""
-    kind: Literal["number", "integer", "boolean", "string", "table"] = "number"
-    """Of values; tables stand as JSON."""
 
 
 class CellEntry(Entry):
@@ -192,7 +182,7 @@ class ManifestFile(ResultFile):
     """Trials a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibrators."""
-    factors: tuple[FactorEntry, ...] = ()
+    factors: tuple[Factor, ...] = ()
     """What differs between cells."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
     """Of grid and design."""
@@ -206,23 +196,6 @@ class ManifestFile(ResultFile):
     """The campaign file."""
     scenarios: tuple[dict[str, Any], ...] = ()
     """That of each cell."""
-
-
-class CheckEntry(Entry):
-    """One number that has to lie between two bounds."""
-
-    what: str
-    """Parameter, or chi-square, targets, stations."""
-    statistic: str
-    """Which number of it."""
-    value: Known
-    """What it is."""
-    low: Known
-    """What it should not be below."""
-    high: Known
-    """What it should not be above."""
-    passed: bool
-    """It lies between."""
 
 
 class RecoveryFile(ResultFile):
@@ -241,5 +214,5 @@ class RecoveryFile(ResultFile):
     """How many gave a result."""
     seed: Whole
     """Root of the random draws."""
-    checks: tuple[CheckEntry, ...]
+    checks: tuple[Check, ...]
     """One number each."""

@@ -24,6 +24,8 @@ from ltsim.units import MILLIMETRE
 
 FORMAT = "ltsim-campaign/1"
 MOST_CELLS, MOST_SHARDS = 4096, 500_000
+JUDGE = "judge"
+"""Key of the draws in the place of `judge_in`."""
 
 
 class FittedEffect(Section):
@@ -277,7 +279,7 @@ def cells_of(
     cells = []
     for scenario, settings in zip(scenarios, campaign.combinations(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
-        judge = judge_of(campaign, scenario, path)
+        judge = judge_of(campaign.judge_in, scenario, path) if campaign.judge_in else None
         levels = {factor.name: factor.level(tables) for factor in factors}
         places = [scenario_to_toml(_by_content(s)) for s in (scenario, judge) if s is not None]
         mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
@@ -292,11 +294,11 @@ def _deciding(campaign: Campaign) -> str:
     )
 
 
-def judge_of(campaign: Campaign, scenario: Scenario, path: Path) -> Scenario | None:
-    """The place where a cell is judged; None where the file names none. Raises SetupError."""
-    name = campaign.judge_in
-    if not name:
-        return None
+def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
+    """The place of `judge_in` for the instruments of a scenario; `path` is of the file that names it.
+
+    Raises SetupError.
+    """
     file = beside(name, path)
     if name.endswith(".csv"):
         with as_setup_error():

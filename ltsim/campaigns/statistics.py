@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import duckdb
 import numpy as np
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
-from ltsim.campaigns.design import Factor
+from ltsim.campaigns.cube import cube
 from ltsim.campaigns.engine import FAILED
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.rows import CHECKED
@@ -24,6 +24,9 @@ from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.results import Columns, Result, Table, by_row
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -93,6 +96,7 @@ class Results(Result):
 
     Attributes
     ----------
+    folder : Path
     manifest : ManifestFile
     factors : tuple of Factor
         What differs between cells: the columns of settings.
@@ -112,7 +116,7 @@ class Results(Result):
     def __init__(self, folder: Path) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
-        self.factors = tuple(Factor(f.name, f.keys, f.unit, f.kind) for f in self.manifest.factors)
+        self.factors = self.manifest.factors
         self.levels = [cell.levels for cell in self.manifest.cells]
         shards = store.shards()
         if not shards:
@@ -130,7 +134,10 @@ class Results(Result):
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
-        self._folder = folder
+        self.folder = folder
+
+    def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
+        return Results, (self.folder.resolve(),)
 
     def _cells(self) -> pa.Table:
         """What each cell is, as columns: number, line of words, settings."""
@@ -148,7 +155,7 @@ class Results(Result):
         cells, methods = manifest.cells, manifest.methods
         return [
             f"Campaign: {title}{manifest.trials} trials of {len(cells)} cells by {', '.join(methods)}",
-            f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self._folder}",
+            f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:
@@ -183,7 +190,7 @@ class Results(Result):
         try:
             return self._base.execute(sql).fetchall()
         except (duckdb.IOException, duckdb.InvalidInputException) as problem:
-            raise _damaged(self._folder, problem) from None
+            raise _damaged(self.folder, problem) from None
         except duckdb.Error as problem:
             raise ModelError(f"the query fails: {' '.join(str(problem).split())}") from None
 
@@ -283,6 +290,27 @@ class Results(Result):
         self._known(statistic)
         return paired(self, statistic, **between)
 
+    def to_xarray(self, *statistics: str) -> xr.Dataset:
+        """Means over the trials with their 95 % intervals, on axes that `sel` takes.
+
+        Parameters
+        ----------
+        *statistics : str
+            Columns of the rows, or shares; default all but those of single parameters.
+
+        Returns
+        -------
+        xarray.Dataset
+            Each statistic with ``NAME_low`` and ``NAME_high``, its unit in `attrs`; axes are `calibrator` (the methods)
+            and the factors, or `cell` with the factors along it where the cells are no grid.
+
+        Raises
+        ------
+        ModelError, SetupError
+            When there is no such statistic; without xarray.
+        """
+        return cube(self, statistics or [c for c in self.columns if ":" not in c and c != CHECKED])
+
     def summary(self) -> dict[str, Any]:
         """Everything a report needs, as plain data."""
         wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
@@ -290,7 +318,7 @@ class Results(Result):
             "format": "ltsim-campaign-summary/1",
             "title": self.manifest.title,
             "trials": self.manifest.trials,
-            "factors": [asdict(factor) for factor in self.factors],
+            "factors": [factor.model_dump() for factor in self.factors],
             "cells": [
                 cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
             ],

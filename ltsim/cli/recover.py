@@ -150,7 +150,7 @@ def _tolerances(given: list[str]) -> dict[str, str]:
 
 def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
     """The outcome for a program."""
-    from ltsim.campaigns.schema import CheckEntry, RecoveryFile
+    from ltsim.campaigns.schema import RecoveryFile
 
     checks = result.checks()
     return RecoveryFile(
@@ -159,7 +159,7 @@ def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
         trials=len(result.trials),
         converged=len(result.converged),
         seed=seed,
-        checks=tuple(CheckEntry(**vars(check), passed=check.passed) for check in checks),
+        checks=tuple(checks),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats
+from ltsim.calibration.calibration import residuals_table
 from ltsim.diagnosis.schema import (
     BeforeAfter,
     DetectableEntry,
@@ -23,7 +24,7 @@ from ltsim.diagnosis.schema import (
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.remedies.detectability import MinimalSize
-from ltsim.results import Columns, Result, by_entry, by_row
+from ltsim.results import Columns, Result, Table, by_entry, by_row
 from ltsim.units import FACTOR
 
 
@@ -64,11 +65,13 @@ class Diagnosis(Result):
                 fits += f"; held-out error {before.held_out_rms:.2f}, then {after.held_out_rms:.2f}"
         return [f"Diagnosis: {self.verdict}", self.summary, fits]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
         return {
             "findings": self._findings,
             "undetectable": lambda: by_row([dict(entry) for entry in self.undetectable]),
             "detectable": lambda: by_entry(MinimalSize, self.detectable),
+            "residuals": lambda: residuals_table(self.adjusted),
+            "residuals_before": lambda: residuals_table(self.baseline),
         }
 
     def _findings(self) -> Columns:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.calibration.files import residuals_csv
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile
@@ -32,8 +31,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     """
     texts = {
         TARGETS.file: targets_csv(diagnosis),
-        RESIDUALS.file: residuals_csv(diagnosis.adjusted),
-        BEFORE.file: residuals_csv(diagnosis.baseline),
+        RESIDUALS.file: diagnosis.table("residuals").csv(),
+        BEFORE.file: diagnosis.table("residuals_before").csv(),
     }
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING)

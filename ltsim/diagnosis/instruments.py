@@ -12,7 +12,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.determined import determined
-from ltsim.calibration.evidence import Evidence, evidence
+from ltsim.calibration.evidence import Evidence, change_seen, evidence
 from ltsim.diagnosis.evidence import log_average, log_evidence
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
@@ -175,8 +175,7 @@ def compared(adjustment: Adjustment, i: int, expected: Expected, least: float) -
     changed: dict[int, float] = {}
     alike: dict[int, tuple[Parameter, ...]] = {}
     while len(changed) < len(at):
-        keeps = np.linalg.inv(np.eye(len(unit)) + said.information @ variance)
-        score, weight = keeps @ surprise, keeps @ said.information
+        score, weight = change_seen(said.information, surprise, variance)
         if not changed:
             apart = score, weight
         seen = np.maximum(np.diag(weight)[at], TINY)

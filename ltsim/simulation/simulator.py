@@ -41,10 +41,16 @@ def place_key(trial: int, geometry: Geometry) -> tuple[str | int, ...]:
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
-def measure(work: Fieldwork, seed: int, trial: int = 0) -> tuple[Recording, Truth]:
-    """Draw the instrument's errors, the gauge's calibration and the noise of a trial on a fixed geometry."""
+def measure(
+    work: Fieldwork, seed: int, trial: int = 0, *, values: Floats | None = None, apart: str = ""
+) -> tuple[Recording, Truth]:
+    """Draw the instrument's errors, the gauge's calibration and the noise of a trial on a fixed geometry.
+
+    `values` (I, p) [SI] are those of instruments that are given, `apart` as of `Population.draw`.
+    """
     blank = error_free(work)
-    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])))
+    given = None if values is None else values[:, :, None]
+    drawn = population_of(work, blank).draw(Normal(seed, np.array([trial])), given, apart=apart)
     values, amounts = drawn.values[:, :, 0], tuple(own[:, 0] for own in drawn.amounts)
     readings = simulate_readings(work, values, amounts, drawn.noise[:, :, 0])
     recording = certified_by(blank.with_readings(readings), drawn.certified[:, 0])

@@ -65,7 +65,7 @@ def test_a_law_is_fitted_in_the_words_of_a_diagnosis(drifting: Recording, tmp_pa
     found = lt.calibrate(drifting, with_effects=["vertical index ~ station-time:S3"], advise=False)
     (law,), (effect,) = found.effects, named.effects
     assert (law.effect, law.where, law.freedom, law.tried) == ("vertical index ~ station-time", "S3", 1, 1)
-    (swing,), rate = law.parameters, effect.parameters[0]
+    (_, swing), rate = law.parameters, effect.parameters[0]
     hours = drifting.time[drifting.station == 2].max() / 3600 - drifting.time[drifting.station == 2].min() / 3600
     assert swing.name == "swing" and swing.unit == "urad" and swing.sigma is not None and rate.sigma is not None
     assert abs(swing.value) == pytest.approx(abs(rate.value) * hours, rel=1e-3)
@@ -79,16 +79,16 @@ def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recordi
     words = "vertical index ~ station-time, in its own way at each set-up"
     (law,) = lt.calibrate(drifting, with_effects=[words], advise=False).effects
     assert (law.effect, law.where, law.freedom) == (words, "", len(drifting.stations))
-    assert law.sentence.startswith(f"{words}: swing")
+    assert law.sentence.startswith(f"{words}: rms ") and ", swing " in law.sentence
 
 
 def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> None:
     wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "place of targets ~ time:T02"]
     _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
-    (swing,) = curve.parameters
+    swing = next(p for p in curve.parameters if p.name == "swing")
     assert swing.sigma is not None and isinstance(swing.value, float)
     assert swing.value > 4 * swing.sigma and curve.freedom > 3
-    assert [p.name for p in moved.parameters] == ["swing along x", "swing along y", "swing along z"]
+    assert [p.name for p in moved.parameters] == ["rms", "swing along x", "swing along y", "swing along z"]
 
 
 def test_what_the_recording_cannot_tell_is_left_out_and_said(drifting: Recording) -> None:

@@ -136,3 +136,26 @@ def test_inner_constraints_over_chosen_targets(make, drawn) -> None:
     assert np.trace(inner) > np.trace(whole)
     with pytest.raises(ModelError, match="three off one line"):
         adjustment.in_inner_datum(names[:2])
+
+
+def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make, drawn) -> None:
+    at, off, others = misalignment().names.index("range-offset"), [], 0
+    for seed in range(10):
+        truth = drawn(misalignment(), 26, seed)
+        truth[at] = 60e-6
+        found = calibrate_network(make(truth, faces=(1, 2), trial=seed), advise=False, weigh=False)
+        told = [note for note in found.notes if "contradict" in note]
+        assert told[0].startswith("range-offset is ")
+        assert "stated prior of 10 um: the estimate follows the readings" in told[0]
+        assert found.sigma[0, at] < 5e-6
+        off.append((found.values[0, at] - 60e-6) / found.sigma[0, at])
+        others += len(told) - 1
+    assert np.sum(np.abs(off) > 2.0) <= 1
+    assert abs(np.mean(off)) < 0.7
+    assert others <= 1
+
+
+def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
+    for seed in range(10):
+        found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False, weigh=False)
+        assert not [note for note in found.notes if "contradict" in note]

@@ -53,7 +53,7 @@ def campaign(**more: Any) -> Campaign:
 
 
 def rows(made: Campaign, scenario: Scenario = PAPER) -> dict[str, list[Any]]:
-    judge = judge_of(made, scenario, Path("campaign.toml"))
+    judge = judge_of(made.judge_in, scenario, Path("campaign.toml")) if made.judge_in else None
     return dict(shard_rows(task_of(made, scenario, "", 0, 0, judge)).to_pydict())
 
 
@@ -83,14 +83,14 @@ def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: 
 def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Path) -> None:
     table = "target,x_mm,y_mm,z_mm\nA,500,500,1500\nB,5500,600,2500\nC,800,5400,700\nD,5200,5300,3200\n"
     (tmp_path / "points.csv").write_text(table)
-    judge = judge_of(campaign(judge_in="points.csv"), PAPER, tmp_path / "campaign.toml")
-    assert judge is not None and tuple(judge.targets) == ("A", "B", "C", "D") and judge.gauge is None
+    judge = judge_of("points.csv", PAPER, tmp_path / "campaign.toml")
+    assert tuple(judge.targets) == ("A", "B", "C", "D") and judge.gauge is None
     assert judge.stations == PAPER.stations and judge.instrument == PAPER.instrument
     made = campaign(judge_in=str(tmp_path / "points.csv"), statistics=["errors"], trials=8)
     assert all(value is not None for name in ERRORS for value in rows(made)[name])
     for lost, says in (("nowhere.csv", "nowhere.csv"), ("two-trackers", "should name the trackers of the cells")):
         with pytest.raises(SetupError, match=says):
-            judge_of(campaign(judge_in=lost), PAPER, tmp_path / "campaign.toml")
+            judge_of(lost, PAPER, tmp_path / "campaign.toml")
 
 
 @pytest.mark.parametrize("solver", ["batch", "single"])
@@ -159,7 +159,7 @@ def test_every_column_of_rows_is_defined_once() -> None:
     made = campaign(
         trials=4, statistics=["criteria", "errors", "z-scores", "estimates", "truth"], judge_in="paper-workshop"
     )
-    judge = judge_of(made, PAPER, Path("campaign.toml"))
+    judge = judge_of(made.judge_in, PAPER, Path("campaign.toml"))
     schema = shard_rows(task_of(made, PAPER, "", 0, 0, judge)).schema
     results = [field for field in schema if field.name not in ("cell", "method", "trial", "status")]
     assert all(field.metadata[b"meaning"].decode() == column_of(field.name).meaning for field in results)

@@ -14,7 +14,8 @@ from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration import Calibration, calibrate_network, write_calibration
-from ltsim.calibration.files import history_file, residuals_csv
+from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
 from ltsim.model.construction import misalignment
 from ltsim.planning.files import next_file
@@ -68,8 +69,8 @@ def diagnosis_folder(folder: Path) -> Path:
     target = folder / "diagnosis"
     target.mkdir(parents=True)
     (target / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
-    (target / "residuals.csv").write_text(residuals_csv(after()))
-    (target / "residuals_before.csv").write_text(residuals_csv(before()))
+    (target / "residuals.csv").write_text(residuals_table(after()).csv())
+    (target / "residuals_before.csv").write_text(residuals_table(before()).csv())
     write(recording(), folder / "recording")
     return target
 
@@ -101,17 +102,21 @@ DIAGNOSIS: dict[str, Any] = {
 
 
 def campaign_folder(folder: Path, trials: int = 60) -> Path:
-    """A campaign of two settings and two methods, own-made rows in the form of the first version: without settings."""
+    """A campaign of two settings and two methods, own-made rows in the form of the campaign's files."""
     manifest = {
         "format": "ltsim-campaign-rows/1", "title": "Own-made", "seed": 11, "trials": trials,
         "methods": ["network", "distance"],
-        "cells": [{"cell": c, "label": "", "settings": {"instrument.noise_factor": c + 1}} for c in range(2)],
+        "factors": [{"name": "noise_factor", "keys": ["instrument.noise_factor"], "unit": "", "kind": "integer"}],
+        "cells": [{"cell": c, "label": "", "levels": {"noise_factor": c + 1}} for c in range(2)],
         "versions": {"numpy": "2.0"}, "commit": None, "settings": {"scenario": "paper-workshop"}, "scenarios": [],
     }  # fmt: skip
     folder.mkdir(parents=True)
     (folder / "manifest.json").write_text(json.dumps(manifest))
     for cell in range(2):
-        parts = [_rows(cell, method, trials) for method in ("network", "distance")]
+        parts = [
+            _rows(cell, method, trials).append_column("noise_factor", pa.array([cell + 1] * trials))
+            for method in ("network", "distance")
+        ]
         place = folder / "rows" / f"cell-{cell:04d}"
         place.mkdir(parents=True)
         pq.write_table(pa.concat_tables(parts), place / "shard-000000.parquet")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibration.files import residuals_csv
+from ltsim.calibration.calibration import residuals_table
 from ltsim.errors import RecordError
 from ltsim.pages.residuals import Residuals
 from tests.pages import samples
@@ -16,7 +16,7 @@ from tests.pages import samples
 def test_file_and_adjustment_agree(tmp_path: Path) -> None:
     direct = Residuals.from_adjustment(samples.after())
     file = tmp_path / "residuals.csv"
-    file.write_text(residuals_csv(samples.after()))
+    file.write_text(residuals_table(samples.after()).csv())
     read = Residuals.read(file)
     assert read.row.tolist() == direct.row.tolist()
     assert read.stations == direct.stations

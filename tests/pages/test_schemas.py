@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.calibration.calibration import targets_table
-from ltsim.calibration.files import read_targets, residuals_csv
+from ltsim.calibration.calibration import residuals_table, targets_table
+from ltsim.calibration.files import read_targets
 from ltsim.errors import LtsimError, RecordError
 from ltsim.pages.page import report
 from ltsim.pages.residuals import Residuals
@@ -111,7 +111,7 @@ def test_ragged_history_gets_one_sentence(tmp_path: Path) -> None:
 def test_tables_of_another_run_are_refused(tmp_path: Path) -> None:
     """As after a kill between two renames: the table is of the new run, the JSON of the old one."""
     folder = samples.calibration_folder(tmp_path)
-    (folder / "residuals.csv").write_text(residuals_csv(samples.before()))
+    (folder / "residuals.csv").write_text(residuals_table(samples.before()).csv())
     with pytest.raises(RecordError, match=r"residuals\.csv: does not belong to the calibration\.json beside it"):
         report(folder)
     assert not (folder / "report.html").exists()
@@ -154,6 +154,6 @@ def test_names_that_a_spreadsheet_would_compute_are_text_and_come_back(tmp_path:
 def test_residuals_of_such_names_come_back(tmp_path: Path) -> None:
     made = samples.recording()
     names = (*NAMES, *made.targets[len(NAMES) :])
-    (tmp_path / "residuals.csv").write_text(residuals_csv(adjust(made.replace(targets=names, setup=Setup()))))
+    (tmp_path / "residuals.csv").write_text(residuals_table(adjust(made.replace(targets=names, setup=Setup()))).csv())
     found = Residuals.read(tmp_path / "residuals.csv")
     assert set(found.target.tolist()) == set(names)

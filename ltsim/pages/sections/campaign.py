@@ -9,8 +9,9 @@ from types import MappingProxyType
 
 from matplotlib.figure import Figure
 
+from ltsim.campaigns.paired import errors_of
 from ltsim.campaigns.rows import CHECKED
-from ltsim.campaigns.schema import ManifestFile
+from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
 from ltsim.notation import number
 from ltsim.pages import figures
@@ -67,7 +68,8 @@ def campaign_section(folder: Path) -> Section:
     published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
     drawn_ = _distributions(results, spreads, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
-    blocks: list[Block] = [*shown, _statistics(results, spreads), *(b for b in drawn_ if b not in shown)]
+    shown[1:1] = _errors(results, spreads)
+    blocks: list[Block] = [*shown, *_statistics(results, spreads), *(b for b in drawn_ if b not in shown)]
     blocks += [*_coverage(results, scores), _ends(results, ends)]
     blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
     blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.scenarios, indent=1)))
@@ -256,6 +258,8 @@ def _settings(results: Results) -> tuple[list[str], dict[int, list[str]]]:
 
 def _column_words(column: str) -> str:
     """`distance_before_mean_um` as `distance, mean before`."""
+    if column.startswith("new_point_"):
+        return f"new point: {_column_words(column.removeprefix('new_point_'))}"
     parts = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
     return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
 
@@ -274,8 +278,30 @@ def _ends(results: Results, ends: Sequence[Checked]) -> Table:
     return Table("How the trials ended", header, rows, text_columns=len(heads) + 1, note=note, marked=failed)
 
 
-def _statistics(results: Results, spreads: Mapping[str, list[Spread]]) -> Table:
-    """All statistics."""
+def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
+    """Errors before and after calibration beside what no parameter removes: a total says little without its floor."""
+    heads, own = _settings(results)
+    blocks: list[Block] = []
+    for share in SHARES:
+        entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
+        rows = [[*own[of[0].cell], of[0].method, *(_mean(s) for s in of)] for of in zip(*entries, strict=all(entries))]
+        named = "new point" if share.startswith("new_point") else "point"
+        header = [*heads, "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
+        note = f"{_meaning(share)}. Noise floor: readings corrected by the true parameters."
+        if rows:
+            blocks.append(Table(f"Error of a {named}", header, rows, text_columns=len(heads) + 1, note=note))
+    return blocks
+
+
+def _meaning(column: str) -> str:
+    """What a statistic is, as a sentence begins."""
+    known = column_of(column)
+    text = "" if known is None else known.meaning.replace("`", "")
+    return text[:1].upper() + text[1:]
+
+
+def _statistics(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Table]:
+    """All statistics, and what each of them is."""
     heads, own = _settings(results)
     rows = [
         [*own[s.cell], s.method, _column_words(column), results.units.get(column, ""), number(s.mean),
@@ -285,4 +311,8 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]]) -> Table:
         for s in entries
     ]  # fmt: skip
     header = [*heads, "method", "statistic", "unit", "mean", "95 % interval", "5 %", "median", "95 %"]
-    return Table(f"Statistics ({count(len(rows), 'row')})", header, rows, text_columns=len(heads) + 3)
+    means = [[_column_words(column), results.units.get(column, ""), _meaning(column)] for column in spreads]
+    return [
+        Table(f"Statistics ({count(len(rows), 'row')})", header, rows, text_columns=len(heads) + 3),
+        Table("What the statistics mean", ["statistic", "unit", "meaning"], means, text_columns=3),
+    ]

@@ -22,9 +22,9 @@ from ltsim.recording.tables.meaning import Meaning, meaning_of
 from ltsim.recording.tables.names import common_names
 from ltsim.recording.tables.places import is_of_places, readings_of_places
 from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
-from ltsim.recording.tables.setups import over_marks, split_rounds
+from ltsim.recording.tables.setups import heights_not_applied, over_marks, split_rounds
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, Row, is_folder, separator_of, sheets_of, split
-from ltsim.units import FACTOR, ratio
+from ltsim.units import FACTOR, MILLIMETRE, ratio
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
@@ -67,6 +67,10 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
     further, kept = _further(table, meaning)
+    height = np.array([[values.get(name, NAN) for name in HEIGHT_COLUMNS] for values, _ in further]) * MILLIMETRE
+    unused = heights_not_applied(table, readings, height)
+    if unused:
+        further = [({k: x for k, x in values.items() if k not in HEIGHT_COLUMNS}, texts) for values, texts in further]
     days = _days(table) if timed else None
     pointings = []
     for i, (p, face, (distance, azimuth, elevation)) in enumerate(
@@ -82,7 +86,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
         pointings.append(
             Pointing(p.station, target, face, distance, azimuth, elevation, times[i], covariates, labels, source)
         )
-    said = [*table.notes, *named, *meaning.notes, *rounds, *over, *reduced, *timed, *kept, *_left_out(table), *notes]
+    said = [*table.notes, *named, *meaning.notes, *rounds, *over, *reduced, *timed, *kept, *unused, *_left_out(table), *notes]
     return recording_of(pointings, setup, notes=said, file=path)
 
 

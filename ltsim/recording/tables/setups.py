@@ -7,9 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.recording.files import shown
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station
+from ltsim.recording.tables.header import HEIGHTS
 from ltsim.recording.tables.rows import Table
 
+LEAST_LINES = 4
+CLEARLY = 0.5
+"""Lines seen to and fro close without the heights within this share of their misses with them."""
 TURNED = 1e-3
 """[rad] By which a round's directions differ from another's where the circle was turned between them."""
 
@@ -54,3 +59,30 @@ def over_marks(table: Table, setup: Setup) -> tuple[Setup, list[str]]:
     over = f", {len(shared)} marks are targets too" if shared else ""
     said = f"set-ups with heights over their marks are taken as levelled{over} (setup.toml can say otherwise)"
     return setup.model_copy(update={"stations": {**setup.stations, **stations}}), [said]
+
+
+def heights_not_applied(table: Table, readings: Floats, height: Floats) -> list[str]:
+    """What is said where the readings are those between the heads themselves, whatever heights stand beside them.
+
+    Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
+    and target, or without them.
+    """
+    lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    rise = readings[:, 0] * np.sin(readings[:, 2])
+    for p, up, (own, other) in zip(table.pointings, rise, np.nan_to_num(height), strict=True):
+        if np.isfinite(up):
+            lines.setdefault((table.marks.get(p.station, p.station), p.target), []).append((up, up + own - other))
+    mean = {line: np.mean(found, axis=0) for line, found in lines.items()}
+    misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
+    if len(misses) < LEAST_LINES:
+        return []
+    for kind in (np.median, np.max):
+        without, stated = kind(misses, axis=0)
+        if not without < CLEARLY * stated:
+            return []
+    names = " and ".join(f"'{shown(c.title)}'" for c in table.columns if c.role in HEIGHTS)
+    return [
+        f"heights in {names} are not applied: {len(misses)} lines seen to and fro close within "
+        f"{1e3 * misses[:, 0].max():.3g} mm without them, {1e3 * misses[:, 1].max():.4g} mm with them; "
+        "coordinates are those of heads and reflectors, not of marks below"
+    ]

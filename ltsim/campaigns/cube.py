@@ -1,0 +1,60 @@
+"""The statistics of a campaign as an xarray dataset: an axis a factor, units with every variable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ltsim.campaigns.schema import column_of
+from ltsim.errors import missing_extra
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from ltsim.campaigns.statistics import Results
+
+CALIBRATOR = "calibrator"
+"""Axis of the methods: `method` is an argument of `sel` already."""
+ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
+"""Names that an axis of a factor cannot have; it has an underscore behind then."""
+
+
+def cube(results: Results, statistics: Sequence[str]) -> xr.Dataset:
+    """As `Results.to_xarray`."""
+    try:
+        from xarray import Dataset
+    except ImportError:
+        raise missing_extra("datasets with axes", "xarray") from None
+    axes, places, along = _axes(results)
+    methods = list(results.manifest.methods)
+    shape = (len(methods), *(len(axes[name][1]) for name in axes))
+    variables: dict[str, Any] = {}
+    for name in statistics:
+        bounds = np.full((3, *shape), np.nan)
+        for s in results.spread(name):
+            bounds[(slice(None), methods.index(s.method), *places[s.cell])] = s.mean, s.low, s.high
+        meaning, unit = (known.meaning if (known := column_of(name)) else ""), results.units.get(name, "")
+        for own, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
+            said = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
+            variables[name + ending] = ((CALIBRATOR, *axes), own, {"units": unit, "long_name": f"{said}: {meaning}"})
+    title = {"title": results.manifest.title, "trials": results.manifest.trials}
+    return Dataset(variables, {CALIBRATOR: methods} | axes | along, title)
+
+
+def _axes(results: Results) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
+    """Axes with their values, where each cell is on them, and what else is known along them.
+
+    Factors of a full grid are axes; other cells are one axis, the factors' values along it.
+    """
+    levels, named = results.levels, [(f"{f.name}_" if f.name in ARGUMENTS else f.name, f) for f in results.factors]
+    own = {name: [level[f.name] for level in levels] for name, f in named}
+    steps = {name: list(dict.fromkeys(values)) for name, values in own.items()}
+    unit = {name: {"units": f.unit, "keys": " ".join(f.keys)} for name, f in named}
+    places = [tuple(steps[name].index(own[name][k]) for name in steps) for k in range(len(levels))]
+    if math.prod(map(len, steps.values())) == len(levels) == len(set(places)):
+        return {name: (name, values, unit[name]) for name, values in steps.items()}, places, {}
+    along = {name: ("cell", values, unit[name]) for name, values in own.items()}
+    return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along

@@ -1,0 +1,109 @@
+"""Calibrations of one recording held against each other by the error of points that none of them has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltsim.calibration import Calibration
+from ltsim.calibration.verbs import correct
+from ltsim.campaigns.spec import JUDGE, judge_of
+from ltsim.evaluation.clouds import measured_points
+from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
+from ltsim.results import Column, Result, Table
+from ltsim.simulation.fieldwork import fieldwork
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.simulator import measure
+from ltsim.simulation.verbs import ScenarioSource, scenario
+from ltsim.units import MICROMETRE
+
+JUDGED = Table(
+    "new_points.csv",
+    "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
+    (
+        Column("calibration", "its name", "text"),
+        Column("error_raw_um", "readings as they are", shown=".1f"),
+        Column("error_calibrated_um", "readings corrected as found", shown=".1f"),
+        Column("error_true_parameters_um", "readings corrected by the true parameters: the floor", shown=".1f"),
+        Column("share_removed", "of the mean square above the floor", shown=".3f"),
+    ),
+)
+
+
+@dataclass(frozen=True, repr=False)
+class Judged(Result):
+    """Errors of new points [m], by the name of the calibration."""
+
+    errors: Mapping[str, ShareRemoved]
+
+    def _lines(self) -> list[str]:
+        found = next(iter(self.errors.values()))
+        raw, floor = found.raw / MICROMETRE, found.true_parameters / MICROMETRE
+        told = ", ".join(f"{name} {error.calibrated / MICROMETRE:.1f} um" for name, error in self.errors.items())
+        return [f"Error of a new point: raw {raw:.1f} um, {told}; by the true parameters {floor:.1f} um"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"new_points": lambda: JUDGED.filled(self._rows())}
+
+    def _rows(self) -> Iterator[list[Any]]:
+        for name, found in self.errors.items():
+            sizes = (found.raw, found.calibrated, found.true_parameters)
+            yield [name, *(size / MICROMETRE for size in sizes), found.share]
+
+
+def judge(
+    source: ScenarioSource,
+    calibrations: Mapping[str, Calibration],
+    judge_in: str | Path,
+    *,
+    seed: int = 0,
+    trial: int = 0,
+) -> Judged:
+    """Compare calibrations of one simulated recording by points that they were not calibrated on.
+
+    The same instruments, with the errors that they have in that recording, measure in another place with noise of its
+    own; each calibration corrects what they read. A campaign with `judge_in` has the same numbers in the trial's row.
+
+    Parameters
+    ----------
+    source : Scenario, str or Path
+        The scenario of the recording that was calibrated.
+    calibrations : mapping of str to Calibration
+        By the names that the result calls them.
+    judge_in : str or Path
+        The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
+    seed, trial : int
+        Those of the recording.
+
+    Raises
+    ------
+    SetupError
+        When the place is none, or its stations name other trackers.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
+    >>> judged = lt.judge("paper-workshop", found, "paper-laboratory", seed=7)
+    >>> judged.to_dataframe()["calibration"].to_list()
+    ['network', 'distance']
+    """
+    here = scenario(source)
+    place = Path() if isinstance(source, Scenario) else Path(source)
+    truth = measure(fieldwork(here, seed), seed, trial)[1]
+    values = np.array([*truth.instrument.values()]).reshape(len(here.trackers), -1)
+    work = fieldwork(judge_of(str(judge_in), here, place), seed, JUDGE)
+    recording, there = measure(work, seed, trial, values=values, apart=JUDGE)
+
+    def error(points: Any) -> float:
+        return cloud_error(recording, points, there.points)
+
+    raw = error(measured_points(recording))
+    floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
+    corrected = {name: measured_points(correct(recording, own, again=True)) for name, own in calibrations.items()}
+    return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})

@@ -1,0 +1,112 @@
+"""The results of campaigns and recoveries as values: on named axes, through a pool of processes, into a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.errors import ModelError
+from ltsim.notation import number
+from ltsim.pages.document import Table
+from ltsim.pages.sections.campaign import campaign_section
+
+SWEEP = {
+    "format": "ltsim-campaign/1",
+    "scenario": "paper-workshop",
+    "seed": 3,
+    "trials": 24,
+    "shard": 24,
+    "verify": 0,
+    "statistics": ["errors"],
+    "judge_in": "paper-laboratory",
+    "methods": [{"method": "network"}, {"method": "distance"}],
+}
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    link = {"angle_noise_arcsec": ["instrument.noise.azimuth_arcsec", "instrument.noise.elevation_arcsec"]}
+    more = {"link": link, "grid": {"work.faces": [1, 2], "angle_noise_arcsec": [0.4, 0.8]}}
+    return lt.campaign(SWEEP | more, out=tmp_path_factory.mktemp("sweep") / "rows")
+
+
+def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> None:
+    pytest.importorskip("xarray", reason="the dataset is xarray's")
+    cube = sweep.to_xarray("target_error_um", "share_removed")
+    assert cube.sizes == {"calibrator": 2, "faces": 2, "angle_noise_arcsec": 2}
+    one = cube.sel(calibrator="distance", faces=2, angle_noise_arcsec=0.4)
+    entry = next(s for s in sweep.spread("target_error_um") if (s.cell, s.method) == (2, "distance"))
+    assert sweep.levels[2] == {"faces": 2, "angle_noise_arcsec": 0.4}
+    assert (float(one.target_error_um), float(one.target_error_um_low)) == (entry.mean, entry.low)
+    assert cube.target_error_um.attrs["units"] == "um"
+    assert cube.angle_noise_arcsec.attrs["units"] == "arcsec"
+    assert "full_difference_sigma" not in sweep.to_xarray()
+    with pytest.raises(ModelError, match="target_error_um"):
+        sweep.to_xarray("target_eror_um")
+
+
+def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
+    pytest.importorskip("xarray", reason="the dataset is xarray's")
+    link = {"tolerance": ["instrument.noise_factor"]}
+    cells = [{"tolerance": 1.0, "work.faces": 1}, {"tolerance": 2.0, "work.faces": 2}]
+    made = lt.campaign(SWEEP | {"link": link, "cells": cells, "methods": [{}]}, out=tmp_path / "cells")
+    cube = made.to_xarray("target_error_um")
+    assert cube.sizes == {"calibrator": 1, "cell": 2}
+    assert cube.sel(cell=1)["tolerance_"] == 2.0
+
+
+def described(result: Any) -> tuple[str, list[str]]:
+    """What a worker sees of a result."""
+    return repr(result), result.to_dataframe().columns.to_list()
+
+
+def test_results_go_through_a_pool_of_processes_and_into_a_file(sweep: Any, tmp_path: Path) -> None:
+    recording, _ = lt.simulate("paper-workshop", seed=3)
+    calibration = lt.calibrate(recording)
+    recovery = lt.recover("paper-workshop-re-aimed", trials=2)
+    results = [calibration, lt.diagnose(recording), sweep, recovery]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        assert list(pool.map(described, results)) == [described(result) for result in results]
+        (again,) = pool.map(lt.calibrate, [recording])
+    assert np.array_equal(again.values, calibration.values)
+    for result in (sweep, recovery):
+        result.save(tmp_path / "kept.lt")
+        assert lt.read(tmp_path / "kept.lt") == result
+
+
+def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_its_row(sweep: Any) -> None:
+    changes = {"instrument.noise.azimuth_arcsec": 0.4, "instrument.noise.elevation_arcsec": 0.4, "work.faces": 1}
+    scenario = lt.scenario("paper-workshop", changes)
+    recording, _ = lt.simulate(scenario, seed=3, trial=17)
+    found = {method: lt.calibrate(recording, method=method) for method in ("network", "distance")}
+    judged = lt.judge(scenario, found, "paper-laboratory", seed=3, trial=17).table()
+    for kind in ("raw", "calibrated", "true_parameters"):
+        sql = f"SELECT new_point_error_{kind}_um FROM rows WHERE cell = 0 AND trial = 17 ORDER BY method DESC"
+        assert judged.column(f"error_{kind}_um") == pytest.approx([row[0] for row in sweep.query(sql)], rel=1e-4)
+    assert judged.column("calibration") == ["network", "distance"]
+
+
+@pytest.mark.parametrize("kind", [lt.calibrate, lt.adjust, lt.diagnose])
+def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
+    recording, _ = lt.simulate("paper-workshop", seed=3)
+    table = kind(recording).table("residuals")
+    assert {"station", "target", "observable", "residual", "unit"} <= set(table.header)
+    assert len(table.rows) == 3 * len(recording)
+
+
+def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
+    tables = {block.title: block for block in campaign_section(sweep.folder).blocks if isinstance(block, Table)}
+    for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
+        floors = [row[-2] for row in tables[title].rows]
+        means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]
+        assert [floor.partition(" ")[0] for floor in floors] == means
+    meanings = tables["What the statistics mean"].rows
+    assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
+    assert all(meaning for _, _, meaning in meanings)
