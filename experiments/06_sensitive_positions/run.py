@@ -91,6 +91,7 @@ def run(given: Options) -> Made:
     errors: dict[str, Any] = {}
     for heights in DESIGNS:
         title = ", ".join(f"{height / 1000:g}" for height in heights) + " m"
+        title = title if len(heights) <= 3 else f"{len(heights)} heights"
         dealt = zip(places.items(), cycle(heights), strict=False)
         moved = {f"targets__{name}__position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         results = campaign(HERE / "config.toml", given, f"heights-{'-'.join(map(str, heights))}", **moved)

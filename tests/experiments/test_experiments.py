@@ -152,8 +152,8 @@ def test_an_instrument_that_changed_is_calibrated_less_well(run: Run) -> None:
     shares = [mean(out / f"drift-{k}", "new_point_share_removed", **right) for k in ("0", "0.5", "1")]
     assert shares == sorted(shares, reverse=True)
     printed = mean(out / "drift-0", ERROR, method="eq. 9", **{"gauge-scale": "162.4"})
-    drawn = (out / "new_points.svg").read_text()
-    assert printed > 200 and "1000" in drawn
+    assert printed > 200
+    assert ">eq. 9" in (out / "new_points.svg").read_text()
 
 
 @pytest.mark.parametrize("number", ["02", "05", "06", "08", "09", "23", "24"])

@@ -86,7 +86,19 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
         pointings.append(
             Pointing(p.station, target, face, distance, azimuth, elevation, times[i], covariates, labels, source)
         )
-    said = [*table.notes, *named, *meaning.notes, *rounds, *over, *reduced, *timed, *kept, *unused, *_left_out(table), *notes]
+    said = [
+        *table.notes,
+        *named,
+        *meaning.notes,
+        *rounds,
+        *over,
+        *reduced,
+        *timed,
+        *kept,
+        *unused,
+        *_left_out(table),
+        *notes,
+    ]
     return recording_of(pointings, setup, notes=said, file=path)
 
 
