@@ -25,7 +25,7 @@ def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: An
     tables = {"format": "ltsim-campaign/1", "seed": 4, "trials": trials, "methods": methods, "statistics": ["errors"]}
     made = Campaign.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
     scenario = changed(PAPER, {key: value}, FILE)
-    table = shard_rows(task_of(made, scenario, "", 0, 0, judge_of(made, scenario, FILE)))
+    table = shard_rows(task_of(made, scenario, "", 0, 0, judge_of(made.judge_in, scenario, FILE)))
     return {name: np.array(column) for name, column in table.to_pydict().items()}
 
 
