@@ -1,4 +1,4 @@
-"""What the experiments share: options, cells of a file, trials of one instrument in two places, tables, manifests."""
+"""What the experiments share: options, campaigns and their figures, tables, manifests."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,18 @@ import numpy as np
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
+import ltsim as lt
 from ltsim.arrays import Floats
-from ltsim.campaigns.calibrators import Calibrator, calibrator_of
-from ltsim.campaigns.cell import fitted_construction, truth_of
-from ltsim.campaigns.engine import Bench, Calibrated
-from ltsim.campaigns.spec import Campaign, Method, load_campaign
-from ltsim.campaigns.truth import Block, Truth
-from ltsim.evaluation.share_removed import share as share_of
-from ltsim.model.construction import Construction
+from ltsim.campaigns.statistics import Results
+from ltsim.pages.figures import Mean, Swept
 from ltsim.pages.style import svg
-from ltsim.simulation.draws import Normal
-from ltsim.simulation.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
-HELD_OUT = ROOT / "experiments" / "held_out.toml"
-"""Another day in the same workshop: stations and reflectors that nobody calibrated with."""
 USED = ("ltsim", "numpy", "scipy", "numba")
 Row = dict[str, Any]
+NEW_POINTS = "rms error of new points [µm]"
+ERROR = "new_point_error_calibrated_um"
 
 
 @dataclass(frozen=True)
@@ -60,22 +54,6 @@ class Made:
     folder: Path | None = None
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One setting of an experiment: what is true."""
-
-    title: str
-    scenario: Scenario
-
-
-def cells_of(file: Path, trials: int | None = None) -> tuple[Campaign, list[Cell]]:
-    """An experiment's file, which is a campaign file: the truth of its cells, named by their titles, and methods."""
-    campaign, scenarios = load_campaign(file)
-    if trials is not None:
-        campaign = campaign.model_copy(update={"trials": trials})
-    return campaign, [Cell(scenario.title, scenario) for scenario in scenarios]
-
-
 def batches(trials: int, width: int = 250) -> Iterator[tuple[int, int]]:
     """Number and width of the blocks that make up so many trials; a block is drawn by its number."""
     for number in range(-(-trials // width)):
@@ -89,124 +67,53 @@ def spread_out(work: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[A
     return list(Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky")(delayed(work)(*task) for task in tasks))
 
 
-def same_instrument(truth: Truth, values: Floats, seed: int, number: int) -> Block:
-    """Trials elsewhere with instruments that are given: noise and effects are drawn, the instrument is not.
+def campaign(file: Path, given: Options, name: str = "", **changes: Any) -> Results:
+    """Run an experiment's campaign file; its rows are kept as Parquet below the results, and `summary.csv` with them.
 
-    Parameters
-    ----------
-    truth : Truth
-        The other place.
-    values : (I, p, B) float [SI]
-        True parameters of each trial, of the truth's construction.
-    seed, number : int
-        Of the draws; another seed than that of the first place, or the noise would be the same.
+    `changes` are new values of keys of the file, by dotted key with `__` for a dot; `name` is that of their folder.
     """
-    return truth.drawn(Normal(seed, number * values.shape[2] + np.arange(values.shape[2])), values)
+    other = {key.replace("__", "."): value for key, value in changes.items()}
+    other |= {} if given.trials is None else {"trials": given.trials}
+    results = lt.campaign(file, out=given.out / (name or file.stem), jobs=given.jobs, force=True, changes=other)
+    folder = given.out / (name or file.stem)
+    tables = [factor.name for factor in results.factors if factor.kind == "table"]  # a title stands for them
+    results.to_dataframe().drop(columns=tables).to_csv(folder / "summary.csv", index=False, float_format="%.6g")
+    tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
+    return results
 
 
-def calibrated(truth: Truth, calibrator: Calibrator, block: Block) -> tuple[Calibrated, dict[str, Floats]]:
-    """A block calibrated and judged: criteria, errors against the truth, share of the correctable error removed."""
-    bench = Bench(truth)
-    shared = bench.before(block)
-    found = calibrator.calibrate(block, np.arange(block.deviation.shape[2]))
-    return found, shared | bench.after(block, found, calibrator.construction, calibrator.effects)
+def swept(
+    results: Results, column: str, along: str, *, panel: str = "", only: Mapping[str, Any] | None = None
+) -> list[Swept]:
+    """A statistic of the cells with the levels `only`, for `by_factor`: along one factor, a line a method.
 
-
-def held_out(
-    room: Truth, values: Floats, seed: int, number: int, found: Calibrated, construction: Construction
-) -> dict[str, Floats]:
-    """Rms errors [um] of the same instruments in another room, raw, calibrated and with the true parameters.
-
-    Parameters
-    ----------
-    room : Truth
-    values : (I, p, B) float [SI]
-        True parameters of each trial, of the room's construction.
-    seed, number : int
-        As in `same_instrument`.
-    found : Calibrated
-    construction : Construction
-        That was fitted.
+    Errors of new points have a further line: the floor that the noise of the new readings makes.
     """
-    block, bench = same_instrument(room, values, seed, number), Bench(room)
-    shared = bench.before(block)
-    elsewhere = replace(found, points=np.zeros((*room.state.points.shape, values.shape[2])))
-    after = bench.after(block, elsewhere, construction)
-    names = ("error_raw_um", "error_calibrated_um", "error_true_parameters_um")
-    return {f"held_out_{name}": (shared | after)[name] for name in names}
+    floor = column.replace("calibrated", "true_parameters") if column.startswith("new_point_error_cal") else ""
+    wanted, rows, first = dict(only or {}), [], results.manifest.methods[0]
+    for s in [*results.spread(column), *(results.spread(floor) if floor else ())]:
+        here = results.levels[s.cell] | {"method": s.method}
+        if (s.column == floor and s.method != first) or any(here[name] != own for name, own in wanted.items()):
+            continue
+        line = "noise floor" if s.column == floor else s.method
+        where = _words(panel, here[panel]) if panel else ""
+        rows.append(Swept(here[along], line, where, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
+    return rows
 
 
-def calibrator_for(method: Method, truth: Truth) -> Calibrator:
-    """The calibrator of a method; one whose name begins with 'eq. 9' finds the minimum of eq. 9 as printed."""
-    if not method.title.startswith("eq. 9"):
-        return calibrator_of(method, truth)
-    from experiments.printed import Printed  # what few experiments need
-
-    return Printed(truth, fitted_construction(method), method.method)
+def _words(name: str, level: Any) -> str:
+    """A level in words, with its factor where it is no text of its own."""
+    return level if isinstance(level, str) else f"{name.replace('_', ' ')} {level:g}"
 
 
-def with_prior(truth: Truth, factor: float) -> Truth:
-    """The same truth where the set-up states every prior so many times as wide."""
-    setup = truth.recording.setup
-    prior = setup.instrument.prior
-    wider = {name: factor * value for name, value in prior.model_dump(exclude={"parameters"}).items()}
-    stated = setup.instrument.model_copy(update={"prior": prior.model_copy(update=wider)})
-    return replace(truth, recording=truth.recording.replace(setup=setup.model_copy(update={"instrument": stated})))
-
-
-def compared(
-    campaign: Campaign, scenario: Scenario, method: Method, number: int, width: int, *, factor: float = 1.0
-) -> dict[str, Floats]:
-    """A batch of one cell by one method: at home, in the held-out room with the same instruments, per parameter.
-
-    The set-up states the priors `factor` times as wide as the errors are drawn.
-
-    Besides the columns of `calibrated` and `held_out`: improvements [%], and ``miss:<parameter>``, estimate less
-    truth in display units, where the fitted construction is the true one.
-    """
-    truth = with_prior(truth_of(scenario, campaign.seed, "campaign"), factor)
-    room = load_scenario(HELD_OUT).model_copy(update={"instrument": scenario.instrument})
-    calibrator = calibrator_for(method, truth)
-    block = truth.draw(campaign.seed, number, width)
-    found, columns = calibrated(truth, calibrator, block)
-    elsewhere = truth_of(room, campaign.seed, "held out")
-    columns |= held_out(elsewhere, block.values, campaign.seed + 1, number, found, calibrator.construction)
-    for kind in ("distance", "coordinate"):
-        gain = 1 - columns[f"{kind}_after_mean_um"] / columns[f"{kind}_before_mean_um"]
-        columns[f"{kind}_improvement_percent"] = 100 * gain
-    if truth.construction.names == calibrator.construction.names:
-        for k, parameter in enumerate(truth.construction.parameters):
-            columns[f"miss:{parameter.name}"] = (found.values[0, k] - block.values[0, k]) / parameter.factor
-    return columns
-
-
-def share(columns: Mapping[str, Floats], prefix: str = "") -> float:
-    """Share of the correctable mean-square error that was removed, over all trials together."""
-    raw, after, perfect = (columns[f"{prefix}error_{name}_um"] for name in ("raw", "calibrated", "true_parameters"))
-    return share_of(raw, after, perfect)
-
-
-def share_interval(columns: Mapping[str, Floats], prefix: str = "") -> tuple[float, float, float]:
-    """`share` with its 95 % interval over 500 resamples of the trials."""
-    trials = len(columns[f"{prefix}error_raw_um"])
-    rows = np.random.default_rng(0).integers(0, trials, (500, trials))
-    names = [f"{prefix}error_{name}_um" for name in ("raw", "calibrated", "true_parameters")]
-    raw, after, perfect = (np.nanmean(columns[name][rows] ** 2, axis=1) for name in names)
-    low, high = np.percentile((raw - after) / (raw - perfect), [2.5, 97.5])
-    return round(share(columns, prefix), 4), round(float(low), 4), round(float(high), 4)
-
-
-def beside_floor(columns: Mapping[str, Floats]) -> Row:
-    """What no calibration touches, the error with the true parameters, and what is left above it (rms, in quadrature).
-
-    Held-out errors hold the noise of the readings that new points are measured with: two methods are compared by what
-    is above it.
-    """
-    error, floor = (
-        float(np.nanmean(columns[f"held_out_error_{k}_um"] ** 2)) for k in ("calibrated", "true_parameters")
-    )
-    above = round(max(error - floor, 0.0) ** 0.5, 2)
-    return {"held_out_floor_um": round(floor**0.5, 2), "held_out_above_floor_um": above}
+def beside(results: Results, column: str, *settings: str) -> list[Mean]:
+    """A statistic of cells that have no order, for `by_setting`: a row a combination of levels of these factors."""
+    rows = [[s.panel for s in swept(results, column, "method", panel=name)] for name in settings or ("",)]
+    found = swept(results, column, "method", panel=settings[0] if settings else "")
+    return [
+        Mean(", ".join(words), s.line, s.mean, s.low, s.high, s.five, s.ninety_five)
+        for s, words in zip(found, zip(*rows, strict=True), strict=True)
+    ]
 
 
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:

@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from experiments.common import (
-    Cell,
-    Made,
-    Options,
-    batches,
-    calibrator_for,
-    cells_of,
-    same_instrument,
-    spread_out,
-    stacked,
-    summary,
-    tell,
-    with_prior,
-    write_figure,
-    write_table,
-)
+from experiments.common import Made, Options, spread_out, stacked, summary, write_figure, write_table
 from ltsim.arrays import Floats
-from ltsim.campaigns.cell import truth_of
-from ltsim.campaigns.engine import Bench
-from ltsim.campaigns.spec import Campaign, Method
+from ltsim.campaigns.rows import Prepared, Work
+from ltsim.campaigns.spec import Campaign, Cell, cells_of, load_campaign
 from ltsim.evaluation.clouds import in_first_frame, on_points
 from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
@@ -37,14 +20,11 @@ from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent
 
-MATCHED = 1
-"""Cell of config.toml with the size of errors that gives the figures of Table 3 before calibration."""
-GROWN = 2
-"""Cell whose errors the figures of Table 4 need."""
-TAKEN_ALONG = 3
-"""So many first cells of config.toml have their instruments taken to the laboratory."""
-TO_THE_LABORATORY = ("eq. 9", "distance")
-"""Methods that are judged there."""
+DRAWN = {
+    "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
+    "laboratory": {"noise_factor": 2.8, "error_factor": 2.8, "prior_factor": 1.0},
+}
+"""The cells whose distributions are drawn: those whose errors give the table's figures."""
 PAPER: dict[str, dict[str, float]] = {
     "workshop": {
         "coordinate_before_max": 149,
@@ -117,50 +97,36 @@ def joined(before: Sequence[dict[str, float]], after: Sequence[dict[str, float]]
     return columns
 
 
-def one_batch(
-    campaign: Campaign,
-    cell: Cell,
-    method: Method,
-    number: int,
-    width: int,
-    others: list[Cell],
-    seed: int,
-    factor: float = 1.0,
-) -> tuple[Columns, list[Columns]]:
-    """A batch of trials: the workshop's figures, then those of every laboratory with the same instruments.
-
-    Priors are stated `factor` times as wide as the errors are drawn.
-    """
-    truth = with_prior(truth_of(cell.scenario, campaign.seed, "campaign"), factor)
-    judge, calibrator = Bench(truth).judge, calibrator_for(method, truth)
-    block = truth.draw(campaign.seed, number, width)
-    found = calibrator.calibrate(block, np.arange(width))
-    names = truth.recording.stations
-    raw = judge.clouds(block.deviation).points
-    corrected = judge.clouds(block.deviation, calibrator.construction, found.values).points
-    here = joined(
-        [workshop_figures(raw[..., i], names) for i in range(width)],
-        [workshop_figures(corrected[..., i], names) for i in range(width)],
-    )
-    there = []
-    for other in others:
-        room = truth_of(other.scenario, seed, "laboratory")
-        grown = block.values * other.scenario.instrument.error_factor
-        elsewhere, bench = same_instrument(room, grown, seed, number), Bench(room).judge
-        names_there = room.recording.targets
-        nominal = [
-            nominal_points(room.state.points, names_there, other.scenario.cmm, seed, "nominal", number, i)
-            for i in range(width)
-        ]
-        raw = bench.clouds(elsewhere.deviation).points
-        corrected = bench.clouds(elsewhere.deviation, calibrator.construction, found.values).points
-        there.append(
-            joined(
-                [laboratory_figures(raw[..., i], nominal[i]) for i in range(width)],
-                [laboratory_figures(corrected[..., i], nominal[i]) for i in range(width)],
-            )
-        )
-    return here, there
+def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], Columns]:
+    """Columns of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
+    ready = Prepared(campaign, cell.scenario, cell.judge)
+    parts: dict[tuple[str, str], list[Columns]] = {}
+    for here, block, numbers in ready.blocks(0, campaign.trials):
+        wanted = np.flatnonzero(numbers < campaign.trials)
+        work = Work(campaign, here.bench, block, ready.elsewhere, wanted, wanted[:0])
+        assert work.new_points is not None
+        assert cell.judge is not None
+        there, elsewhere, _ = work.new_points
+        room = there.truth
+        true = (room.state.points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
+        nominal = {i: nominal_points(*true, int(numbers[i])) for i in wanted}
+        names = here.truth.recording.stations
+        for method, calibrator in zip(campaign.methods, here.calibrators, strict=True):
+            found = calibrator.calibrate(block, wanted)
+            for table, bench, own in (("workshop", here.bench, block), ("laboratory", there, elsewhere)):
+                raw = bench.judge.clouds(own.deviation).points
+                corrected = bench.judge.clouds(own.deviation, calibrator.construction, found.values).points
+                before, after = (
+                    [
+                        workshop_figures(clouds[..., i], names)
+                        if table == "workshop"
+                        else laboratory_figures(clouds[..., i], nominal[i])
+                        for i in wanted
+                    ]
+                    for clouds in (raw, corrected)
+                )
+                parts.setdefault((table, method.title), []).append(joined(before, after))
+    return {place: stacked(own) for place, own in parts.items()}
 
 
 def rows_of(columns: Columns, cell: str, method: str, table: str) -> list[dict[str, object]]:
@@ -190,47 +156,20 @@ def figure_rows(columns: Columns, table: str) -> list[Distribution]:
     return panels
 
 
-def prior_rows(given: Options, campaign: Campaign, cell: Cell, factors: list[float]) -> list[dict[str, object]]:
-    """Table 3 of the cell that matches it, when the priors are stated too narrow, too wide or not at all (1e6)."""
-    rows: list[dict[str, object]] = []
-    for factor in factors:
-        for method in campaign.methods:
-            tasks = [(campaign, cell, method, *block, [], 0, factor) for block in batches(campaign.trials)]
-            columns = stacked([here for here, _ in spread_out(one_batch, tasks, given.jobs)])
-            title = "none" if factor == 1e6 else f"{factor:g} x"
-            rows += [{"prior": title} | row for row in rows_of(columns, cell.title, method.title, "workshop")]
-        tell(f"prior {title}: done")
-    return rows
-
-
 def run(given: Options) -> Made:
-    campaign, cells = cells_of(HERE / "config.toml", given.trials)
-    laboratory, rooms = cells_of(HERE / "laboratory.toml")
-    workshop_table, laboratory_table, drawn = [], [], {}
-    for k, cell in enumerate(cells):
-        for method in campaign.methods:
-            others = rooms if k < TAKEN_ALONG and method.title in TO_THE_LABORATORY else []
-            tasks = [
-                (campaign, cell, method, number, width, others, laboratory.seed)
-                for number, width in batches(campaign.trials)
-            ]
-            parts = spread_out(one_batch, tasks, given.jobs)
-            columns = stacked([here for here, _ in parts])
-            workshop_table += rows_of(columns, cell.title, method.title, "workshop")
-            drawn[k, method.title] = columns
-            for i, room in enumerate(others):
-                there = stacked([part[i] for _, part in parts])
-                drawn[k, f"{method.title}, {room.title}"] = there
-                laboratory_table += [
-                    {"workshop": cell.title} | row for row in rows_of(there, room.title, method.title, "laboratory")
-                ]
-            tell(f"{cell.title}, {method.title}: done")
-    write_table(given.out / "table_3.csv", workshop_table)
-    write_table(given.out / "table_4.csv", laboratory_table)
-    write_figure(given.out / "table_3.svg", distributions(figure_rows(drawn[MATCHED, "eq. 9"], "workshop")))
-    write_figure(
-        given.out / "table_4.svg", distributions(figure_rows(drawn[GROWN, f"eq. 9, {rooms[1].title}"], "laboratory"))
-    )
-    factors = tomllib.loads((HERE / "priors.toml").read_text(encoding="utf-8"))["factors"]
-    write_table(given.out / "priors.csv", prior_rows(given, campaign, cells[MATCHED], factors))
-    return Made(campaign.seed, campaign.trials, {"laboratory_seed": laboratory.seed})
+    file = HERE / "config.toml"
+    campaign, scenarios = load_campaign(file, {} if given.trials is None else {"trials": given.trials})
+    cells = cells_of(campaign, scenarios, file)[1]
+    found = spread_out(figures_of, [(campaign, cell) for cell in cells], given.jobs)
+    for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
+        rows = [
+            row
+            for cell, own in zip(cells, found, strict=True)
+            for method in campaign.methods
+            for row in rows_of(own[table, method.title], cell.levels["title"], method.title, table)
+        ]
+        write_table(given.out / f"{name}.csv", rows)
+        for cell, own in zip(cells, found, strict=True):
+            if {key: cell.levels[key] for key in DRAWN[table]} == DRAWN[table]:
+                write_figure(given.out / f"{name}.svg", distributions(figure_rows(own[table, "eq. 9"], table)))
+    return Made(campaign.seed, campaign.trials)

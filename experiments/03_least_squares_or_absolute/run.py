@@ -2,47 +2,40 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from experiments.common import (
-    HELD_OUT,
+    ERROR,
+    NEW_POINTS,
     Made,
     Options,
-    batches,
-    beside_floor,
-    calibrated,
-    calibrator_for,
-    cells_of,
-    held_out,
-    share_interval,
     spread_out,
     stacked,
     summary,
-    tell,
     write_figure,
     write_table,
 )
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.engine import Calibrated, recording_of
-from ltsim.campaigns.spec import Campaign, Method
+from ltsim.campaigns.rows import Prepared, Work
+from ltsim.campaigns.spec import Campaign, Cell, cells_of, load_campaign
 from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import Construction, misalignment
-from ltsim.pages.figures import Mean, by_setting
+from ltsim.pages.figures import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
-from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent
-
+PERCENT = (0.0, 1.0, 2.0)
+SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
+"""Of an outlier, as a shift at the reflector; larger ones are screened out before any method sees them."""
 MOST_REMOVED = 60
 
 
@@ -52,6 +45,7 @@ class WithoutOutliers:
     def __init__(self, truth: Truth) -> None:
         self.truth = truth
         self.construction: Construction = misalignment()
+        self.effects: tuple[Effect, ...] = ()
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block trial by trial."""
@@ -82,12 +76,12 @@ class WithoutOutliers:
         return float("nan")
 
 
-def with_outliers(truth: Truth, block: Block, law: dict[str, Any], percent: float, seed: int) -> Block:
+def with_outliers(truth: Truth, block: Block, percent: float, seed: int) -> Block:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
-    draw = stream(seed, "outliers", block.number)
+    draw = stream(seed, "outliers", int(block.trials[0]))
     shape = block.deviation.shape
     chance, sign = draw.random(shape), draw.choice([-1.0, 1.0], shape)
-    size = draw.uniform(law["least_um"], law["largest_um"], shape) * MICROMETRE
+    size = draw.uniform(*SIZE, shape)
     sightings = truth.sightings
     across = sightings.range_ * np.cos(sightings.elevation)
     reach = np.stack([np.ones_like(across), across, sightings.range_], axis=1)
@@ -95,40 +89,34 @@ def with_outliers(truth: Truth, block: Block, law: dict[str, Any], percent: floa
     return replace(block, deviation=block.deviation + shift)
 
 
-def one_batch(
-    campaign: Campaign, method: Method | None, law: dict[str, Any], percent: float, number: int, width: int
-) -> dict[str, Floats]:
-    """A batch of trials by one method."""
-    truth = truth_of(cells_of(HERE / "config.toml")[1][0].scenario, campaign.seed, "campaign")
-    block = with_outliers(truth, truth.draw(campaign.seed, number, width), law, percent, campaign.seed)
-    calibrator = WithoutOutliers(truth) if method is None else calibrator_for(method, truth)
-    found, columns = calibrated(truth, calibrator, block)
-    room = truth_of(load_scenario(HELD_OUT), campaign.seed, "held out")
-    return columns | held_out(room, block.values, campaign.seed + 1, number, found, calibrator.construction)
+def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, dict[str, Floats]]:
+    """Columns by method, with a share of outliers."""
+    ready = Prepared(campaign, cell.scenario, cell.judge)
+    parts: dict[str, list[dict[str, Floats]]] = {}
+    for here, clean, numbers in ready.blocks(0, campaign.trials):
+        block = with_outliers(here.truth, clean, percent, campaign.seed)
+        wanted = np.flatnonzero(numbers < campaign.trials)
+        work = Work(campaign, here.bench, block, ready.elsewhere, wanted, wanted[:0])
+        named = {method.title: own for method, own in zip(campaign.methods, here.calibrators, strict=True)}
+        for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
+            columns = work.columns(calibrator)
+            parts.setdefault(title, []).append({name: own[wanted] for name, own in columns.items()})
+    return {title: stacked(own) for title, own in parts.items()}
 
 
 def run(given: Options) -> Made:
-    campaign, _ = cells_of(HERE / "config.toml", given.trials)
-    law = tomllib.loads((HERE / "outliers.toml").read_text(encoding="utf-8"))
-    table, means = [], []
-    methods: list[Method | None] = [*campaign.methods, None]
-    for percent in law["share_percent"]:
-        for method in methods:
-            title = "network, outliers removed" if method is None else method.title
-            tasks = [(campaign, method, law, percent, number, width) for number, width in batches(campaign.trials)]
-            columns = stacked(spread_out(one_batch, tasks, given.jobs))
-            spread = summary(columns["held_out_error_calibrated_um"])
-            setting = f"{percent:g} % outliers"
-            row: dict[str, Any] = {"outliers_percent": percent, "method": title}
-            row |= {f"held_out_error_{name}_um": value for name, value in spread.items() if name != "trials"}
-            row |= beside_floor(columns)
-            kept = share_interval(columns, "held_out_")
-            row |= dict(zip(("held_out_share", "share_low", "share_high"), kept, strict=True))
-            targets = summary(columns["target_error_um"])
-            row |= {f"target_error_{name}_um": targets[name] for name in ("mean", "low", "high")}
-            table.append(row | {"trials": spread["trials"]})
-            means.append(Mean(setting, title, *(spread[k] for k in ("mean", "low", "high", "p5", "p95"))))
-            tell(f"{setting}, {title}: done")
+    file = HERE / "config.toml"
+    campaign, scenarios = load_campaign(file, {} if given.trials is None else {"trials": given.trials})
+    (cell,) = cells_of(campaign, scenarios, file)[1]
+    found = spread_out(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs)
+    table, rows = [], []
+    for percent, methods in zip(PERCENT, found, strict=True):
+        for title, columns in methods.items():
+            new, floor = summary(columns[ERROR]), summary(columns["new_point_error_true_parameters_um"])
+            about = {"outliers_percent": percent, "method": title, "noise_floor_um": floor["mean"]}
+            targets = {"target_error_um": summary(columns["target_error_um"])["mean"]}
+            table.append(about | {f"new_point_{name}": value for name, value in new.items()} | targets)
+            rows.append(Swept(percent, title, "", *(new[k] for k in ("mean", "low", "high", "p5", "p95"))))
     write_table(given.out / "methods.csv", table)
-    write_figure(given.out / "held_out.svg", by_setting(means, label="rms error on held-out points [µm]"))
+    write_figure(given.out / "new_points.svg", by_factor(rows, label=NEW_POINTS, axis="outliers [% of the readings]"))
     return Made(campaign.seed, campaign.trials)

@@ -8,6 +8,7 @@ from ltsim.arrays import Ints
 from ltsim.campaigns.cell import fitted_construction, fitted_effects
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Calibrated, Engine
+from ltsim.campaigns.equation_9 import BatchEquation9
 from ltsim.campaigns.single import Single
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
@@ -44,7 +45,9 @@ def calibrator_of(method: Method, truth: Truth) -> Calibrator:
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
     construction, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
-        return Single(truth, construction, effects, method.method)
+        return Single(truth, construction, effects, method.method, applied=method.applied)
+    if method.method.startswith("equation-9"):
+        return BatchEquation9(truth, construction, method.method.replace("equation-9", "distance"))
     if method.method != "network":
         return BatchDistance(truth, construction, method.method)
     return Engine(truth, construction, effects)

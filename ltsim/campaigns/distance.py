@@ -115,7 +115,7 @@ class BatchDistance:
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; trials with a suspect pointing, or that do not converge, go to the single calibrator."""
-        values, moved = self._squares(block) if self.method == "distance" else self._absolute(block, wanted)
+        values, moved = self._squares(block, wanted) if self.method == "distance" else self._absolute(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
@@ -129,7 +129,7 @@ class BatchDistance:
             status[places] = np.where(one_by_one.status[places] == 0, STATUSES.index("full solver"), 2)
         return found
 
-    def _squares(self, block: Block) -> tuple[Floats, Floats]:
+    def _squares(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
         sets, seen, share, gauge = self._membership

@@ -213,8 +213,18 @@ class Work:
         if self.elsewhere is None:
             return None
         there = Normal(self.campaign.seed, self.block.trials)
-        block = self.elsewhere.truth.drawn(there, self.block.values, apart=JUDGE)
+        block = self.elsewhere.truth.drawn(there, self._drifted(), apart=JUDGE)
         return self.elsewhere, block, self.elsewhere.before(block)
+
+    def _drifted(self) -> Floats:
+        """The instruments' errors (I, p, B) [SI] when they are judged."""
+        values, share = self.block.values, self.campaign.judge_drift
+        if not share:
+            return values
+        population = self.bench.truth.population
+        moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
+        step = Normal(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
+        return values + share * (population.sigma * moves)[:, :, None] * step.reshape(values.shape)
 
     def columns(self, calibrator: Calibrator) -> Columns:
         """The columns of a method that the campaign wants."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration import calibrate_distance
+from ltsim.calibration import calibrate_distance, calibrate_network
 from ltsim.campaigns.engine import CONVERGED, Calibrated, recording_of
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
@@ -24,6 +24,8 @@ class Single:
     construction: Construction
     effects: tuple[Effect, ...]
     method: str
+    applied: bool = False
+    """What is taken out of readings stands in place of the estimates, which keep their sigmas."""
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate the wanted trials of a block."""
@@ -36,7 +38,10 @@ class Single:
         recording = recording_of(self.truth, block, trial)
         adjustment: Adjustment | None = None
         try:
-            if self.method == "network":
+            if self.applied:
+                calibration = calibrate_network(recording, self.construction, advise=False)
+                adjustment, values, sigma = calibration.adjustment, calibration.applied, calibration.sigma
+            elif self.method == "network":
                 adjustment = adjust(recording, self.construction, effects=self.effects)
                 adjustment.solution.require_success()
                 values, sigma = adjustment.state.instrument, network_sigma(adjustment)

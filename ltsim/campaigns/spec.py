@@ -50,8 +50,9 @@ class Method(Section):
 
     name: str = ""
     """What the results call it; the method's own name where it is not given."""
-    method: Literal["network", "distance", "distance-l1"] = "network"
-    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations."""
+    method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
+    """Network adjustment, or the paper's distance objective by least squares or least absolute deviations: over what
+    the readings determine, or its own minimum (`equation-9`)."""
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Which parameters are estimated; `ideal` estimates none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
@@ -62,6 +63,8 @@ class Method(Section):
     """Further effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """All trials of a geometry together, or one after the other."""
+    applied: bool = False
+    """Judge what `ltsim calibrate` takes out of readings in place of the estimates; `single` and network only."""
 
     @property
     def title(self) -> str:
@@ -72,6 +75,8 @@ class Method(Section):
     def _effects_need_the_network(self) -> Method:
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
+        if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
+            raise ValueError("it should be the network with solver single and no effects, where `applied` is judged")
         if self.construction == "ideal" and self.method != "network":
             raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
         return self
@@ -125,6 +130,9 @@ class Campaign(Section):
     """Where methods are judged by points that they were not calibrated on: a scenario (built-in, or a file beside this
     one), measured with the cell's instruments as they truly are in each trial; or a table of points
     (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`), measured from the cell's own stations."""
+    judge_drift: Annotated[float, Field(ge=0)] = 0.0
+    """Until they measure in `judge_in` the instruments' errors but the range scale move by so many of their priors, at
+    random."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes of the scenario for all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
@@ -281,7 +289,9 @@ def cells_of(
 
 def _deciding(campaign: Campaign) -> str:
     """The settings that decide the rows of every cell."""
-    return campaign.model_dump_json(include={"seed", "shard", "geometry", "verify", "methods"}, by_alias=True)
+    return campaign.model_dump_json(
+        include={"seed", "shard", "geometry", "verify", "methods", "judge_drift"}, by_alias=True
+    )
 
 
 def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:

@@ -182,6 +182,8 @@ class Instrument(Section):
     """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the others."""
     error_factor: NonNegative = 1.0
     """How many times the prior the drawn errors are."""
+    prior_factor: Positive = 1.0
+    """How many times the prior the recording states: a maker's figures that are wrong."""
 
     @model_validator(mode="after")
     def _draw_is_a_switch(self) -> Instrument:

@@ -13,7 +13,7 @@ from ltsim.effects.resolution import quantised
 from ltsim.geometry.polar import wrap
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
-from ltsim.recording.setup import Instrument, Limits, Setup, Station, Target
+from ltsim.recording.setup import Instrument, Limits, Prior, Setup, Station, Target
 from ltsim.simulation.balls import balls_of
 from ltsim.simulation.draws import Normal, Population, effect_laws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
@@ -194,9 +194,17 @@ def _data_sheet(tracker: Tracker) -> Instrument:
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
         noise=tracker.noise,
-        prior=tracker.prior,
+        prior=_stated(tracker),
         limits=Limits(elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg),
     )
+
+
+def _stated(tracker: Tracker) -> Prior:
+    """The prior as its maker states it, right or wrong."""
+    kinds = tracker.prior.model_dump(exclude={"parameters"})
+    single = {name: tracker.prior_factor * value for name, value in tracker.prior.parameters.items()}
+    wider = {name: tracker.prior_factor * value for name, value in kinds.items()}
+    return tracker.prior.model_copy(update={**wider, "parameters": single})
 
 
 def _rounded(place: tuple[float, float, float], step: float) -> tuple[float, float, float]:

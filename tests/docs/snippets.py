@@ -55,9 +55,8 @@ def check_page(page: Path, folder: Path) -> int:
     for beside in page.parent.iterdir():
         if beside.suffix == ".csv" or beside.name.startswith("example-"):
             (shutil.copytree if beside.is_dir() else shutil.copy)(beside, folder / beside.name)
-    if page.parent == ROOT:  # a reader of the README stands in the checkout
-        (folder / "docs").mkdir()
-        shutil.copytree(ROOT / "docs" / "how-to", folder / "docs" / "how-to")
+    for room in ("docs", "experiments"):  # a reader's checkout
+        (folder / room).symlink_to(ROOT / room)
     names: dict[str, object] = {"__name__": "__main__"}
     count, printed = 0, None
     for block in blocks(page):

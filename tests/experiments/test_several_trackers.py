@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from experiments.several_trackers import scenario_of
+from tests.experiments.several_trackers import scenario_of
 
 
 def test_the_trackers_take_turns_and_every_setup_shares_reflectors() -> None:

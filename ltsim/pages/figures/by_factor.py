@@ -94,7 +94,7 @@ def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[s
     if joined and not words:
         five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
         ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
-    told = f"{rows[0].line}: mean, 95 % interval".removeprefix(": ")
+    told = (f"{rows[0].line}: mean, 95 % interval" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=MARKERS[k % len(MARKERS)], markersize=4.5,
         linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
@@ -121,4 +121,4 @@ def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, join
         whole = all(level.is_integer() for level in levels)
         ax.xaxis.set_major_locator(MaxNLocator(6, integer=whole))
         return
-    ax.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
+    ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])

@@ -22,7 +22,7 @@ CAP = 30
 
 
 @dataclass(frozen=True)
-class Printed(BatchDistance):
+class BatchEquation9(BatchDistance):
     """The minimum of eq. 9: `method` is `distance` for least squares, `distance-l1` for least absolute deviations."""
 
     @cached_property
@@ -39,17 +39,12 @@ class Printed(BatchDistance):
         """All combinations (q, k) that the objective sees."""
         return self._kept
 
-    def minimum(self, block: Block) -> Floats:
-        """Parameters (I, p, B) [SI] at the minimum."""
-        everyone = np.arange(block.deviation.shape[2])
-        return (self._squares(block) if self.method == "distance" else self._absolute(block, everyone))[0]
-
-    def _squares(self, block: Block) -> tuple[Floats, Floats]:
-        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
+    def _squares(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+        """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas; inf where not wanted."""
         prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
         unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         for _ in range(CAP):
-            active: Ints = np.flatnonzero(moved >= CLOSED)
+            active = wanted[moved[wanted] >= CLOSED]
             if not len(active):
                 break
             residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
@@ -60,8 +55,3 @@ class Printed(BatchDistance):
                 unknowns[:, trial] += step
                 moved[trial] = np.abs(step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
-
-    def reached(self, block: Block, values: Floats) -> Floats:
-        """Eq. 9 (B,) at parameters (I, p, B) [SI]: [m^2], or [m] for absolute deviations."""
-        residual = self._residual(block, values, np.arange(values.shape[2]))
-        return np.sum(residual**2 if self.method == "distance" else np.abs(residual), axis=0)

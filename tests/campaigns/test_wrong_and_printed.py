@@ -1,0 +1,68 @@
+"""What a campaign can also compare: eq. 9 as printed, what is applied, wrong priors, instruments that change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.spec import Campaign, judge_of
+from ltsim.errors import RecordError
+from ltsim.recording.settings import checked
+from ltsim.simulation.scenario import changed, load_scenario
+from ltsim.simulation.simulator import simulate
+
+PAPER = load_scenario("paper-workshop")
+FILE = Path("campaign.toml")
+ERROR = "new_point_error_calibrated_um"
+
+
+def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """Columns as arrays; `key` of the scenario changed."""
+    tables = {"format": "ltsim-campaign/1", "seed": 4, "trials": trials, "methods": methods, "statistics": ["errors"]}
+    made = Campaign.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
+    scenario = changed(PAPER, {key: value}, FILE)
+    table = shard_rows(task_of(made, scenario, "", 0, 0, judge_of(made.judge_in, scenario, FILE)))
+    return {name: np.array(column) for name, column in table.to_pydict().items()}
+
+
+def mean(found: dict[str, Any], column: str, method: str) -> float:
+    return float(np.mean(found[column][found["method"] == method].astype(float)))
+
+
+def test_the_batch_finds_the_minimum_of_equation_9_that_users_find() -> None:
+    found = rows("work.faces", 1, 4, {"method": "equation-9"}, {"method": "equation-9-l1"})
+    gaps = found["full_difference_sigma"].astype(float)
+    assert np.sum(np.isfinite(gaps)) == 4
+    assert np.nanmax(gaps) < 1e-3
+    assert set(found["status"]) == {"converged"}
+
+
+def test_a_wrong_prior_changes_what_is_stated_and_nothing_that_is_true() -> None:
+    wide = changed(PAPER, {"instrument.prior_factor": 100.0}, FILE)
+    (right, truth), (stated, same) = simulate(PAPER, 3), simulate(wide, 3)
+    assert stated.setup.instrument.prior.angle_arcsec == 100 * right.setup.instrument.prior.angle_arcsec
+    assert dict(truth.instrument) == dict(same.instrument)
+    np.testing.assert_array_equal(right.readings, stated.readings)
+
+
+def test_what_is_applied_minds_a_wrong_prior_less_than_the_estimates() -> None:
+    applied = {"name": "applied", "solver": "single", "applied": True}
+    found = rows("instrument.prior_factor", 1000.0, 4, applied, {"name": "estimates"})
+    assert mean(found, ERROR, "applied") < mean(found, ERROR, "estimates")
+
+
+def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None:
+    still, moved = (rows("work.faces", 1, 64, {}, judge_drift=drift) for drift in (0.0, 1.0))
+    np.testing.assert_array_equal(still["error_calibrated_um"], moved["error_calibrated_um"])
+    assert mean(moved, ERROR, "network") > 1.1 * mean(still, ERROR, "network")
+    assert mean(moved, "new_point_error_raw_um", "network") > 1.1 * mean(still, "new_point_error_raw_um", "network")
+
+
+@pytest.mark.parametrize("method", [{"applied": True}, {"applied": True, "solver": "single", "method": "distance"}])
+def test_what_is_applied_is_known_of_single_networks_alone(method: dict[str, Any]) -> None:
+    with pytest.raises(RecordError, match="solver single"):
+        checked({"format": "ltsim-campaign/1", "methods": [method]}, Campaign, "campaign", FILE)
