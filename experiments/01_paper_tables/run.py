@@ -114,8 +114,8 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], Columns]
         for method, calibrator in zip(campaign.methods, here.calibrators, strict=True):
             found = calibrator.calibrate(block, wanted)
             for table, bench, own in (("workshop", here.bench, block), ("laboratory", there, elsewhere)):
-                raw = bench.judge.clouds(own.deviation).points
-                corrected = bench.judge.clouds(own.deviation, calibrator.construction, found.values).points
+                raw = bench.judge.clouds(own.deviation)
+                corrected = bench.judge.clouds(own.deviation, calibrator.construction, found.values)
                 before, after = (
                     [
                         workshop_figures(clouds[..., i], names)

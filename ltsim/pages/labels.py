@@ -36,7 +36,9 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers).reshape(-1, 2) / point
     left, below = ax.get_window_extent().p0 / point
+    right, top = 72.0 * figure.get_size_inches()
     numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
+    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
     taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
     for label in labels:
         half = 0.5 * label.size * np.array([WIDE * len(label.text), HIGH])

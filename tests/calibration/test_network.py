@@ -143,7 +143,7 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
     for seed in range(10):
         truth = drawn(misalignment(), 26, seed)
         truth[at] = 60e-6
-        found = calibrate_network(make(truth, faces=(1, 2), trial=seed), advise=False, weigh=False)
+        found = calibrate_network(make(truth, faces=(1, 2), trial=seed), advise=False)
         told = [note for note in found.notes if "contradict" in note]
         assert told[0].startswith("range-offset is ")
         assert "stated prior of 10 um: the estimate follows the readings" in told[0]
@@ -157,5 +157,5 @@ def test_a_range_offset_of_six_prior_sigmas_is_estimated_as_it_is_and_told(make,
 
 def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
     for seed in range(10):
-        found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False, weigh=False)
+        found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False)
         assert not [note for note in found.notes if "contradict" in note]
