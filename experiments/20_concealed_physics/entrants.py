@@ -65,7 +65,7 @@ def _adjusted(recording: Path, out: Path, *, robust: bool) -> None:
     import ltsim as lt
 
     found = lt.calibrate(str(recording), advise=False, robust=robust)
-    found.to_pandas("targets").to_csv(out / "targets.csv", index=False)
+    found.to_dataframe("targets").to_csv(out / "targets.csv", index=False)
     _verdict(out, float((lt.calibrate(str(recording), advise=False) if robust else found).fit.p_value))
 
 
