@@ -36,6 +36,10 @@ SAID = {
 }
 
 
+COLOURS = ("#1a5a96", "#b8470d", "#4a7c1f", "#6b4c9a", "#4a5056")
+"""Of the entrants, and of what each of them is asked."""
+
+
 def summarise(rows: Sequence[Row]) -> dict[str, Any]:
     """All that the examination asks of one entrant."""
     answered = [r for r in rows if r["answered"]]
@@ -166,6 +170,7 @@ def draw(summaries: dict[str, dict[str, Any]], entrants: dict[str, list[Row]], f
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLOURS)
     figure, (power, stated, errors) = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained")
     name, summary = next(iter(summaries.items()))
     wanted = (("catalogued", "found"), ("catalogued", "named"), ("unknown", "found"), ("unknown", "observable"),
