@@ -365,11 +365,6 @@ def plain(text: str) -> str:
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA) else text
 
 
-def _is_nothing(value: Any) -> bool:
-    """What a person need not be told: no value, an empty text, a flag that is not up."""
-    return value is None or (isinstance(value, str) and not value) or (isinstance(value, bool | np.bool_) and not value)
-
-
 def _kind_of(column: Sequence[Any]) -> Kind:
     first = next((value for value in column if value is not None), None)
     return "flag" if isinstance(first, bool | np.bool_) else "text" if isinstance(first, str) else "number"

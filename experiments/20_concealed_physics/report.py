@@ -170,8 +170,9 @@ def draw(summaries: dict[str, dict[str, Any]], entrants: dict[str, list[Row]], f
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLOURS)
     figure, (power, stated, errors) = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained")
+    for axes in (power, stated, errors):
+        axes.set_prop_cycle(color=COLOURS)
     name, summary = next(iter(summaries.items()))
     wanted = (("catalogued", "found"), ("catalogued", "named"), ("unknown", "found"), ("unknown", "observable"),
               ("unknown", "covariates_or_outside"))  # fmt: skip
