@@ -9,9 +9,9 @@ import numpy as np
 from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.calibrators import calibrator_of
-from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
+from ltsim.campaigns.truth import truth_of
 from ltsim.pages.figures.reflector_changes import reflector_changes
 from ltsim.pages.planned import from_scenario
 from ltsim.planning.changes import Change

@@ -1,53 +1,49 @@
-"""The calibrators of a campaign behind one door: a block of trials in, calibrated trials out."""
+"""The methods of a campaign file as calibrators: a block of trials in, calibrated trials out."""
 
 from __future__ import annotations
 
-from typing import Protocol
-
-from ltsim.arrays import Ints
-from ltsim.campaigns.cell import fitted_construction, fitted_effects
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import Calibrated, Engine
-from ltsim.campaigns.equation_9 import BatchEquation9
-from ltsim.campaigns.single import Single
+from ltsim.campaigns.engine import Calibrator, Engine, Single
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import Block, Truth
+from ltsim.campaigns.truth import Truth
 from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError
-from ltsim.model.construction import Construction
+from ltsim.errors import ModelError, SetupError
+from ltsim.model.construction import Construction, construction, dh
+from ltsim.simulation.physics import effect_from
 
 
-class Calibrator(Protocol):
-    """What a campaign needs of a method."""
+def fitted_construction(method: Method) -> Construction:
+    """The construction whose parameters a method estimates."""
+    if method.construction == "dh":
+        return dh(method.harmonics, method.degree)
+    return construction(method.construction)
 
-    @property
-    def construction(self) -> Construction:
-        """Whose parameters are estimated."""
-        ...
 
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """Further effects that are estimated."""
-        ...
+def fitted_effects(method: Method) -> tuple[Effect, ...]:
+    """The further effects that a method estimates.
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
-        """Calibrate a block; trials that are not wanted may be left out (NaN)."""
-        ...
-
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
-        ...
+    Raises
+    ------
+    SetupError
+        Naming the method's entry and what would be right.
+    """
+    found = []
+    for number, entry in enumerate(method.effects):
+        places = {"stations": entry.stations, "targets": entry.targets}
+        try:
+            found.append(effect_from(entry.name, places, entry.shape))
+        except (ModelError, ValueError, TypeError, KeyError) as problem:
+            raise SetupError(f"methods.{method.title}.effects.{number + 1}: {problem}") from None
+    return tuple(found)
 
 
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
     """The calibrator that a campaign file asks for."""
     if method.method != "network" and not truth.recorded.all():
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
-    construction, effects = fitted_construction(method), fitted_effects(method)
+    built, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
-        return Single(truth, construction, effects, method.method, applied=method.applied)
-    if method.method.startswith("equation-9"):
-        return BatchEquation9(truth, construction, method.method.replace("equation-9", "distance"))
+        return Single(truth, built, effects, method.method, applied=method.applied)
     if method.method != "network":
-        return BatchDistance(truth, construction, method.method)
-    return Engine(truth, construction, effects)
+        return BatchDistance(truth, built, method.method)
+    return Engine(truth, built, effects)

@@ -19,7 +19,7 @@ from typing import Any
 import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
-from ltsim.campaigns.cell import fitted_construction, fitted_effects
+from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
 from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
 from ltsim.campaigns.schema import CellEntry, ManifestFile

@@ -5,8 +5,8 @@ The same quantities as in `ltsim.evaluation`, which judges one recording at a ti
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -23,8 +23,10 @@ from ltsim.campaigns.cloud_kernels import (
     station_means,
     to_network,
 )
+from ltsim.campaigns.engine import Calibrated
 from ltsim.campaigns.kernels import points_of
-from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
@@ -38,18 +40,19 @@ Columns = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges trials of one network."""
+    """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
 
-    recording: Recording
-    """With nominal readings."""
-    state: State
-    """The truth: poses and targets; of trials with geometries of their own, which fix the same frames, a last index is
-    the trial.
-    """
-    program_of: Callable[[Construction], ChainProgram]
-    """Gives the chain of a construction around the nominal readings."""
-    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """(3,): which of range, azimuth and elevation are recorded."""
+    truth: Truth
+
+    @property
+    def recording(self) -> Recording:
+        """With nominal readings."""
+        return self.truth.recording
+
+    @property
+    def state(self) -> State:
+        """The true poses and targets."""
+        return self.truth.state
 
     @cached_property
     def seen(self) -> Bools:
@@ -80,7 +83,7 @@ class Judge:
     @property
     def _whole(self) -> Bools:
         """(n,) pointings with all three readings."""
-        return np.asarray(self.recording.measured.all(axis=1) & self.recorded.all())
+        return np.asarray(self.recording.measured.all(axis=1) & self.truth.recorded.all())
 
     @cached_property
     def _share(self) -> Floats:
@@ -106,9 +109,9 @@ class Judge:
         """
         trials = deviation.shape[2]
         if construction is None or values is None:
-            program, values = self.program_of(ideal()), np.zeros((len(self.recording.instruments), 0, trials))
+            program, values = self.truth.program_of(ideal()), np.zeros((len(self.recording.instruments), 0, trials))
         else:
-            program = self.program_of(construction)
+            program = self.truth.program_of(construction)
         points = np.empty(deviation.shape)
         points_of(program.arrays, self.recording.instrument, deviation, values, points)
         clouds = np.zeros((*self.seen.shape, 3, trials))
@@ -171,3 +174,25 @@ class Judge:
         rigid_fit(truth + points, truth, use, moved)
         count = add_square_error(moved, truth, use, total)
         return MICRO * np.sqrt(total / count)
+
+    def before(self, block: Block) -> Columns:
+        """Columns that all methods share: criteria and error before, error with the true parameters."""
+        raw = self.clouds(block.deviation)
+        perfect = self.clouds(block.deviation, self.truth.construction, block.values)
+        columns: Columns = self.criteria(raw, "before") if self.comparable else {}
+        columns["error_raw_um"] = self.cloud_error(raw)
+        columns["error_true_parameters_um"] = self.cloud_error(perfect)
+        return columns
+
+    def after(
+        self, block: Block, found: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
+    ) -> Columns:
+        """Columns of a method: criteria and errors after its parameters and the effects that it estimated."""
+        deviation = block.deviation
+        if effects:
+            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
+        calibrated = self.clouds(deviation, construction, found.values)
+        columns: Columns = self.criteria(calibrated, "after") if self.comparable else {}
+        columns["error_calibrated_um"] = self.cloud_error(calibrated)
+        columns["target_error_um"] = self.target_error(found.points)
+        return columns

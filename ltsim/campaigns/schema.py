@@ -18,6 +18,8 @@ LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Of the quantiles."""
 
 SUMMARY = "summary.csv"
+CHECKED = "full_difference_sigma"
+"""Column of the trials that were calibrated once more by the full solver."""
 OF_PARAMETER = "of the parameter"
 Errors = Literal["drawn", "stated"]
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
@@ -73,9 +75,7 @@ def _errors(prefix: str, what: str) -> list[RowColumn]:
 
 COLUMNS: tuple[RowColumn, ...] = (
     _column("chi2", "", None, "least sum of squares of the weighted residuals"),
-    _column(
-        "full_difference_sigma", "sigma", None, "largest difference of parameters and targets from the full solver"
-    ),
+    _column(CHECKED, "sigma", None, "largest difference of parameters and targets from the full solver"),
     *_criterion("distance", "the distance criterion: deviations of distances from their mean over stations"),
     *_criterion("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
     *_errors("", BY_READING),

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.calibrators import Calibrator, calibrator_of
-from ltsim.campaigns.engine import Calibrated, Engine, suspects
+from ltsim.campaigns.calibrators import calibrator_of
+from ltsim.campaigns.engine import Calibrated, Calibrator, Engine, suspects
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.kernels import readings_of
 from ltsim.campaigns.network import BatchNetwork, Known, Stacked
@@ -121,7 +121,7 @@ def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
     """Stacks of trials that see the same and can be judged in the same way, with the numbers of their trials."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
-        judge = Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
+        judge = Judge(truth)
         names = truth.recording.stations, truth.recording.targets
         whole = truth.recording.measured.all(axis=0).all()
         pattern = np.sort(_keys(truth)).tobytes() if whole else number

@@ -18,8 +18,7 @@ from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.cube import cube
 from ltsim.campaigns.engine import FAILED
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
-from ltsim.campaigns.rows import CHECKED
-from ltsim.campaigns.schema import LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name

@@ -10,8 +10,7 @@ from types import MappingProxyType
 from matplotlib.figure import Figure
 
 from ltsim.campaigns.paired import errors_of
-from ltsim.campaigns.rows import CHECKED
-from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
+from ltsim.campaigns.schema import CHECKED, SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
 from ltsim.notation import number
 from ltsim.pages import figures
