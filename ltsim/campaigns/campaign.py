@@ -24,7 +24,7 @@ from ltsim.campaigns.design import Factor, label
 from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
 from ltsim.campaigns.schema import CellEntry, ManifestFile
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
-from ltsim.campaigns.stopping import Shard, neighbours, rounds
+from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
 from ltsim.recording.settings import to_toml
@@ -119,7 +119,7 @@ def run_campaign(
             store.begin(manifest, sources)
         store.sweep()
         done, kept = 0, 0
-        for wanted in rounds(campaign, len(cells), neighbours([cell.levels for cell in cells]), store.rows):
+        for wanted in rounds(campaign, len(cells), store.rows):
             waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
             notes += damaged
             done, kept = done + len(waiting), kept + len(wanted) - len(waiting)

@@ -85,17 +85,13 @@ class Method(Section):
 class Stop(Section):
     """When a cell needs no further trials, told after each round from the rows so far: half as many again a round.
 
-    A cell stops when the mean of `statistic` is known `within` its bound for every method. With `apart`, cells that are
-    neighbours (one step along one factor) go on beyond that until the difference of their means, trial by trial on the
-    same draws, is clear of zero or known to `apart`: trials are spent where it is open whether cells differ.
+    A cell stops when the mean of `statistic` is known `within` its bound for every method.
     """
 
     statistic: str = "target_error_um"
     """A column of the rows, or an improvement."""
     within: Positive
     """Half of the 95 % interval of the mean, in the statistic's unit."""
-    apart: Positive | None = None
-    """Half of the interval of a difference between neighbours, in the statistic's unit."""
 
 
 class Campaign(Section):
