@@ -143,12 +143,12 @@ def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
     return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
-def run_task(task: Task) -> bytes:
-    """A shard as the bytes of its file; one thread, so that sums keep their order on any worker."""
+def run_task(task: Task) -> tuple[Task, bytes]:
+    """A shard as the bytes of its file, with its task; one thread, so that sums keep their order on any worker."""
     for kind in task.effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
-        return encoded(shard_rows(task), task.key)
+        return task, encoded(shard_rows(task), task.key)
 
 
 def shard_rows(task: Task) -> pa.Table:

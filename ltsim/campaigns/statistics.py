@@ -157,24 +157,31 @@ class Results(Result):
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
         summary = self.summary
         return {
-            "summary": lambda: _tidy(summary())[1],
+            "summary": self._summary,
             "cells": self._cells().to_pydict,
-            "ends": lambda: self._with_settings(summary()["ends"]),
-            "z_scores": lambda: self._with_settings(summary()["z_scores"]),
+            "ends": lambda: by_row(self._with_settings(summary()["ends"])),
+            "z_scores": lambda: by_row(self._with_settings(summary()["z_scores"])),
             "rows": self._rows,
         }
+
+    def _summary(self) -> Table:
+        """`summary.csv`: a row a cell, method and column."""
+        table = summary_table({factor.name: factor.kind for factor in self.factors})
+        quantiles = table.header[-len(LEVELS) :]
+        rows = self._with_settings(self.summary()["columns"])
+        return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
     def _rows(self) -> Columns:
         rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
         names = [column[0] for column in rows.description]
         return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
-    def _with_settings(self, entries: list[dict[str, Any]]) -> Columns:
-        """Entries of cells as columns, the settings behind the cell's number."""
-        return by_row([{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries])
+    def _with_settings(self, entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Entries of cells, the settings behind the cell's number."""
+        return [{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Rows of any query over `rows` and `cells`.
@@ -214,7 +221,7 @@ class Results(Result):
         """Mean, spread and quantiles of a column in every cell and for every method."""
         name = self._known(column)
         if column in SHARES:
-            return [self._share(column, row) for row in self.query(_SHARE.format(*terms_of(column)))]
+            return self._shares(column)
         found = self.query(
             f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
             f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
@@ -228,13 +235,22 @@ class Results(Result):
             for half in [self.half(count, _number(sd))]
         ]
 
-    def _share(self, column: str, row: tuple[Any, ...]) -> Spread:
-        """A ratio of means with the interval of its linear form (delta method)."""
-        cell, method, count, gained, correctable, by_gained, by_both, by_correctable = row
-        value = gained / correctable if correctable > 0 else math.nan
-        variance = _number(by_gained) - 2 * value * _number(by_both) + value**2 * _number(by_correctable)
-        half = self.half(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
-        return Spread(cell, method, column, count, value, value - half, value + half)
+    def _shares(self, column: str) -> list[Spread]:
+        """Ratios of means with the interval of their linear form (delta method)."""
+        gained, correctable = terms_of(column)
+        rows = self.query(
+            "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
+            f"FROM (SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows) "
+            "WHERE a IS NOT NULL AND b IS NOT NULL GROUP BY cell, method ORDER BY cell, method"
+        )
+        found = []
+        for cell, method, count, above, below, *moments in rows:
+            value = half = math.nan
+            if below > 0:
+                value, (aa, ab, bb) = above / below, map(_number, moments)
+                half = self.half(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
+            found.append(Spread(cell, method, column, count, value, value - half, value + half))
+        return found
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
@@ -340,29 +356,6 @@ def _known(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_known(own) for own in value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def summary_csv(summary: Mapping[str, Any]) -> str:
-    """The content of `summary.csv`: one line a cell, method and column."""
-    table, columns = _tidy(summary)
-    return table.filled(zip(*columns.values(), strict=True)).csv()
-
-
-def _tidy(summary: Mapping[str, Any]) -> tuple[Table, Columns]:
-    """The statistics with the settings of their cells, column by column, and how they are written."""
-    table = summary_table({factor["name"]: factor["kind"] for factor in summary["factors"]})
-    levels = {cell["cell"]: cell["levels"] for cell in summary["cells"]}
-    rows = [entry | levels[entry["cell"]] for entry in summary["columns"]]
-    fixed = {name: [row[name] for row in rows] for name in table.header[: -len(LEVELS)]}
-    quantiles = {name: [row["quantiles"][k] for row in rows] for k, name in enumerate(table.header[-len(LEVELS) :])}
-    return table, fixed | quantiles
-
-
-_SHARE = (
-    "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
-    "FROM (SELECT cell, method, {0} AS a, {1} AS b FROM rows) WHERE a IS NOT NULL AND b IS NOT NULL "
-    "GROUP BY cell, method ORDER BY cell, method"
-)
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:

@@ -92,7 +92,7 @@ def campaign(
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.kernels import compiled_before
     from ltsim.campaigns.spec import load_campaign
-    from ltsim.campaigns.statistics import Results, summary_csv
+    from ltsim.campaigns.statistics import Results
     from ltsim.campaigns.store import Store
 
     folder = out or file.with_suffix("")
@@ -111,7 +111,7 @@ def campaign(
         raise StoppedError(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
     results = Results(folder)
     summary = results.summary()
-    write_text(folder / "summary.csv", summary_csv(summary))
+    write_text(folder / "summary.csv", results.table("summary").csv())
     terminal.answer(summary)
     show(terminal, outcome, results, summary)
     failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
