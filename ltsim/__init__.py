@@ -20,12 +20,13 @@ if TYPE_CHECKING:
     )
     from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
     from ltsim.campaigns.judging import judge as judge
-    from ltsim.campaigns.recovering import recover as recover, recovery_checks as recovery_checks
+    from ltsim.campaigns.recovery import recover as recover
+    from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
     from ltsim.effects.made import Effect as Effect
     from ltsim.effects.verbs import add_effect as add_effect, catalogue as catalogue
-    from ltsim.evaluation.verbs import bench as bench
+    from ltsim.evaluation.bench import bench as bench
     from ltsim.fieldcheck.verbs import check as check
     from ltsim.files import convert as convert, read as read, write as write
     from ltsim.pages.verbs import report as report, view as view
@@ -46,7 +47,8 @@ _ROOMS = {
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
     "campaigns.judging": ("judge",),
-    "campaigns.recovering": ("recover", "recovery_checks"),
+    "campaigns.recovery": ("recover",),
+    "campaigns.recovery_checks": ("recovery_checks",),
     "campaigns.injecting": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),
@@ -54,7 +56,7 @@ _ROOMS = {
     "effects.verbs": ("add_effect", "catalogue"),
     "tasks.verbs": ("compare", "uncertainty"),
     "acceptance.verbs": ("accept",),
-    "evaluation.verbs": ("bench",),
+    "evaluation.bench": ("bench",),
     "fieldcheck.verbs": ("check",),
 }
 """The module that holds each public function."""

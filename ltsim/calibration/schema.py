@@ -12,7 +12,7 @@ from scipy import special
 from ltsim.arrays import Floats
 from ltsim.calibration.known_values import KnownEntry
 from ltsim.chances import p_is
-from ltsim.evaluation.schema import CriterionEntry
+from ltsim.evaluation.criteria import CriterionEntry
 from ltsim.notation import number, with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable

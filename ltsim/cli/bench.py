@@ -13,7 +13,7 @@ from ltsim.cli.terminal import Terminal
 from ltsim.notation import with_sigma
 
 if TYPE_CHECKING:
-    from ltsim.evaluation.schema import BenchFile, EstimateEntry
+    from ltsim.evaluation.bench import BenchFile, EstimateEntry
 
 BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
 ProbeDirection = Annotated[
@@ -41,7 +41,7 @@ def bench(
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
     import ltsim as lt
-    from ltsim.evaluation.schema import BenchFile
+    from ltsim.evaluation.bench import BenchFile
     from ltsim.recording.result_file import write_result
 
     claim(out, BenchFile, force=force)

@@ -32,7 +32,7 @@ def evaluate(
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
     from ltsim.calibration.result import gross_rows
-    from ltsim.evaluation.schema import CriteriaFile
+    from ltsim.evaluation.criteria import CriteriaFile
 
     claim(out, CriteriaFile, force=force)
     recording = reading.open(source, terminal)
@@ -46,7 +46,7 @@ def evaluate(
 
 def show(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
     """Write and print criteria."""
-    from ltsim.evaluation.schema import CriteriaFile
+    from ltsim.evaluation.criteria import CriteriaFile
     from ltsim.recording.result_file import SourceEntry, write_result
 
     content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})

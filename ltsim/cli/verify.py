@@ -35,7 +35,7 @@ def verify(
 
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
-    from ltsim.evaluation.schema import CriteriaFile
+    from ltsim.evaluation.criteria import CriteriaFile
 
     claim(out, CriteriaFile, force=force)
     recording = reading.open(source, terminal)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ltsim.evaluation.clouds import in_first_frame, measured_points, station_mea
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
+from ltsim.recording.result_file import Entry, Known, ResultFile
 from ltsim.results import Column, Result, Table
 from ltsim.units import MICROMETRE
 
@@ -131,6 +132,40 @@ class Criteria(Result):
         if self.distance_to_first is not None:
             entry["distance_to_first"] = self.distance_to_first.as_json()
         return entry
+
+
+class SpreadEntry(Entry):
+    """How far stations disagree [um]."""
+
+    mean_um: Known = None
+    """Mean over pairs or targets."""
+    max_um: Known = None
+    """Largest."""
+
+
+class CriterionEntry(Entry):
+    """A criterion before and after a calibration."""
+
+    before: SpreadEntry = SpreadEntry()
+    """Readings as they are."""
+    after: SpreadEntry = SpreadEntry()
+    """Readings corrected."""
+    improvement_percent: Known = None
+    """Of the mean."""
+
+
+class CriteriaFile(ResultFile):
+    """`criteria.json`: from `evaluate` and `verify`."""
+
+    FILE: ClassVar[str] = "criteria.json"
+    format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
+    """Which format and version this file is in."""
+    distance: CriterionEntry
+    """Deviations of distances from their mean over stations."""
+    coordinate: CriterionEntry
+    """Deviations of coordinates after a rigid fit (eq. 12)."""
+    distance_to_first: CriterionEntry | None = None
+    """Deviations of distances from the first station's (eq. 11)."""
 
 
 def pair_distances(cloud: Floats) -> Floats:

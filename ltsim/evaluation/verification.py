@@ -16,11 +16,18 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.clouds import measured_points, on_points, station_means
 from ltsim.evaluation.criteria import Comparison, Criteria, Differences, pair_distances
-from ltsim.evaluation.schema import NOMINAL
 from ltsim.model.construction import Construction
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_table import ResultTable
+from ltsim.results import numbers, texts
 from ltsim.units import MILLIMETRE
+
+NOMINAL = ResultTable(
+    "nominal.csv",
+    "points of a measuring machine, which `verify` compares with",
+    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:

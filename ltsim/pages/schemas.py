@@ -19,7 +19,9 @@ from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.diagnosis import schema as diagnosis
-from ltsim.evaluation.schema import BENCH, NOMINAL, BenchFile, CriteriaFile
+from ltsim.evaluation.bench import BENCH, BenchFile
+from ltsim.evaluation.criteria import CriteriaFile
+from ltsim.evaluation.verification import NOMINAL
 from ltsim.fieldcheck import files as checks
 from ltsim.planning import schema as plan
 from ltsim.planning.spec import PlanFile
