@@ -32,12 +32,9 @@ AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class Differences:
-    """Sizes of disagreement, one an item."""
+    """Sizes of disagreement (k,) [m]: one a pair of targets for distances, one a target for coordinates."""
 
-    items: np.ndarray
-    """(k, c): which: pairs of targets for distances (c = 2), targets for coordinates (c = 1)."""
     values: Floats
-    """(k,) [m]."""
 
     @property
     def mean(self) -> float:
@@ -176,22 +173,19 @@ def pair_distances(cloud: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Sights:
-    """Some pairs (p, 2) of points, and every observer's distance (q,) [m] between two of them that it sees.
+    """Every observer's distance (q,) [m] between two points that it sees, of some pairs of points."""
 
-    place (q,) is the pair, observer (q,) who sees it, in ascending order.
-    """
-
-    pairs: Ints
+    pairs: int
     place: Ints
     observer: Ints
+    """(q,): which pair, and who sees it, in ascending order."""
     length: Floats
 
     def sum(self, values: Floats, which: Bools) -> tuple[Floats, Ints]:
         """Sum (p,) and number (p,) of some of the values (q,), pair by pair."""
-        place, size = self.place[which], len(self.pairs)
-        total = np.bincount(place, values[which], size).astype(np.float64)
-        count: Ints = np.bincount(place, minlength=size)
-        return total, count
+        place = self.place[which]
+        total = np.bincount(place, values[which], self.pairs).astype(np.float64)
+        return total, np.bincount(place, minlength=self.pairs)
 
 
 def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
@@ -215,7 +209,7 @@ def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
         a, b, s = (np.concatenate(part) for part in (first, second, observer))
         pairs, place = np.unique(a * seen.shape[1] + b, return_inverse=True)
         length = np.linalg.norm(clouds[s, a] - clouds[s, b], axis=1)
-        yield Sights(np.stack(np.divmod(pairs, seen.shape[1]), axis=1), place, s, length)
+        yield Sights(len(pairs), place, s, length)
 
 
 def distance_differences(clouds: Floats) -> Differences:
@@ -231,7 +225,7 @@ def distance_differences(clouds: Floats) -> Differences:
         everywhere = np.ones(len(sights.place), dtype=bool)
         total, count = sights.sum(sights.length, everywhere)
         off, _ = sights.sum(np.abs(sights.length - (total / count)[sights.place]), everywhere)
-        found.append((sights.pairs[count >= 2], (off / count)[count >= 2]))
+        found.append((off / count)[count >= 2])
     return _joined(found)
 
 
@@ -240,17 +234,15 @@ def distance_differences_to_first(clouds: Floats) -> Differences:
     found = []
     for sights in sights_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])]):
         others = sights.observer > 0
-        own = np.zeros(len(sights.pairs))
+        own = np.zeros(sights.pairs)
         own[sights.place[~others]] = sights.length[~others]
         total, count = sights.sum(np.abs(sights.length - own[sights.place]), others)
-        found.append((sights.pairs[count >= 1], total[count >= 1] / count[count >= 1]))
-    pairs = _joined(found)
-    return Differences(np.flatnonzero(np.isfinite(clouds[0, :, 0]))[pairs.items], pairs.values)
+        found.append(total[count >= 1] / count[count >= 1])
+    return _joined(found)
 
 
-def _joined(found: list[tuple[Ints, Floats]]) -> Differences:
-    items = [np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)]
-    return Differences(np.concatenate(items), np.concatenate([np.zeros(0), *(values for _, values in found)]))
+def _joined(found: list[Floats]) -> Differences:
+    return Differences(np.concatenate([np.zeros(0), *found]))
 
 
 def coordinate_differences(placed: Floats) -> Differences:
@@ -266,7 +258,7 @@ def coordinate_differences(placed: Floats) -> Differences:
         total += np.bincount(sights.observer, sights.length, len(total))
         count += np.bincount(sights.observer, minlength=len(total))
     shared = count >= 1
-    return Differences(np.flatnonzero(shared)[:, None], total[shared] / count[shared])
+    return Differences(total[shared] / count[shared])
 
 
 def evaluate(

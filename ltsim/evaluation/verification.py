@@ -55,22 +55,19 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
     """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
-    gap = np.abs(pair_distances(clouds) - pair_distances(nominal))
-    return _over_stations(gap, np.stack(np.triu_indices(len(nominal), k=1), axis=1))
+    return _over_stations(np.abs(pair_distances(clouds) - pair_distances(nominal)))
 
 
 def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
     """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
     placed = np.stack([on_points(cloud, nominal) for cloud in clouds])
-    gap = np.linalg.norm(placed - nominal, axis=2)
-    return _over_stations(gap, np.arange(len(nominal))[:, None])
+    return _over_stations(np.linalg.norm(placed - nominal, axis=2))
 
 
-def _over_stations(gap: Floats, items: np.ndarray) -> Differences:
+def _over_stations(gap: Floats) -> Differences:
     have = np.isfinite(gap)
     count = have.sum(axis=0)
-    seen = count > 0
-    return Differences(items[seen], np.where(have, gap, 0.0).sum(axis=0)[seen] / count[seen])
+    return Differences(np.where(have, gap, 0.0).sum(axis=0)[count > 0] / count[count > 0])
 
 
 def verify(
