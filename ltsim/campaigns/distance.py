@@ -152,13 +152,13 @@ class BatchDistance:
         values = np.zeros((*self.problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(CAP):
-            points_of(self._program.arrays, recording.instrument, deviation, values, points)
+            points_of(self._program, recording.instrument, deviation, values, points)
             clouds = np.zeros((*seen.shape, 3, trials))
             station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
             distance_forces(clouds, seen, gauge, length, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            pull_points(self._program.arrays, *membership, deviation, values, forces, gradient)
+            pull_points(self._program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             values += step.reshape(values.shape) * prior
             moved = np.abs(step).max(axis=0)
@@ -199,7 +199,7 @@ class BatchDistance:
         """The terms of eq. 9 (R, B) of some trials at their parameters (I, p, B)."""
         deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
         points = np.empty(deviation.shape)
-        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        points_of(self._program, self.truth.recording.instrument, deviation, values, points)
         change = self.problem.lengths(points) - self._distances.length[:, None]
         rows, gauge = self._pair_rows, self.problem.gauge
         stated = gauge.whitened(block.gauge_error[:, trials])
@@ -210,7 +210,7 @@ class BatchDistance:
         """The network of the corrected readings."""
         deviation = block.deviation
         points = np.empty(deviation.shape)
-        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        points_of(self._program, self.truth.recording.instrument, deviation, values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         flat = np.hypot(x, y)
         back = (self.truth.recording.face == 2)[:, None]

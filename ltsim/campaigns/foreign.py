@@ -79,9 +79,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
             return None
         try:
             content = json.loads((out / "calibration.json" if out.is_dir() else out).read_text(encoding="utf-8"))
-            listed = {
-                entry["name"]: [entry["value"], entry.get("sigma"), entry["unit"]] for entry in content["parameters"]
-            }
+            listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
         except (OSError, ValueError, KeyError, TypeError) as problem:
             raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
         return _checked(listed, where)

@@ -113,7 +113,7 @@ class Judge:
         else:
             program = self.truth.program_of(construction)
         points = np.empty(deviation.shape)
-        points_of(program.arrays, self.recording.instrument, deviation, values, points)
+        points_of(program, self.recording.instrument, deviation, values, points)
         clouds = np.zeros((*self.seen.shape, 3, trials))
         station_means(points, self.recording.station, self.recording.target, self._share, clouds)
         to_network(clouds, np.ascontiguousarray(self.state.rotation), self.state.position)

@@ -310,7 +310,7 @@ class BatchNetwork:
         pose, points, values, _ = self.split(x)
         by_pose, by_points, by_values, by_extra = self.split(gradient)
         residual = np.empty(deviation.shape)
-        arrays = (self.program.arrays, *self._geometry, deviation, pose, points, values, predicted)
+        arrays = (self.program, *self._geometry, deviation, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self.effects:
             whitened = self._extra_design / self.sigma[:, :, None]

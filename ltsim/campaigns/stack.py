@@ -81,22 +81,17 @@ class Stack(Truth):
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
         return self.gathered(truth.design_of(effects)[..., 0] for truth in self.truths)
 
-    def _flat(self) -> Floats:
-        """All nominal readings (n B, 3)."""
-        return np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
-
-    def _laid_out(self, construction: Construction) -> ChainProgram:
-        return ChainProgram.of(construction, self._flat()).spread(len(self.truths))
-
-    def _by_value_of(self, construction: Construction) -> Floats:
-        """(n, 3, p, B)."""
-        by_value = construction.reading_design(self._flat(), np.zeros(construction.size))[1]
-        return np.ascontiguousarray(np.moveaxis(by_value.reshape(len(self.rows), -1, *by_value.shape[1:]), 1, -1))
+    def _laid_out(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+        """The chain of all trials, and the derivative (n, 3, p, B)."""
+        flat = np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
+        by_value = construction.reading_design(flat, np.zeros(construction.size))[1]
+        apart = np.moveaxis(by_value.reshape(*self.rows.shape, *by_value.shape[1:]), 1, -1)
+        return ChainProgram.of(construction, flat).spread(len(self.truths)), np.ascontiguousarray(apart)
 
     def _exact(self, values: Floats) -> Floats:
-        which = self.recording.instrument
-        deviation = np.einsum("nckb,nkb->ncb", self._by_value, values[which])
-        readings_of(self.program.arrays, which, self.local, self.jacobian, values, deviation)
+        which, (program, by_value) = self.recording.instrument, self.chain_of(self.construction)
+        deviation = np.einsum("nckb,nkb->ncb", by_value, values[which])
+        readings_of(program, which, self.local, self.jacobian, values, deviation)
         return deviation
 
     def draw_trials(self, seed: int, numbers: Ints) -> tuple[Block, tuple[Block, ...]]:
@@ -180,7 +175,7 @@ class StackCalibrator:
     def _together(self, block: Block, found: Calibrated) -> Ints:
         """The batch; which trials it leaves."""
         stack, built = self.stack, self.construction
-        by_value, program = stack.by_value_of(built), stack.program_of(built)
+        program, by_value = stack.chain_of(built)
         parts: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal[:, :, k])

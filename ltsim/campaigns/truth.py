@@ -93,35 +93,30 @@ class Truth:
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
 
     @cached_property
-    def _programs(self) -> list[tuple[Construction, ChainProgram]]:
+    def _chains(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:
         return []
 
-    def program_of(self, construction: Construction) -> ChainProgram:
-        """A construction's chain around the nominal readings, laid out once."""
-        for known, program in self._programs:  # comparing a few is quicker than hashing one
+    def chain_of(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+        """A construction's chain around the nominal readings, and their derivative (n, 3, p) by its parameters."""
+        for known, chain in self._chains:  # comparing a few is quicker than hashing one
             if known == construction:
-                return program
-        self._programs.append((construction, self._laid_out(construction)))
-        return self._programs[-1][1]
+                return chain
+        self._chains.append((construction, self._laid_out(construction)))
+        return self._chains[-1][1]
 
-    def _laid_out(self, construction: Construction) -> ChainProgram:
-        return ChainProgram.of(construction, self.recording.readings)
+    def _laid_out(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+        nominal = self.recording.readings
+        by_value = construction.reading_design(nominal, np.zeros(construction.size))[1]
+        return ChainProgram.of(construction, nominal), by_value
+
+    def program_of(self, construction: Construction) -> ChainProgram:
+        """A construction's chain around the nominal readings."""
+        return self.chain_of(construction)[0]
 
     @property
     def program(self) -> ChainProgram:
         """The true instrument's chain around the nominal readings."""
         return self.program_of(self.construction)
-
-    @cached_property
-    def _by_value(self) -> Floats:
-        return self._by_value_of(self.construction)
-
-    def _by_value_of(self, construction: Construction) -> Floats:
-        return construction.reading_design(self.recording.readings, np.zeros(construction.size))[1]
-
-    def by_value_of(self, construction: Construction) -> Floats:
-        """Derivative (n, 3, p) of the readings by a construction's parameters, at none."""
-        return self._by_value if construction == self.construction else self._by_value_of(construction)
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
@@ -172,13 +167,12 @@ class Truth:
 
     def _exact(self, values: Floats) -> Floats:
         """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""
-        which = self.recording.instrument
-        linear = [self._by_value[which == i] @ own for i, own in enumerate(values)]
+        which, sightings = self.recording.instrument, self.sightings
+        program, by_value = self.chain_of(self.construction)
         deviation = np.empty((len(which), 3, values.shape[2]))
-        for i, part in enumerate(linear):
-            deviation[which == i] = part
-        sightings = self.sightings
-        readings_of(self.program.arrays, which, sightings.local, sightings.jacobian, values, deviation)
+        for i, own in enumerate(values):
+            deviation[which == i] = by_value[which == i] @ own
+        readings_of(program, which, sightings.local, sightings.jacobian, values, deviation)
         return deviation
 
     def _shift(self, place: int, amounts: Floats) -> Floats:
@@ -210,23 +204,11 @@ class Truth:
 def truth_of(
     scenario: Scenario, seed: int, *key: str | int, like: Truth | None = None, plan: Layout | None = None
 ) -> Truth:
-    """The truth of a scenario with its geometry drawn once.
+    """The truth of a scenario with its geometry drawn once; raises SetupError.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    seed : int
-    *key : str or int
-        Of the geometry; without it that of the recording which `simulate` makes.
-    like : Truth, optional
-        Of the same scenario with another geometry; saves stating the set-up anew where the same targets are seen.
-    plan : Layout, optional
-        The scenario's, `ltsim.simulation.workshop.planned`.
-
-    Raises
-    ------
-    SetupError
-        When the scenario asks for something impossible.
+    `key` is of the geometry; without it that of the recording which `simulate` makes. A truth `like` it, of the same
+    scenario with another geometry, saves stating the set-up anew where the same targets are seen; `plan` is the
+    scenario's.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
     if len(read) > 1:
@@ -234,10 +216,12 @@ def truth_of(
     work = fieldwork(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
         raise SetupError("reflectors: trials in batch measure with one ball; give all balls of the scenario one radius")
-    if like is not None and not scenario.lengths and _same_names(work, like):
-        there = replace(like.population, sightings=work.sightings, noise=stated_noise(scenario, work.sightings))
-        state = _start_frame(work, there.mean)
-        return replace(like, recording=_like(work, like), state=state, population=there, work=work)
+    s, known = work.sightings, None if like is None else like.recording
+    if like and known and not scenario.lengths and (s.station_names, s.target_names) == (known.stations, known.targets):
+        pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
+        there = replace(like.population, sightings=s, noise=stated_noise(scenario, s))
+        seen, state = known.replace(**pointings, readings=s.raw, notes=work.notes), _start_frame(work, there.mean)
+        return replace(like, recording=seen, state=state, population=there, work=work)
     recording = error_free(work)
     population = population_of(work, recording)
     return Truth(
@@ -257,24 +241,3 @@ def _start_frame(work: Fieldwork, mean: Floats) -> State:
         return State(s.position, s.rotation, s.points, mean)
     origin, turn = s.position[0], s.rotation[0]
     return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)
-
-
-def _same_names(work: Fieldwork, known: Truth) -> bool:
-    """Whether the same stations see the same targets, between them all."""
-    s, recording = work.sightings, known.recording
-    return (s.station_names, s.target_names) == (recording.stations, recording.targets)
-
-
-def _like(work: Fieldwork, known: Truth) -> Recording:
-    """The recording of another geometry: the same set-up, other pointings."""
-    s = work.sightings
-    return known.recording.replace(
-        station=s.station,
-        target=s.target,
-        face=s.face,
-        repeat=s.repeat,
-        time=s.time,
-        readings=s.raw,
-        covariates=s.covariates,
-        notes=work.notes,
-    )
