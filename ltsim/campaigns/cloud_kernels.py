@@ -83,11 +83,9 @@ def rigid_fit(source: Floats, goal: Floats, use: Bools, moved: Floats) -> None:
     for i in range(len(source)):
         for a in range(3):
             for t in range(trials):
-                x, y, z = (
-                    source[i, 0, t] - middle[0, t],
-                    source[i, 1, t] - middle[1, t],
-                    source[i, 2, t] - middle[2, t],
-                )
+                x = source[i, 0, t] - middle[0, t]
+                y = source[i, 1, t] - middle[1, t]
+                z = source[i, 2, t] - middle[2, t]
                 moved[i, a, t] = aim[a, t] + (turn[a, 0, t] * x + turn[a, 1, t] * y + turn[a, 2, t] * z)
 
 
@@ -111,21 +109,15 @@ def _turn_towards(k: Floats, more: Floats) -> None:
         # Cayley's form is a rotation whatever the angle, and exp to third order.
         f = 1.0 / (1.0 + 0.25 * size)
         d = 1.0 - 0.25 * size
-        more[0, 0, t], more[0, 1, t], more[0, 2, t] = (
-            f * (d + 0.5 * u * u),
-            f * (0.5 * u * v - w),
-            f * (0.5 * u * w + v),
-        )
-        more[1, 0, t], more[1, 1, t], more[1, 2, t] = (
-            f * (0.5 * u * v + w),
-            f * (d + 0.5 * v * v),
-            f * (0.5 * v * w - u),
-        )
-        more[2, 0, t], more[2, 1, t], more[2, 2, t] = (
-            f * (0.5 * u * w - v),
-            f * (0.5 * v * w + u),
-            f * (d + 0.5 * w * w),
-        )
+        more[0, 0, t] = f * (d + 0.5 * u * u)
+        more[0, 1, t] = f * (0.5 * u * v - w)
+        more[0, 2, t] = f * (0.5 * u * w + v)
+        more[1, 0, t] = f * (0.5 * u * v + w)
+        more[1, 1, t] = f * (d + 0.5 * v * v)
+        more[1, 2, t] = f * (0.5 * v * w - u)
+        more[2, 0, t] = f * (0.5 * u * w - v)
+        more[2, 1, t] = f * (0.5 * v * w + u)
+        more[2, 2, t] = f * (d + 0.5 * w * w)
 
 
 @compiled

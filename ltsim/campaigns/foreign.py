@@ -58,10 +58,7 @@ def checked_command(command: str) -> list[str]:
 def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, Estimate] | None:
     """What a calibrator makes of a recording; None where it ends without a result (another status than 0, None).
 
-    Raises
-    ------
-    SetupError, RecordError
-        When it cannot be started, or what it gives is not as documented; `where` is named.
+    Raises SetupError or RecordError, naming `where`, when it cannot be started or gives what is not as documented.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)

@@ -28,8 +28,6 @@ from ltsim.campaigns.kernels import points_of
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
 
 FLAT = 1e-3
 """Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""
@@ -44,22 +42,12 @@ class Judge:
 
     truth: Truth
 
-    @property
-    def recording(self) -> Recording:
-        """With nominal readings."""
-        return self.truth.recording
-
-    @property
-    def state(self) -> State:
-        """The true poses and targets."""
-        return self.truth.state
-
     @cached_property
     def seen(self) -> Bools:
         """(S, T) which station measured which target whole."""
-        seen = np.zeros((len(self.state.position), len(self.state.points)), dtype=np.bool_)
+        seen = np.zeros((len(self.truth.state.position), len(self.truth.state.points)), dtype=np.bool_)
         whole = self._whole
-        seen[self.recording.station[whole], self.recording.target[whole]] = True
+        seen[self.truth.recording.station[whole], self.truth.recording.target[whole]] = True
         return seen
 
     @cached_property
@@ -83,13 +71,13 @@ class Judge:
     @property
     def _whole(self) -> Bools:
         """(n,) pointings with all three readings."""
-        return np.asarray(self.recording.measured.all(axis=1) & self.truth.recorded.all())
+        return np.asarray(self.truth.recording.measured.all(axis=1) & self.truth.recorded.all())
 
     @cached_property
     def _share(self) -> Floats:
         """One over the number of pointings that a pointing's mean is taken over; 0 for one not whole."""
         whole = self._whole
-        key = self.recording.station * len(self.state.points) + self.recording.target
+        key = self.truth.recording.station * len(self.truth.state.points) + self.truth.recording.target
         count = np.bincount(key[whole], minlength=self.seen.size)[key]
         return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
 
@@ -98,25 +86,15 @@ class Judge:
     ) -> Floats:
         """Means (S, T, 3, B) [m] over faces and repeats of the points that readings describe, in the nominal frame.
 
-        Raw without a construction.
-
-        Parameters
-        ----------
-        deviation : (n, 3, B) float
-            Readings less nominal readings.
-        construction, values : (I, p, B)
-            What corrects them.
+        `deviation` (n, 3, B) is readings less nominal readings, corrected by a construction's `values` (I, p, B).
         """
-        trials = deviation.shape[2]
+        recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
-            program, values = self.truth.program_of(ideal()), np.zeros((len(self.recording.instruments), 0, trials))
-        else:
-            program = self.truth.program_of(construction)
-        points = np.empty(deviation.shape)
-        points_of(program, self.recording.instrument, deviation, values, points)
-        clouds = np.zeros((*self.seen.shape, 3, trials))
-        station_means(points, self.recording.station, self.recording.target, self._share, clouds)
-        to_network(clouds, np.ascontiguousarray(self.state.rotation), self.state.position)
+            construction, values = ideal(), np.zeros((len(recording.instruments), 0, trials))
+        points, clouds = np.empty(deviation.shape), np.zeros((*self.seen.shape, 3, trials))
+        points_of(self.truth.program_of(construction), recording.instrument, deviation, values, points)
+        station_means(points, recording.station, recording.target, self._share, clouds)
+        to_network(clouds, np.ascontiguousarray(self.truth.state.rotation), self.truth.state.position)
         return clouds
 
     def criteria(self, clouds: Floats, suffix: str) -> Columns:
@@ -138,7 +116,7 @@ class Judge:
 
     def _truth(self, trials: int) -> Floats:
         """True targets (T, 3, B)."""
-        points = self.state.points
+        points = self.truth.state.points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:

@@ -14,7 +14,7 @@ import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.calibrators import calibrator_of, fitted_effects
+from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, fitted_effects, stacks
 from ltsim.campaigns.columns import (
     effect_columns,
     effect_z_scores,
@@ -30,7 +30,6 @@ from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Calibrator
 from ltsim.campaigns.judge import Columns, Judge
 from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
-from ltsim.campaigns.stack import StackCalibrator, stacks
 from ltsim.campaigns.store import encoded
 from ltsim.campaigns.truth import Block, Truth, truth_of
 from ltsim.effects import CATALOGUE
@@ -248,7 +247,7 @@ class Work:
         if self.new_points is None:
             return {}
         there, block, before = self.new_points
-        nowhere = np.full((*there.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
+        nowhere = np.full((*there.truth.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
         after = there.after(block, replace(found, points=nowhere), calibrator.construction, calibrator.effects)
         return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
 

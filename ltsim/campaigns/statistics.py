@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.cube import cube
-from ltsim.campaigns.engine import FAILED
+from ltsim.campaigns.engine import FAILED, FULL
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
 MOST_EXACT = 50_000_000
-"""Rows whose quantiles are exact: these take all values of a column at once."""
+"""Rows whose quantiles are exact: these take all values of a column at once; of more they come from a t-digest."""
 IMPROVEMENTS = ("distance", "coordinate")
 
 
@@ -205,12 +205,6 @@ class Results(Result):
             raise unknown_name("column of these rows", column, self.columns)
         return f'"{column}"'
 
-    def _quantiles(self, value: str) -> str:
-        """SQL of the quantiles; those of very many rows would not fit into memory and come from a t-digest."""
-        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
-        return f"{kind}({value}, [{', '.join(str(level) for level in LEVELS)}])"
-
     def half(self, count: int, deviation: float) -> float:
         """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""
         stops = bool(self.manifest.settings.get("stop"))
@@ -222,29 +216,28 @@ class Results(Result):
         name = self._known(column)
         if column in SHARES:
             return self._shares(column)
-        found = self.query(
-            f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
-            f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
-            "ORDER BY cell, method"
+        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
+        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
+        what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
+        found = []
+        for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"{name} IS NOT NULL"):
+            half, own = self.half(count, _number(deviation)), (_number(deviation), low, high, tuple(quantiles))
+            found.append(Spread(cell, method, column, count, mean, mean - half, mean + half, *own))
+        return found
+
+    def _each(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
+        """What SQL says of every cell and method, in their order."""
+        return self.query(
+            f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
         )
-        return [
-            Spread(
-                cell, method, column, count, mean, mean - half, mean + half, _number(sd), low, high, tuple(quantiles)
-            )
-            for cell, method, count, mean, sd, low, high, quantiles in found
-            for half in [self.half(count, _number(sd))]
-        ]
 
     def _shares(self, column: str) -> list[Spread]:
         """Ratios of means with the interval of their linear form (delta method)."""
         gained, correctable = terms_of(column)
-        rows = self.query(
-            "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
-            f"FROM (SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows) "
-            "WHERE a IS NOT NULL AND b IS NOT NULL GROUP BY cell, method ORDER BY cell, method"
-        )
+        terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
+        what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
         found = []
-        for cell, method, count, above, below, *moments in rows:
+        for cell, method, count, above, below, *moments in self._each(what, "a IS NOT NULL AND b IS NOT NULL", terms):
             value = half = math.nan
             if below > 0:
                 value, (aa, ab, bb) = above / below, map(_number, moments)
@@ -265,26 +258,16 @@ class Results(Result):
         """Mean, spread and coverage of the z-scores of every parameter."""
         found = []
         for column in (c for c in self.columns if c.startswith("z:")):
-            name = self._known(column)
-            rows = self.query(
-                f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), "
-                f"avg((abs({name}) <= {NORMAL_95})::INT) FROM rows WHERE isfinite({name}) "
-                "GROUP BY cell, method ORDER BY cell, method"
-            )
-            found += [
-                Scores(cell, method, column.removeprefix("z:"), count, mean, _number(deviation), coverage)
-                for cell, method, count, mean, deviation, coverage in rows
-            ]
+            name, parameter = self._known(column), column.removeprefix("z:")
+            what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_95})::INT)"
+            for cell, method, count, mean, deviation, coverage in self._each(what, f"isfinite({name})"):
+                found.append(Scores(cell, method, parameter, count, mean, _number(deviation), coverage))
         return sorted(found, key=lambda s: (s.cell, s.method))
 
     def checked(self) -> list[Checked]:
         """Ends of the trials, and the largest difference from the full solver on the sample that was verified."""
-        rows = self.query(
-            f"SELECT cell, method, count(*), count(*) FILTER (status = '{FAILED}'), "
-            f"count(*) FILTER (status = 'full solver'), count({CHECKED}), max({CHECKED}) "
-            "FROM rows GROUP BY cell, method ORDER BY cell, method"
-        )
-        return [Checked(*row) for row in rows]
+        ended = f"count(*) FILTER (status = '{FAILED}'), count(*) FILTER (status = '{FULL}')"
+        return [Checked(*row) for row in self._each(f"count(*), {ended}, count({CHECKED}), max({CHECKED})")]
 
     def paired(self, statistic: str, **between: tuple[Any, Any]) -> Paired:
         """Differences of a statistic between two methods, or two levels of a factor, on the same draws.

@@ -113,11 +113,6 @@ class Truth:
         """A construction's chain around the nominal readings."""
         return self.chain_of(construction)[0]
 
-    @property
-    def program(self) -> ChainProgram:
-        """The true instrument's chain around the nominal readings."""
-        return self.program_of(self.construction)
-
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
         """Constant part (n, 3) and design (n, 3, q) of each effect; None where it is not linear."""

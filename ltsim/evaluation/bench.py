@@ -154,20 +154,10 @@ def along_beam(angles: Floats) -> Floats:
 
 
 def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchRecord:
-    """A bench recording: a table ``angle_deg,length_um,probe_um``, cells empty where one of them was not read.
+    """A bench recording: a table ``angle_deg,length_um,probe_um``; raises RecordError where it holds too little.
 
-    Parameters
-    ----------
-    path : Path
-    probe_direction : float, [rad]
-        Where the probe stands, from the interferometer, against the way in which the table turns.
-    length_sigma : float, [m]
-        One standard deviation of the interferometer.
-
-    Raises
-    ------
-    RecordError
-        When the file is malformed or holds too little; one sentence.
+    The probe stands at `probe_direction` [rad] from the interferometer, against the way in which the table turns;
+    `length_sigma` [m] is one standard deviation of the interferometer.
     """
     columns = BENCH.read(path)[1]
     angle, length, probe = (columns[name] for name in BENCH.header)

@@ -215,10 +215,8 @@ def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
 def distance_differences(clouds: Floats) -> Differences:
     """Per pair of targets, the mean over stations of |distance - its mean over stations| (section 3.2.1).
 
-    Parameters
-    ----------
-    clouds : (S, T, 3) float, [m]
-        Each station's targets in its own frame; NaN where not seen. Pairs seen by one station are left out.
+    `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN where not seen. Pairs seen by one station
+    are left out.
     """
     found = []
     for sights in sights_of_pairs(clouds):
@@ -248,10 +246,7 @@ def _joined(found: list[Floats]) -> Differences:
 def coordinate_differences(placed: Floats) -> Differences:
     """Per target, the mean over pairs of stations of the distance between its two places (eq. 12).
 
-    Parameters
-    ----------
-    placed : (S, T, 3) float, [m]
-        All stations' targets in one frame; NaN where not seen.
+    `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN where not seen.
     """
     total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
     for sights in sights_of_pairs(np.swapaxes(placed, 0, 1)):
@@ -269,23 +264,12 @@ def evaluate(
     shift: Floats | None = None,
     use: Bools | None = None,
 ) -> Criteria:
-    """The criteria of a recording, before and after calibration.
+    """The criteria of a recording, before and after parameters (p,) or (n, p) [SI] of a construction correct it.
 
-    Parameters
-    ----------
-    recording : Recording
-    construction, values
-        The parameters (p,) or (n, p) [SI] that correct it; without them there is no "after".
-    shift : (n, 3) float, optional [m, rad, rad]
-        What effects that were estimated too change the readings by: "after" takes it out.
-    use : (n,) bool, optional
-        Pointings to use; faces and repeats of a target from a station are averaged.
-
-    Raises
-    ------
-    NetworkError
-        When fewer than two stations share targets, the network is too large to compare every station's cloud, or balls
-        of several radii stood at different places.
+    `shift` (n, 3) [m, rad, rad] is what effects that were estimated too change the readings by: "after" takes it out.
+    Of the pointings in use (n,), faces and repeats of a target from a station are averaged. Raises NetworkError when
+    fewer than two stations share targets, the network is too large to compare every station's cloud, or balls of
+    several radii stood at different places.
     """
     require_one_radius(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)

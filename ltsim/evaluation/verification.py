@@ -31,13 +31,7 @@ NOMINAL = ResultTable(
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:
-    """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; other columns are ignored.
-
-    Raises
-    ------
-    RecordError
-        When the file is missing or malformed; one sentence with row and column.
-    """
+    """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; raises RecordError."""
     names, columns = NOMINAL.read(path)
     points: dict[str, Floats] = {}
     places = np.stack([columns[name] for name in NOMINAL.header[1:]], axis=1) * MILLIMETRE
@@ -76,20 +70,10 @@ def verify(
     construction: Construction | None = None,
     values: Floats | None = None,
 ) -> Criteria:
-    """Errors against nominal points, before and after calibration.
+    """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of the laboratory; another one than that of the calibration.
-    nominal : mapping of str to (3,) float, [m]
-    construction, values
-        The parameters (p,) or (n, p) [SI] to apply; without them there is no "after".
-
-    Raises
-    ------
-    NetworkError
-        When a station saw fewer than three nominal targets.
+    "After" applies parameters (p,) or (n, p) [SI]. Raises NetworkError when a station saw fewer than three nominal
+    targets.
     """
     missing = np.full(3, np.nan)
     goal = np.stack([nominal.get(name, missing) for name in recording.targets])

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.calibrators import calibrator_of
+from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, stacks
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.stack import StackCalibrator, stacks
 from ltsim.campaigns.truth import Truth, truth_of
 from ltsim.errors import NetworkError, SetupError
 from ltsim.evaluation.clouds import on_points

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim.campaigns.calibrators import StackCalibrator, stacks
 from ltsim.campaigns.engine import Calibrated, Engine
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.stack import StackCalibrator, stacks
 from ltsim.campaigns.truth import Truth, truth_of
 from ltsim.model.construction import misalignment
 from ltsim.simulation.scenario import changed, load_scenario
