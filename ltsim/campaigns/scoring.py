@@ -102,8 +102,9 @@ def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float
     beside = np.array([[e.value, e.sigma or np.nan, more[name] / FACTOR[e.unit]] for name, e in fitted.items()])
     beside = beside.reshape(-1, 3).T
     z = plain * (beside[0] - beside[2]) / beside[1]
-    whole = np.concatenate([own, np.vstack([beside, z])], axis=1)
-    return Trial(tuple(found.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values()), *whole, network)
+    value, sigma, right, scores = np.concatenate([own, np.vstack([beside, z])], axis=1)
+    names, shown = tuple(found.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
+    return Trial(names, shown, value, sigma, right, scores, network)
 
 
 def _of_effects(found: Calibration) -> dict[str, Estimate]:

@@ -210,7 +210,7 @@ def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
     found = np.linalg.lstsq(design, table, rcond=None)[0]
     spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     remainder = float(np.sqrt(np.mean((table - design @ found) ** 2)))
-    return Vertex(*found[1:].tolist(), *spread[1:].tolist(), remainder)
+    return Vertex(float(found[1]), float(found[2]), float(spread[1]), float(spread[2]), remainder)
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
