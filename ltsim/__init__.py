@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ltsim.effects.made import Effect as Effect
     from ltsim.effects.verbs import add_effect as add_effect, catalogue as catalogue
     from ltsim.evaluation.verbs import bench as bench
-    from ltsim.fieldcheck.verbs import check as check
+    from ltsim.fieldcheck.check import check as check
     from ltsim.files import convert as convert, read as read, write as write
     from ltsim.pages.verbs import report as report, view as view
     from ltsim.planning.verbs import (
@@ -55,7 +55,7 @@ _ROOMS = {
     "tasks.verbs": ("compare", "uncertainty"),
     "acceptance.verbs": ("accept",),
     "evaluation.verbs": ("bench",),
-    "fieldcheck.verbs": ("check",),
+    "fieldcheck.check": ("check",),
 }
 """The module that holds each public function."""
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

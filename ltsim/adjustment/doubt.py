@@ -89,6 +89,12 @@ def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
+def weaknesses(adjustment: Adjustment) -> tuple[str, ...]:
+    """Sentences: those doubts that are no single value or mistake, for which figures of the network mislead."""
+    kinds = _plan, _undecided, _thin_stations, _held, _bent, _contradiction
+    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
+
+
 def _known(adjustment: Adjustment) -> Iterator[str]:
     """Known values that contradict the rest."""
     told = [test.sentence for test in (*adjustment.wrong, *adjustment.axes) if test.left_out or test.rivals]

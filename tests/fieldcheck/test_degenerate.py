@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.doubt import doubts
 from ltsim.calibration import adjust_network, calibrate_network
 from ltsim.errors import LtsimError
 from ltsim.fieldcheck import check
@@ -84,10 +85,12 @@ def agreed(way: Break, seed: int) -> str:
     recording, state = workshop()
     broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
     said = words(adjust_network, broken)
-    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud; check does not say so yet
-        doubt = adjust_network(broken).verdict.sentence
+    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
+        (doubt,) = doubts(adjust_network(broken).adjustment)
         assert way is on_a_line
         assert "hold its pose so weakly" in doubt
+        assert "hold its pose so weakly" in calibrate_network(broken, advise=False).verdict.sentence
+        assert any(item.sentence == doubt and not item.passed for item in check(broken).items)
         return doubt
     assert words(lambda r: calibrate_network(r, advise=False), broken) == said
     if way is clockwise:  # what is understood is mended by a diagnosis, and said
