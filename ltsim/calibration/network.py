@@ -27,6 +27,7 @@ from ltsim.calibration.result import (
     notes_on_axes,
     notes_on_hand,
     notes_on_modes,
+    notes_on_plan,
     outliers_of,
     stations_of,
     undetermined_of,
@@ -173,6 +174,11 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         known=known_of(adjustment),
         lost_targets=adjustment.lost_targets,
         recording=SourceEntry.of(source),
-        notes=(*notes_on_axes(adjustment), *notes_on_modes(adjustment), *notes_on_hand(adjustment)),
+        notes=(
+            *notes_on_axes(adjustment),
+            *notes_on_modes(adjustment),
+            *notes_on_hand(adjustment),
+            *notes_on_plan(adjustment),
+        ),
         adjustment=adjustment,
     )

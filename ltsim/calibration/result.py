@@ -29,6 +29,7 @@ from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
 MOST_NAMED = 6
+UP = np.array([False, False, True])
 
 
 def gross_rows(recording: Recording) -> Bools:
@@ -64,11 +65,12 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
     """Poses with standard deviations; `covariance` (S, 6, 6), default that of the adjustment."""
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
-    state = adjustment.state
+    state, over = adjustment.state, adjustment.problem.marks.target
+    flat = (over >= 0) & adjustment.open_heights[over]
     return tuple(
         StationPose(
             name=name,
-            position_mm=(state.position[i] / MILLIMETRE).tolist(),
+            position_mm=np.where(flat[i] & UP, np.nan, state.position[i] / MILLIMETRE).tolist(),
             rotation_quaternion=quaternion(state.rotation[i]).tolist(),
             sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
             sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
@@ -265,6 +267,16 @@ def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
         "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "
         "off one plane (approximate_mm, position_mm) would",
     )
+
+
+def notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
+    """Which targets have no height."""
+    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
+    if not names:
+        return ()
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    named = ", ".join(names[:MOST_NAMED])
+    return (f"in plan alone, as no reading tells their height: {named}{more}",)
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from ltsim.calibration.known_values import KnownEntry
 from ltsim.chances import p_is
 from ltsim.evaluation.schema import CriterionEntry
 from ltsim.notation import number, with_sigma
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, known
 from ltsim.recording.result_table import ResultTable
 from ltsim.results import Column, Table, columns_of, numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -30,7 +30,7 @@ COORDINATES = (
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
 TARGETS = ResultTable(
-    "targets.csv", "adjusted targets; those that the readings do not determine have no row", COORDINATES
+    "targets.csv", "adjusted targets; what the readings do not determine has no row, or no height", COORDINATES
 )
 RESIDUALS = ResultTable(
     "residuals.csv",
@@ -146,8 +146,8 @@ class StationPose(Entry):
 
     name: str
     """Its name."""
-    position_mm: Vector
-    """In the frame that the file names."""
+    position_mm: tuple[Known, Known, Known]
+    """In the frame that the file names; no height where it was adjusted in plan only."""
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
     """From instrument to network."""
     sigma_position_mm: tuple[Known, Known, Known] | None = None
@@ -157,8 +157,8 @@ class StationPose(Entry):
 
     @property
     def position(self) -> Floats:
-        """(3,) [m]."""
-        return np.array(self.position_mm) * MILLIMETRE
+        """(3,) [m]; 0 for a height that nothing tells."""
+        return np.nan_to_num(np.array(self.position_mm, dtype=np.float64)) * MILLIMETRE
 
     @property
     def quaternion(self) -> Floats:

@@ -31,7 +31,7 @@ from ltsim.pages.workshop import Sights, Workshop, assemble
 from ltsim.recording import Recording, Setup
 from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.simulation.truth import Truth, read_truth
-from ltsim.units import FACTOR, MILLIMETRE
+from ltsim.units import FACTOR
 
 SETTLED = ("", "converged", "not stated")
 """How a fit may have ended that nobody need worry about."""
@@ -230,10 +230,10 @@ def workshop_of(
         recording.setup if recording is not None else Setup(),
         title=(recording.setup.title if recording is not None else "") or "Calibrated network",
         stations=stations,
-        position=np.array([s.position_mm for s in content.stations], dtype=np.float64) * MILLIMETRE,
+        position=np.array([s.position for s in content.stations]),
         rotation=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
         targets=names,
-        points=points,
+        points=np.nan_to_num(points),
         sights=_sights(residuals, stations, names),
         covariance=_covariance(sigma),
     )
