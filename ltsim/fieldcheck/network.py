@@ -10,6 +10,7 @@ from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
+from ltsim.adjustment.occupations import moved_tripods
 from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
@@ -46,6 +47,10 @@ def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
         at = ", ".join(one.stations)
         items.append(Item.of(at, "mistake", False, one.sentence, targets=one.targets, rows=tuple(one.rows + 1)))
         known[one.rows] = True
+    moved = moved_tripods(plain)
+    if moved is not None:
+        marks = tuple(dict.fromkeys(one.mark for one in moved.found))
+        items.append(Item.of("", "mistake", False, moved.sentence(plain), targets=marks))
     items += [Item.of("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
     if found.solution.converged and found.dof > 0:
         items += [*_of_targets(found, known, family), *_of_levels(found, family)]
