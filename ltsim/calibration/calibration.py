@@ -21,6 +21,7 @@ from ltsim.calibration.schema import (
     RESIDUALS,
     STATIONS,
     TARGETS,
+    AxesEntry,
     Combination as Combination,
     Correction as Correction,
     DeterminedEntry,
@@ -88,6 +89,8 @@ class Calibration(Result):
     """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Measured targets that the readings in use do not determine; they have no coordinates."""
+    axes: AxesEntry | None = None
+    """How well the axes are known, where stated coordinates give them."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters that were not estimated but held at their value."""
     informed: bool = False

@@ -19,6 +19,7 @@ from ltsim.calibration.choice import WIDE, Choice
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
 from ltsim.calibration.known_values import known_of
 from ltsim.calibration.result import (
+    axes_of,
     criteria_of,
     directions_of,
     fit_of,
@@ -173,6 +174,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         noise=noise_of(adjustment),
         known=known_of(adjustment),
         lost_targets=adjustment.lost_targets,
+        axes=axes_of(adjustment),
         recording=SourceEntry.of(source),
         notes=(
             *notes_on_axes(adjustment),

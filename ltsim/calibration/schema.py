@@ -14,7 +14,7 @@ from ltsim.calibration.known_values import KnownEntry
 from ltsim.chances import p_is
 from ltsim.evaluation.schema import CriterionEntry
 from ltsim.notation import number, with_sigma
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, known
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable
 from ltsim.results import Column, Table, columns_of, numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -174,6 +174,17 @@ class StationPose(Entry):
     def sigma_rotation(self) -> Floats:
         """(3,) [rad]; NaN where a file does not say."""
         return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
+
+
+class AxesEntry(Entry):
+    """How well the axes are known that stated coordinates give, by how these fit the network."""
+
+    targets: tuple[str, ...]
+    """Whose coordinates give them."""
+    sigma_position_mm: Vector
+    """Standard deviation of their place, at the middle of these targets."""
+    sigma_rotation_arcsec: Vector
+    """Of their turn about x, y and z; 0 where levels hold it."""
 
 
 class OutlierRow(Entry):
@@ -369,6 +380,8 @@ class CalibrationFile(ResultFile):
     """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
+    axes: AxesEntry | None = None
+    """Of the coordinates, where stated ones give them (`--frame`)."""
     correction: Correction | None = None
     """What of the estimates is worth applying; null where that was not asked."""
     effects: tuple[FittedEffectEntry, ...] = ()
