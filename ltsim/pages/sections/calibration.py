@@ -127,7 +127,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
-    if content.correction is not None:
+    if content.correction is not None and content.correction.uncorrected_um > 0:
         expected = f"{number(content.correction.corrected_um, 2)} um, sigma"
         facts.append(Fact("expected error of a new point, corrected", expected))
     return facts
