@@ -1,7 +1,7 @@
 """Laws of the clock that drifts share: linear in a visit, linear over the campaign, or dying away as a warm-up."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -33,10 +33,22 @@ class Drift(Effect):
     slot: ClassVar[str]
     rate: ClassVar[Parameter]
     amplitude: ClassVar[Parameter]
+    laws: ClassVar[tuple[Law, ...]]
+    """Linear laws that are tried at all stations together: the first, and the others where there are several."""
+    alone: ClassVar[bool] = False
+    """The law of a visit is tried at single stations too."""
 
     def __post_init__(self) -> None:
         chosen = self.amplitude if self.law == "exponential" else self.rate
         object.__setattr__(self, "parameters", (chosen,))
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Linear at all stations, at one alone, and warm-ups."""
+        names = sightings.station_names if len(sightings.station_names) > 1 else ()
+        linear = [cls(law=law) for law in (cls.laws if names else cls.laws[:1])]
+        alone = [cls((name,), law="visit") for name in names if cls.alone]
+        return [*linear, *alone, *(cls(law="exponential", time_constant=float(t)) for t in WARM_UP.grid())]
 
     def progress(self, sightings: Sightings) -> Floats:
         """(n,): the law at each pointing, [s] or dimensionless."""
@@ -50,8 +62,3 @@ class Drift(Effect):
         amount = self.mask(sightings) * self.progress(sightings)
         column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
         return column[:, :, None]
-
-    @classmethod
-    def shapes(cls) -> list[float]:
-        """Time constants [s] that a diagnosis tries."""
-        return [float(t) for t in WARM_UP.grid()]

@@ -1,14 +1,4 @@
-"""Noise level: all readings of a kind scatter more, or less, than the set-up states.
-
-variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
-
-Size: v between -0.5 and 3.
-Like: turbulence (grows with the range), many small effects at once.
-Separate by: repeats: pointings of one target from one station show the noise without any model.
-Valid: factors on the variance from 0.1 up.
-Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
-Status: validated: zero gives the stated variance.
-"""
+"""Noise that is not what the set-up states."""
 
 from dataclasses import dataclass
 
@@ -25,7 +15,17 @@ QUIETER = (-0.35, -0.6, -0.8)
 
 @dataclass(frozen=True)
 class NoiseLevel(NoiseEffect):
-    """Variance added to each observable, over the stated variance."""
+    """Noise level: all readings of a kind scatter more, or less, than the set-up states.
+
+    variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
+
+    Size: v between -0.5 and 3.
+    Like: turbulence (grows with the range), many small effects at once.
+    Separate by: repeats: pointings of one target from one station show the noise without any model.
+    Valid: factors on the variance from 0.1 up.
+    Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
+    Status: validated: zero gives the stated variance.
+    """
 
     name = "noise-level"
     least = -0.95
@@ -46,3 +46,23 @@ class NoiseLevel(NoiseEffect):
         """Variance (n, 3) of the readings."""
         factor = 1.0 + self.mask(sightings)[:, None] * values
         return sigma**2 * np.maximum(factor, LEAST)
+
+
+@dataclass(frozen=True)
+class StationNoise(NoiseLevel):
+    """Noise of one station: an unsteady stand, a fan or the sun makes its readings scatter more than stated.
+
+    variance = sigma^2 (1 + v) at that station.
+
+    Size: v of 0.5 to 10.
+    Like: noise-level (all stations), a target or station that moves often.
+    Separate by: repeats at that station.
+    Valid: white from pointing to pointing.
+    Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
+    Status: validated: zero gives the stated variance, other stations keep theirs.
+    """
+
+    name = "station-noise"
+    least = 0.0
+    covariates = ("place",)
+    scope = "station"
