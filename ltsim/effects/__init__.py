@@ -6,14 +6,13 @@ from ltsim.effects import (
     circles,
     head,
     misalignments,
+    noise,
     ranges,
     reflectors,
-    scatter,
     seats,
     warming,
 )
-from ltsim.effects.card import Card as Card, card_of as card_of
-from ltsim.effects.catalogue import Catalogue, Entry as Entry, effects_in
+from ltsim.effects.catalogue import Card as Card, Catalogue, Entry as Entry, card_of as card_of, effects_in
 from ltsim.effects.effect import (
     Effect as Effect,
     NoiseEffect as NoiseEffect,
@@ -45,7 +44,7 @@ GROUPS: dict[str, tuple[type[Effect], ...]] = {
     "reflector": effects_in(reflectors, seats),
     "time and heat": effects_in(warming),
     "system and gross": effects_in(blunders),
-    "noise": effects_in(scatter),
+    "noise": effects_in(noise),
 }
 """What ships, by group, in the order of the files."""
 

@@ -6,9 +6,8 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.drift import Drift
 from ltsim.effects.effect import Effect, Parameter, Power, ShapeParameter, SlotEffect, Stage, Term, on_readings
-from ltsim.effects.places import gaps_near, start_time, station_change_times
+from ltsim.effects.places import Drift, gaps_near, start_time, station_change_times
 from ltsim.recording.recording import MODE_COLUMN
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, PPM

@@ -6,10 +6,9 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.effects.drift import Drift
 from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage, along_axes
 from ltsim.effects.motions import StationMotion, TargetMotion
-from ltsim.effects.places import start_time
+from ltsim.effects.places import Drift, start_time
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE, MICRORADIAN, PPM
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.resolution import quantised
+from ltsim.effects.noise import quantised
 from ltsim.geometry.polar import wrap
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording

@@ -14,8 +14,7 @@ from types import ModuleType
 import pytest
 
 from ltsim.effects import GROUPS
-from ltsim.effects.card import PARTS, Card
-from ltsim.effects.catalogue import ADDED, SHIPPED, Catalogue
+from ltsim.effects.catalogue import ADDED, PARTS, SHIPPED, Card, Catalogue
 from ltsim.effects.effect import Effect, Parameter, Stage
 from ltsim.effects.head import Backlash
 from ltsim.effects.misalignments import BeamTilt

@@ -19,6 +19,7 @@ from ltsim.effects.blunders import (
 from ltsim.effects.circles import EncoderInterpolation
 from ltsim.effects.head import Backlash
 from ltsim.effects.misalignments import VerticalIndex
+from ltsim.effects.noise import NoiseLevel, StationNoise
 from ltsim.effects.ranges import (
     LONGEST,
     SHORTEST,
@@ -32,7 +33,6 @@ from ltsim.effects.ranges import (
     StationWeather,
 )
 from ltsim.effects.reflectors import SmrCentring, SmrDihedral
-from ltsim.effects.scatter import NoiseLevel, StationNoise
 from ltsim.effects.seats import NestLift, SmrOffset, TargetMoved, Window
 from ltsim.effects.warming import AzimuthDrift, GaugeScale, GaugeShape, IndexDrift, MeshExpansion, StationSettling
 from ltsim.geometry.polar import to_face, to_polar, wrap

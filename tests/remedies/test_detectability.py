@@ -12,8 +12,8 @@ from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.circles import ElevationEccentricity
 from ltsim.effects.head import HeadSag
 from ltsim.effects.misalignments import TransitOffset
+from ltsim.effects.noise import NoiseLevel
 from ltsim.effects.ranges import RangeStep, StationWeather
-from ltsim.effects.scatter import NoiseLevel
 from ltsim.model.construction import misalignment
 from ltsim.planning.detectability import detectability, likeness
 from ltsim.planning.information import LayoutInformation
