@@ -28,7 +28,7 @@ class BearingWobble(Effect):
 
     tilt, order n: w_x + i w_y = (A + i B) exp(i n x), x the raw azimuth, in the base frame;
         Delta_elevation = w_x sin(az) - w_y cos(az), Delta_azimuth = -tan(el) (w_x cos(az) + w_y sin(az)).
-            n = 0 is the station's tilt, n = 1 index and transit tilt; n = -1, 2, 3 are new. Even n is the same on both
+        n = 0 is the station's tilt, n = 1 index and transit tilt; n = -1, 2, 3 are new. Even n is the same on both
         faces.
     radial, order n: the axis shifts by r_x + i r_y = (A + i B) exp(i n x), and D = r.
     transit, order n: the transit axis yaws by A cos(n y) + B sin(n y), y the raw elevation; Delta_azimuth = f eX /
