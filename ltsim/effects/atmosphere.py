@@ -120,19 +120,19 @@ class AirLayer(WarmAir):
         heights = np.linspace(0.0, float(np.ptp(_ends(sightings))), HEIGHTS + 2)[1:-1]
         return [cls(height=float(z), width=w) for z in heights for w in WIDTHS]
 
-    def temperature(self, points: Floats, floor: float) -> tuple[Floats, Floats]:
-        """Temperature (m,) and gradient (m, 3) at points (m, 3) for a step of one kelvin above a floor at z [m]."""
-        from scipy.special import expit
-
-        risen: Floats = expit((points[:, 2] - floor - self.height) / self.width)
-        gradient = np.zeros_like(points)
-        gradient[:, 2] = risen * (1.0 - risen) / self.width
-        return risen, gradient
-
     def field(self, sightings: Sightings) -> AirField:
         """The step of one kelvin above the lowest target or station."""
+        from scipy.special import expit
+
         floor = float(_ends(sightings).min(initial=np.inf))
-        return lambda points: self.temperature(points, floor)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            risen: Floats = expit((points[:, 2] - floor - self.height) / self.width)
+            gradient = np.zeros_like(points)
+            gradient[:, 2] = risen * (1.0 - risen) / self.width
+            return risen, gradient
+
+        return field
 
 
 RING = 8
@@ -206,26 +206,21 @@ class HeatPlume(WarmAir):
         moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
         return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
 
-    def _centre(self, sightings: Sightings) -> Floats:
-        """(3,) [m] in the network frame: from the station where one is named, else from the target."""
+    def field(self, sightings: Sightings) -> AirField:
+        """The plume with a centre warmer by one kelvin: from the station where one is named, else from the target."""
+        anchor = np.zeros(3)
         if self.stations:
             anchor = sightings.position[sightings.station_names.index(self.stations[0])]
         elif self.targets:
             anchor = sightings.points[sightings.target_names.index(self.targets[0])]
-        else:
-            anchor = np.zeros(3)
-        return anchor + np.asarray(self.offset)
+        centre = anchor + np.asarray(self.offset)
 
-    def temperature(self, points: Floats, centre: Floats) -> tuple[Floats, Floats]:
-        """Temperature (m,) and gradient (m, 3) at points (m, 3) for a centre warmer by one kelvin."""
-        arm = points - centre
-        warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
-        return warm, -arm * (warm / self.radius**2)[:, None]
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            arm = points - centre
+            warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
+            return warm, -arm * (warm / self.radius**2)[:, None]
 
-    def field(self, sightings: Sightings) -> AirField:
-        """The plume with a centre warmer by one kelvin."""
-        centre = self._centre(sightings)
-        return lambda points: self.temperature(points, centre)
+        return field
 
 
 @dataclass(frozen=True)
