@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ltsim.planning.planner import Plan
     from ltsim.planning.schema import PlanResult
     from ltsim.planning.survey import Survey
-    from ltsim.planning.whatif import Alternative
+    from ltsim.planning.verbs import Alternative
     from ltsim.recording import Recording
     from ltsim.remedies.next_measurement import NextMeasurement
 

@@ -21,7 +21,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.geometry.rigid import holds_pose, rigid_motion
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
@@ -35,10 +35,14 @@ POSE_SCALE = 1e-5
 
 @dataclass(frozen=True)
 class StationBlocks:
-    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters."""
+    """N set-ups and what each contributes to the normal equations; P = instrument and effect parameters."""
 
     position: Floats
     """(N, 3) [m]."""
+    yaw: Floats
+    """(N,) [rad]."""
+    seen: Bools
+    """(N, T): targets that each measures."""
     held: Bools
     """(N,): whether the targets in sight hold the pose."""
     tt: Floats
@@ -56,6 +60,11 @@ class StationBlocks:
     def joined(cls, parts: Sequence[StationBlocks]) -> StationBlocks:
         """Several sets of set-ups as one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+    def with_station(self, slot: int, other: StationBlocks) -> StationBlocks:
+        """A layout of these set-ups with another one (N = 1) as station `slot`."""
+        stations = np.arange(len(self.position))
+        return self.joined([self, other]).take(np.where(stations == slot, len(stations), stations))
 
 
 @dataclass(frozen=True)
@@ -138,15 +147,6 @@ class Reducer:
         normals = [survey.setup.targets.get(t) for t in survey.target_names]
         missing = (np.nan, np.nan, np.nan)
         normal = np.array([(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64)
-        cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros(count)
-        rotation = np.stack(
-            [
-                np.stack([cosine, -sine, zero], axis=1),
-                np.stack([sine, cosine, zero], axis=1),
-                np.stack([zero, zero, zero + 1.0], axis=1),
-            ],
-            axis=1,
-        )
         return Sightings(
             station=station,
             target=target,
@@ -155,7 +155,7 @@ class Reducer:
             repeat=np.ones(len(station), dtype=np.int64),
             time=slot[station] * visit + at * survey.seconds_per_pointing,
             position=position,
-            rotation=rotation,
+            rotation=np.stack([about_z(float(angle)) for angle in yaw]),
             points=survey.points,
             nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
             reaimed=np.array([n.reaimed if n else True for n in normals], dtype=bool),
@@ -215,7 +215,7 @@ class Reducer:
         flat = x.reshape(count, -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
         held = holds_pose(self.survey.points, seen, self._vertical[at])
-        return StationBlocks(position, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+        return StationBlocks(position, yaw, seen, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
         """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout.
@@ -233,13 +233,6 @@ class Reducer:
             known = np.isfinite(information).all(axis=(1, 2))
             rms[known] = self.target_rms(schur[known], inverse[known], weights[known], self.mesh)
         return Reduced(information, rms)
-
-    def schur(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats]:
-        """Normal matrices (B, K, K) of poses, gauge targets and parameters, all other targets eliminated.
-
-        And the squared lengths (B, K) of the columns before that, by which `marginal` decides rank.
-        """
-        return self.eliminated(blocks, chosen)[:2]
 
     def marginal(self, schur: Floats, length: Floats) -> Floats:
         """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated.

@@ -10,10 +10,9 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
-from ltsim.planning.floor import ground_of
-from ltsim.planning.placement import Placement
+from ltsim.planning.floor import grid_step, ground_of, may_stand, over
 from ltsim.planning.points import Point
-from ltsim.planning.site import FEWEST, grid_step, may_stand, over
+from ltsim.planning.site import FEWEST, Placement
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.scenario import FORMAT, Scenario, scenario_from
 from ltsim.simulation.sections import Station, Target

@@ -49,9 +49,8 @@ class PlaceTable:
         slots = np.arange(count)
         only = seen.copy()
         only[:, kept:] = False
-        base, length = (
-            a[0] for a in reducer.schur(reducer.blocks(survey.position, survey.yaw, slots, only), slots[None])
-        )
+        alone = reducer.blocks(survey.position, survey.yaw, slots, only)
+        base, length = (block[0] for block in reducer.eliminated(alone, slots[None])[:2])
         t, v = reducer.rows(survey.position, survey.yaw, slots)
         shape = (count, kept + len(places), 3 * len(survey.faces))
         weight = np.sqrt(survey.repeats) * seen[:, kept:, None, None]

@@ -12,9 +12,8 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
-from ltsim.planning.floor import ground_of
+from ltsim.planning.floor import Area, ground_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.outlines import Area
 from ltsim.planning.site import Site
 from ltsim.planning.spec import WALLS, PlanFile, Surface
 from ltsim.planning.survey import Survey

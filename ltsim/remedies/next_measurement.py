@@ -36,8 +36,8 @@ Progress = Callable[[str, float], None]
 """Told what is being done and which share of it is done."""
 
 
-def quiet(_what: str, _share: float) -> None:
-    """No progress is shown."""
+def quiet(*_told: object) -> None:
+    """Nobody is told."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.errors import SetupError
-from ltsim.planning.sights import most_sights, with_reachable_sights
+from ltsim.planning.making import most_sights, with_reachable_sights
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile, Stations, load_plan
 from ltsim.planning.workshop import site_of
