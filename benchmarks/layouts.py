@@ -21,8 +21,8 @@ from multiprocessing.synchronize import Barrier
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ltsim.planning.loading import load_plan
 from ltsim.planning.search import Searcher
-from ltsim.planning.spec import load_plan
 from ltsim.planning.workshop import objective_of, site_of
 from ltsim.randomness import stream
 

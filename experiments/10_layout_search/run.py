@@ -19,11 +19,12 @@ from ltsim.planning.criteria import a_criterion, d_criterion, e_criterion, g_cri
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
 from ltsim.planning.search import Searcher
-from ltsim.planning.spec import PlanFile, load_plan
+from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
 from ltsim.randomness import stream

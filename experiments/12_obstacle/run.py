@@ -11,9 +11,9 @@ from ltsim.pages.planned import from_scenario
 from ltsim.planning.criteria import d_criterion
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.planner import Plan
-from ltsim.planning.spec import load_plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import Scenario

@@ -84,8 +84,8 @@ def plan(
 
     Example: ltsim plan paper-workshop --out my-plan
     """
+    from ltsim.planning.loading import plan_names, plan_text
     from ltsim.planning.schema import NEXT, TABLES, NextFile, PlanResult
-    from ltsim.planning.spec import plan_names, plan_text
 
     if after is not None:
         if source is not None:

@@ -16,9 +16,9 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, misalignment
+from ltsim.planning.schema import ParameterEntry
 from ltsim.planning.survey import Survey
-from ltsim.remedies.determining import determining
-from ltsim.remedies.undetermined import Direction, gains, undetermined
+from ltsim.remedies.undetermined import Direction, determining, gains, undetermined
 from ltsim.solve.design import as_dense
 
 
@@ -95,8 +95,7 @@ class LayoutInformation:
 
     def cures(self) -> list[str]:
         """A sentence for each undetermined combination: what would determine it."""
-        sentences = determining(self.adjustment, self.construction, [self.undetermined])
-        return list(sentences[0])
+        return determining(self.adjustment, self.construction, [self.undetermined])[0]
 
     @cached_property
     def _inner(self) -> Adjustment:
@@ -143,17 +142,17 @@ class LayoutInformation:
         """[m] root mean square point error over all targets, weighted as the survey says."""
         return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
 
-    def parameters(self) -> list[dict[str, object]]:
+    def parameters(self) -> list[ParameterEntry]:
         """One row a parameter, in the unit a person reads it in."""
-        rows: list[dict[str, object]] = []
-        for p, sigma, prior in zip(self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True):
-            rows.append(
-                {
-                    "name": p.name,
-                    "unit": p.unit,
-                    "sigma": float(sigma / p.factor),
-                    "prior_sigma": float(prior / p.factor),
-                    "gain": float(1.0 - (sigma / prior) ** 2),
-                }
+        return [
+            ParameterEntry(
+                name=p.name,
+                unit=p.unit,
+                sigma=float(sigma / p.factor),
+                prior_sigma=float(prior / p.factor),
+                gain=float(1.0 - (sigma / prior) ** 2),
             )
-        return rows
+            for p, sigma, prior in zip(
+                self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True
+            )
+        ]

@@ -162,6 +162,17 @@ class Survey:
             rank=None if self.rank is None else self.rank[keep],
         )
 
+    def only(self, targets: Bools) -> Survey:
+        """The survey with some of its targets only."""
+        if targets.all():
+            return self
+        return self.replace(
+            target_names=tuple(n for n, k in zip(self.target_names, targets, strict=True) if k),
+            points=self.points[targets],
+            seen=self.seen[:, targets],
+            rank=None if self.rank is None else np.argsort(np.argsort(self.rank[:, targets], axis=1), axis=1),
+        )
+
     def replace(self, **changes: Any) -> Survey:
         """A copy with some fields changed."""
         return replace(self, **changes)

@@ -19,8 +19,7 @@ from ltsim.planning.spec import WALLS, PlanFile, Surface
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
 from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.scene.meshes import walls
-from ltsim.scene.nests import nest_places
+from ltsim.scene.meshes import nest_places, walls
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate

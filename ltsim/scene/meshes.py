@@ -1,4 +1,4 @@
-"""Obstacles: what stands between a station and a target, and where no station can stand.
+"""Obstacles: what stands between a station and a target, where no station can stand, and where nests can be mounted.
 
 Embree (the extra `cad`) casts the rays in single precision; rays that pass close to an edge, where it may err either
 way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
@@ -16,6 +16,7 @@ import trimesh
 
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.rotations import about_z, perpendicular
+from ltsim.randomness import stream
 
 GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
@@ -23,6 +24,15 @@ END = 1e-6
 CHUNK = 2_000_000
 SIDES = 64
 """Of a cylinder: 0.1 % more than its diameter at the corners."""
+FOOT = 0.025
+"""[m] from the middle of a nest to the rim of its foot."""
+UNEVEN = 0.002
+"""[m] that the surface may deviate from a plane under the foot."""
+STEEPEST = -0.5
+"""Height of the normal under which a face looks down too much: nobody hangs a nest under a body."""
+DENSE = 12.0
+"""Places that are drawn for every square of the wanted distance, before the near ones are dropped."""
+MOST_DRAWN = 20_000
 
 
 @dataclass(frozen=True)
@@ -148,3 +158,67 @@ def walls(size: Floats) -> Floats:
 def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
     """Obstacles of several sets of triangles."""
     return Obstacles(np.concatenate([np.zeros((0, 3, 3)), *parts]), floor)
+
+
+def nest_places(
+    body: Floats, reach: float, apart: float, around: Obstacles | None = None, *, closed: bool = True
+) -> Floats:
+    """Places (P, 3) [m] of reflectors on a body's surfaces.
+
+    Parameters
+    ----------
+    body : (m, 3, 3) float, [m]
+        Its triangles.
+    reach : float, [m]
+        Height of a reflector's centre over the surface.
+    apart : float, [m]
+        Least distance between two places.
+    around : Obstacles, optional
+        Everything that stands there: no place lies in it.
+    closed : bool
+        The outer side is found, whatever way the triangles are wound; of open surfaces it is that of their normals.
+    """
+    drawn, normal = _drawn(body, apart)
+    own = Obstacles(body)
+    if closed:
+        normal[own.holds(drawn + reach * normal)] *= -1.0
+    places = drawn + reach * normal
+    good = normal[:, 2] > STEEPEST
+    good &= ~(closed & own.holds(places))
+    if around is not None:
+        good &= ~around.holds(places)
+    good[good] = _flat(own, places[good], normal[good], reach)
+    return _spread(places[good], apart)
+
+
+def _drawn(body: Floats, apart: float) -> tuple[Floats, Floats]:
+    """Points spread evenly by chance over triangles, and their normals (n, 3)."""
+    cross = np.cross(body[:, 1] - body[:, 0], body[:, 2] - body[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    area = 0.5 * float(size.sum())
+    rng = stream(0, "nests")
+    count = int(np.clip(DENSE * area / apart**2, 200, MOST_DRAWN))
+    face = rng.choice(len(body), size=count, p=size / size.sum())
+    root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = np.moveaxis(body[face], 1, 0)
+    return (1 - root) * a + root * (1 - share) * b + root * share * c, cross[face] / size[face, None]
+
+
+def _flat(own: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
+    """(n,): around the foot of a nest the surface lies where the nest needs it."""
+    side, other = perpendicular(normal)
+    good = np.ones(len(places), dtype=bool)
+    for shift in (side, -side, other, -other):
+        rim = places + FOOT * shift
+        good &= own.blocked(rim, rim - (reach + UNEVEN) * normal)
+        good &= ~own.blocked(rim, rim - (reach - UNEVEN) * normal)
+    return good
+
+
+def _spread(places: Floats, apart: float) -> Floats:
+    """Those that keep their distance from the ones before them."""
+    kept: list[int] = []
+    for i, place in enumerate(places):
+        if not kept or np.linalg.norm(places[kept] - place, axis=1).min() >= apart:
+            kept.append(i)
+    return places[kept]

@@ -12,8 +12,7 @@ from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.planning.files import plan_file
 from ltsim.planning.floor import Floor, fault, ground_of, inside, may_stand
-from ltsim.planning.points import read_points
-from ltsim.planning.spec import load_plan
+from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.tolerances import radius
 from ltsim.planning.work_order import settings_of
 from ltsim.scene.meshes import cylinder, together
