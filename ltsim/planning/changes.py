@@ -57,15 +57,7 @@ class Changes:
 def reflector_changes(
     site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Changes:
-    """Try every move, addition and removal of one reflector.
-
-    Parameters
-    ----------
-    site : Site
-        Its candidate places are those to move to.
-    stays : (T,) bool
-        Targets that stay: no change of theirs is tried.
-    """
+    """Try every move, addition and removal of one reflector, but of those that stay (T,); places are the site's."""
     if stays.all() and site.nests is None:
         return Changes((), dict.fromkeys(("move", "add", "remove"), 0), dict.fromkeys(("move", "add", "remove"), 0))
     return _Trial(Choice.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()

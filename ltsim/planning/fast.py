@@ -138,52 +138,55 @@ class Reducer:
     def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
         """One pointing of every target on each face from each of N set-ups; `slot` is the station they stand for."""
         survey = self.survey
-        count, targets, faces = len(position), len(survey.points), np.array(survey.faces)
-        station, target, face = (
-            axis.ravel() for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
-        )
-        at = survey.turn(slot[station], target, face)
-        visit = survey.seconds_per_move + targets * len(faces) * survey.seconds_per_pointing
-        normals = [survey.setup.targets.get(t) for t in survey.target_names]
-        missing = (np.nan, np.nan, np.nan)
-        normal = np.array([(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64)
+        axes = np.arange(len(position)), np.arange(len(survey.points)), np.array(survey.faces)
+        station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        turn = survey.turn(slot[station], target, face)
+        visit = survey.seconds_per_move + len(survey.points) * len(survey.faces) * survey.seconds_per_pointing
+        nests = [survey.setup.targets.get(name) for name in survey.target_names]
+        stated = [(nest and nest.nest_normal) or (np.nan, np.nan, np.nan) for nest in nests]
+        normal = np.array(stated, dtype=np.float64)
         return Sightings(
             station=station,
             target=target,
             instrument=np.zeros(len(station), dtype=np.int64),
             face=face,
             repeat=np.ones(len(station), dtype=np.int64),
-            time=slot[station] * visit + at * survey.seconds_per_pointing,
+            time=slot[station] * visit + turn * survey.seconds_per_pointing,
             position=position,
             rotation=np.stack([about_z(float(angle)) for angle in yaw]),
             points=survey.points,
             nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            reaimed=np.array([n.reaimed if n else True for n in normals], dtype=bool),
+            reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
             station_names=tuple(survey.station_names[s] for s in slot),
             target_names=survey.target_names,
         )
 
-    def rows(self, position: Floats, yaw: Floats, slot: Ints) -> tuple[Floats, Floats]:
-        """Whitened derivatives by the target and by the parameters of set-ups, in the order of `sightings`.
+    def rows(self, position: Floats, yaw: Floats, slot: Ints, seen: Bools) -> tuple[Floats, Floats]:
+        """Whitened rows of N set-ups: (N, T, r, 3) by the target, (N, T, r, 6 + P) by pose and parameters.
 
-        Effects that count time from the start of the work see the first station too.
+        They are zero for what is not `seen` (N, T). Effects that count time from the start of the work see the first
+        station too.
         """
-        if not self.effects or slot.min() == 0:
-            return self._rows(self.sightings(position, yaw, slot))
-        whole = self.sightings(np.r_[position[:1], position], np.r_[yaw[:1], yaw], np.r_[0, slot])
-        by_target, by_value = self._rows(whole)
-        own = len(self.survey.points) * len(self.survey.faces)
-        return by_target[own:], by_value[own:]
+        if self.effects and slot.min() > 0:
+            first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
+            whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, slot), strict=True))
+            by_target, by_value = self._derivatives(self.sightings(*whole))
+            own = len(self.survey.points) * len(self.survey.faces)
+            by_target, by_value = by_target[own:], by_value[own:]
+        else:
+            by_target, by_value = self._derivatives(self.sightings(position, yaw, slot))
+        weight = (np.sqrt(self.survey.repeats) * seen)[:, :, None, None]
+        shape = (*seen.shape, 3 * len(self.survey.faces))
+        t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
+        turned = t @ cross_matrix(self.survey.points[None] - position[:, None])
+        return t, np.concatenate([-t, turned, v], axis=3)
 
-    def _rows(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
-        values = np.zeros(self.construction.size)
-        by_point, by_value = self.construction.reading_design(sightings.raw, values)
-        rotation = sightings.rotation[sightings.station]
-        by_target = by_point @ np.swapaxes(rotation, 1, 2)
+        by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
+        by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
         designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
-        noise = [self.survey.setup.instrument.noise]
-        sigma = white_noise_sigma(sightings, noise)
+        sigma = white_noise_sigma(sightings, [self.survey.setup.instrument.noise])
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + self.survey.air.variance(sightings))
         white = (self._use / sigma)[:, :, None]
@@ -194,37 +197,19 @@ class Reducer:
     ) -> StationBlocks:
         """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
 
-        Parameters
-        ----------
-        slot : (N,) int, optional
-            Which station of the layout each stands for (its time and name, for effects that know them).
-        seen : (N, T) bool, optional
-            Targets that each measures; default all.
+        `slot` (N,) is the station of the layout that each stands for (its time and name, for effects that know them),
+        `seen` (N, T) what it measures; default all.
         """
-        count, targets = len(position), len(self.survey.points)
-        at = np.zeros(count, dtype=np.int64) if slot is None else slot
-        by_target, by_value = self.rows(position, yaw, at)
-        seen = np.ones((count, targets), dtype=bool) if seen is None else seen
-        weight = np.sqrt(self.survey.repeats) * seen
-        shape = (count, targets, 3 * len(self.survey.faces))
-        t = by_target.reshape(*shape, 3) * weight[:, :, None, None]
-        v = by_value.reshape(*shape, -1) * weight[:, :, None, None]
-        arm = self.survey.points[None] - position[:, None]
-        turned = t @ cross_matrix(arm)
-        x = np.concatenate([-t, turned, v], axis=3)
-        flat = x.reshape(count, -1, x.shape[3])
+        at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
+        seen = np.ones((len(position), len(self.survey.points)), dtype=bool) if seen is None else seen
+        t, x = self.rows(position, yaw, at, seen)
+        flat = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
         held = holds_pose(self.survey.points, seen, self._vertical[at])
         return StationBlocks(position, yaw, seen, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
-        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout.
-
-        Parameters
-        ----------
-        targets : bool
-            Also the targets' point error.
-        """
+        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout; and target errors."""
         schur, length, inverse, weights = self.eliminated(blocks, chosen)
         information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
         held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])

@@ -111,7 +111,7 @@ def _expected(e: Expected) -> dict[str, Any]:
 
 
 def _places(survey: Survey) -> list[dict[str, Any]]:
-    """The stations of a survey as `PlaceEntry` has them."""
+    """The stations of a survey as a `StationEntry` begins."""
     return [
         {"name": name, "position_mm": _millimetres(place), "yaw_deg": _degrees(yaw)}
         for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
@@ -182,61 +182,52 @@ def planned_scenario(plan: Plan) -> Scenario:
 
 def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
     """A scenario with the stations, reflectors and way of working of a survey."""
-    stations = {}
-    for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True):
-        kept = scenario.stations.get(name)
-        levelled = kept is not None and kept.levelled
-        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=_degrees(yaw), levelled=levelled)
+    levelled = {name for name, station in scenario.stations.items() if station.levelled}
+    stations = {
+        place["name"]: Station(
+            position_mm=place["position_mm"], yaw_deg=place["yaw_deg"], levelled=place["name"] in levelled
+        )
+        for place in _places(survey)
+    }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
         name: scenario.targets.get(name) or Target(position_mm=_millimetres(place, 3))
         for name, place in zip(survey.target_names, survey.points, strict=True)
         if name not in fixed
     }
-    work = scenario.work.model_copy(
-        update={
-            "faces": len(survey.faces),
-            "repeats": survey.repeats,
-            "seconds_per_pointing": survey.seconds_per_pointing,
-            "minutes_per_move": survey.seconds_per_move / 60.0,
-        }
-    )
+    way = {
+        "faces": len(survey.faces),
+        "repeats": survey.repeats,
+        "seconds_per_pointing": survey.seconds_per_pointing,
+        "minutes_per_move": survey.seconds_per_move / 60.0,
+    }
+    work = scenario.work.model_copy(update=way)
     return scenario.model_copy(
         update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
     )
 
 
 def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """The scenario with its CAD files named from its own folder, and these files by name.
-
-    Raises
-    ------
-    SetupError
-        When one of them cannot be read.
-    """
+    """The scenario with its CAD files named from its own folder, and these files by name; raises SetupError."""
     names: dict[str, str] = {}
     found: dict[str, bytes] = {}
-    obstacles = []
-    for entry in scenario.workshop.obstacles:
-        if entry.file is not None and entry.file not in names:
-            own = Path(entry.file).name
-            names[entry.file] = own if own not in found else f"{len(found) + 1}-{own}"
-            try:
-                found[names[entry.file]] = Path(entry.file).read_bytes()
-            except OSError as problem:
-                raise SetupError(f"{entry.file}: cannot be read ({problem.strerror})") from None
-        obstacles.append(entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]}))
-    room = scenario.workshop.model_copy(update={"obstacles": tuple(obstacles)})
+    for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):
+        own = Path(path).name
+        names[path] = own if own not in found else f"{len(found) + 1}-{own}"
+        try:
+            found[names[path]] = Path(path).read_bytes()
+        except OSError as problem:
+            raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
+    obstacles = tuple(
+        entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]})
+        for entry in scenario.workshop.obstacles
+    )
+    room = scenario.workshop.model_copy(update={"obstacles": obstacles})
     return scenario.model_copy(update={"workshop": room}), found
 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan and its scenario from a plan file, a scenario, or a folder that `ltsim plan` wrote, with its stations.
-
-    Raises
-    ------
-    SetupError, RecordError
-    """
+    """A plan and its scenario from a plan file, a scenario, or a folder that `ltsim plan` wrote, with its stations."""
     folder = Path(source)
     if not folder.is_dir():
         return load_plan(source)

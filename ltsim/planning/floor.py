@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section
-from ltsim.scene.visibility import Blocker
+from ltsim.scene.meshes import Obstacles
 from ltsim.units import MILLIMETRE
 
 Corner = tuple[Finite, Finite]
@@ -98,17 +98,8 @@ def ground_of(
 ) -> tuple[tuple[Area, ...], tuple[KeepOut, ...]]:
     """Areas where tripods may stand and what is kept free in them [m].
 
-    Parameters
-    ----------
-    size_mm : (float, float, float)
-        Of the room.
-    heights : (float, float), [m]
-        Of heads, where neither the floor nor the area states them.
-
-    Raises
-    ------
-    SetupError
-        In one sentence, for an outline that crosses itself, leaves the room, or a ceiling too low for any head.
+    `size_mm` is that of the room; `heights` [m] are those of heads, where neither the floor nor the area states them.
+    Raises SetupError for an outline that crosses itself or leaves the room, or a ceiling too low for any head.
     """
     mm = MILLIMETRE
     usual = heights if floor.height_mm is None else (floor.height_mm[0] * mm, floor.height_mm[1] * mm)
@@ -255,7 +246,7 @@ def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
 
 
 def may_stand(
-    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Blocker | None, position: Floats
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
 ) -> Bools:
     """(N,): a tripod may stand under an instrument at positions (N, 3) [m]."""
     good = np.zeros(len(position), dtype=bool)

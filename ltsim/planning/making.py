@@ -271,12 +271,9 @@ def most_sights(site: Site, step: float, heights: int) -> tuple[int, str]:
 
 
 def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
-    """The file with a `stations.seen_from` that some layout keeps; one that was asked for is not lowered.
+    """The file with a `stations.seen_from` that some layout keeps.
 
-    Raises
-    ------
-    SetupError
-        When more is asked for than any layout that was found keeps: it says what can be had.
+    One that was asked for is not lowered: SetupError says what can be had.
     """
     settings, count = file.search, len(site.survey.position)
     step = grid_step(site.areas, settings.grid_mm)

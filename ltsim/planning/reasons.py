@@ -86,34 +86,33 @@ def _air(plan: Plan) -> list[str]:
 
 
 def _against_reference(plan: Plan) -> list[str]:
+    """How the plan compares with the scenario's own layout."""
     reference, chosen = plan.reference, plan.chosen
     if plan.file.workshop is not None:
         return []
     if reference is None:
         return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
-    sentences = []
+    found = []
     if not np.isfinite(reference.value):
         lost = reference.table.lost(reference.survey.station_names, reference.survey.target_names)
         why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
-        sentences.append(f"The scenario's own layout does not keep the plan's rules{why}.")
-    for name, value in chosen.qualities.items():
-        if name in reference.qualities:
-            factor = reference.qualities[name] / value
-            word = "better" if factor >= 1 else "worse"
-            count = len(reference.survey.position)
-            sentences.append(
-                f"That is {max(factor, 1 / factor):.2f} times {word} for {name} than the scenario's own layout of "
-                f"{count} stations, worked in the same way ({_shown(name, reference.qualities[name])} there)."
-            )
-    sentences += _parameters(reference, chosen)
+        found.append(f"The scenario's own layout does not keep the plan's rules{why}.")
+    for name in [name for name in chosen.qualities if name in reference.qualities]:
+        factor = reference.qualities[name] / chosen.qualities[name]
+        found.append(
+            f"That is {max(factor, 1 / factor):.2f} times {'better' if factor >= 1 else 'worse'} for {name} than the "
+            f"scenario's own layout of {len(reference.survey.position)} stations, worked in the same way "
+            f"({_shown(name, reference.qualities[name])} there)."
+        )
+    found += _parameters(reference, chosen)
     if reference.expected is not None and chosen.expected is not None:
         a, b = reference.expected, chosen.expected
-        sentences.append(
+        found.append(
             f"Expected improvement by the paper's criteria, for errors of the size the maker guarantees: distance "
             f"{b.distance_improvement[0]:.0f} % (there {a.distance_improvement[0]:.0f} %), coordinate "
             f"{b.coordinate_improvement[0]:.0f} % (there {a.coordinate_improvement[0]:.0f} %)."
         )
-    return sentences
+    return found
 
 
 def _shown(name: str, value: float) -> str:
@@ -133,28 +132,27 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
 
 def _what_each_station_does(plan: Plan) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
-    chosen = plan.chosen
-    sentences = []
-    for s, name in enumerate(chosen.survey.station_names):
-        left = chosen.survey.without(s)
+    survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
+    objective, found = Objective({INSTRUMENT: 1.0}, plan.objective.criterion), []
+    for s, name in enumerate(survey.station_names):
+        left = survey.without(s)
         try:
-            information = LayoutInformation.of(left, chosen.information.construction)
+            without = LayoutInformation.of(left, now.construction)
         except NetworkError as problem:
-            sentences.append(f"Without {name} the network falls apart: {problem}.")
+            found.append(f"Without {name} the network falls apart: {problem}.")
             continue
-        if INSTRUMENT in chosen.qualities:
-            objective = Objective({INSTRUMENT: 1.0}, plan.objective.criterion)
-            value, now = measure(left, objective, information.construction)[0], chosen.qualities[INSTRUMENT]
+        if INSTRUMENT in qualities:
+            worse = measure(left, objective, now.construction)[0] / qualities[INSTRUMENT]
         else:
-            value, now = information.target_rms, chosen.information.target_rms
-        ratio = information.instrument_sigma / chosen.information.instrument_sigma
-        worst = int(np.argmax(ratio))
-        place = chosen.survey.position[s]
-        sentences.append(
-            f"{name} at ({place[0]:.2f}, {place[1]:.2f}) m: without it the quality is {100 * (value / now - 1):.0f} % "
-            f"worse, most for {information.construction.names[worst]} (sigma {100 * (ratio[worst] - 1):.0f} % larger)."
+            worse = without.target_rms / now.target_rms
+        ratio = without.instrument_sigma / now.instrument_sigma
+        most = int(np.argmax(ratio))
+        x, y, _ = survey.position[s]
+        found.append(
+            f"{name} at ({x:.2f}, {y:.2f}) m: without it the quality is {100 * (worse - 1):.0f} % worse, most for "
+            f"{now.construction.names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
         )
-    return sentences
+    return found
 
 
 def _limits(plan: Plan) -> list[str]:
@@ -230,12 +228,11 @@ def _own_value(plan: Plan) -> float:
 
 def _undetermined(plan: Plan) -> list[str]:
     information = plan.chosen.information
-    sentences = []
+    found = []
     for direction, cure in zip(information.undetermined, information.cures(), strict=True):
         terms = " ".join(f"{v:+.2f} {n}" for n, v in direction.coefficients(information.construction.names).items())
-        advice = f"; cure: {cure}" if cure else ""
-        sentences.append(f"Not determined (gain {direction.gain:.2f}): {terms}{advice}.")
-    return sentences
+        found.append(f"Not determined (gain {direction.gain:.2f}): {terms}{f'; cure: {cure}' if cure else ''}.")
+    return found
 
 
 def _search(plan: Plan) -> list[str]:

@@ -74,7 +74,7 @@ WORK = Table(
 )
 
 
-class PlaceEntry(Entry):
+class StationEntry(Entry):
     """A place for a tripod."""
 
     name: str
@@ -83,11 +83,6 @@ class PlaceEntry(Entry):
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
-
-
-class StationEntry(PlaceEntry):
-    """Where a tripod goes."""
-
     sigma_position_um: tuple[Known, ...] = ()
     """Expected, of each coordinate."""
     reflectors_seen: int = 0
@@ -141,21 +136,26 @@ class ImprovementEntry(Entry):
     """Of the mean."""
 
 
-class LayoutEntry(Entry):
-    """A layout with what is known of it before measuring."""
+class WorkEntry(Entry):
+    """A way of working."""
 
-    allowed: bool = True
-    """It keeps the plan's rules."""
-    hours: Finite
-    """What the work takes."""
-    pointings: int = 0
-    """How many."""
     faces: int = 1
     """One face or both."""
     repeats: int = 1
     """How many rounds."""
+    pointings: int = 0
+    """How many."""
+    hours: Finite
+    """What the work takes."""
     quality: Qualities = Field(default_factory=dict)
     """Each that the goal weighs; smaller is better."""
+
+
+class LayoutEntry(WorkEntry):
+    """A layout with what is known of it before measuring."""
+
+    allowed: bool = True
+    """It keeps the plan's rules."""
     stations: tuple[StationEntry, ...]
     """Where the tripods go."""
     reflectors: tuple[ReflectorEntry, ...] = ()
@@ -170,26 +170,16 @@ class LayoutEntry(Entry):
     """Which station does not see which reflector, and why."""
 
 
-class OptionEntry(Entry):
+class OptionEntry(WorkEntry):
     """One way of working and the best layout found for it."""
 
     stations: int
     """How many."""
-    faces: int
-    """One face or both."""
-    repeats: int
-    """How many rounds."""
-    pointings: int
-    """How many."""
-    hours: Finite
-    """What the work takes."""
     value: Known = None
     """Its quality as one number; smaller is better."""
-    quality: Qualities = Field(default_factory=dict)
-    """Each that the goal weighs."""
     efficient: bool = False
     """Nothing cheaper is as good."""
-    layout: tuple[PlaceEntry, ...] = ()
+    layout: tuple[StationEntry, ...] = ()
     """Where the tripods go."""
 
 

@@ -207,10 +207,7 @@ class Searcher:
     def random_layout(self, rng: np.random.Generator) -> StationBlocks:
         """An allowed layout: stations placed one by one with some chance, fixed ones kept.
 
-        Raises
-        ------
-        SetupError
-            When none is found, with the targets that lack sights.
+        Raises SetupError where none is found, with the targets that lack sights.
         """
         survey, free, places = self.site.survey, self._free, self.placement
         tables = {slot: self.table(slot) for slot in free}

@@ -12,7 +12,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.planning.floor import Area, KeepOut, may_stand, over
 from ltsim.planning.survey import Survey
-from ltsim.scene.visibility import Blocker, SightLimits, narrowest_cone, visibility
+from ltsim.scene.meshes import Obstacles
+from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
 
 FEWEST = 3
 """Targets in sight that a station needs."""
@@ -38,7 +39,7 @@ class Site:
     limits: SightLimits
     aimed: Bools
     """(T,): targets in fixed nests, which are aimed anew for every layout and must serve all its stations."""
-    obstacles: Blocker | None = None
+    obstacles: Obstacles | None = None
     keep_outs: tuple[KeepOut, ...] = ()
     """Where none may stand, whatever the areas say."""
     spacing: float = 1.0

@@ -83,12 +83,8 @@ def gathered(
 ) -> tuple[Layouts, bool]:
     """The layouts that searches found, and whether Ctrl-C ended them: these are then the best so far.
 
-    Parameters
-    ----------
-    share : callable
-        Hears the share of the whole that is done.
-    keep : callable
-        Is given the best layout so far and its value, from a thread of its own.
+    `share` hears the share of the whole that is done; `keep` is given the best layout so far and its value, from a
+    thread of its own.
     """
     done: dict[int, Found] = {}
     # A construction holds functions that cannot travel; workers build the scenario's own.

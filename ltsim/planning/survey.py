@@ -128,26 +128,21 @@ class Survey:
         return np.asarray(rank * len(self.faces) + number)
 
     def _empty(self) -> Recording:
-        axes = (
-            np.arange(len(self.position)),
-            np.arange(1, self.repeats + 1),
-            np.sort(self.faces),
-            np.arange(len(self.points)),
-        )
+        rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
+        axes = np.arange(len(self.position)), rounds, faces, np.arange(len(self.points))
         station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
         order = np.lexsort((self.turn(station, target, face), repeat, station))
         order = order[self.seen[station[order], target[order]]]
-        station, repeat, face, target = station[order], repeat[order], face[order], target[order]
-        time = np.arange(len(station)) * self.seconds_per_pointing + station * self.seconds_per_move
+        station, repeat, face, target = (axis[order].astype(np.int64) for axis in (station, repeat, face, target))
         return Recording(
             setup=self.setup,
             stations=self.station_names,
             targets=self.target_names,
-            station=station.astype(np.int64),
-            target=target.astype(np.int64),
-            face=face.astype(np.int64),
-            repeat=repeat.astype(np.int64),
-            time=time.astype(np.float64),
+            station=station,
+            target=target,
+            face=face,
+            repeat=repeat,
+            time=np.arange(len(station)) * self.seconds_per_pointing + station * self.seconds_per_move,
             readings=np.full((len(station), 3), np.nan),
         )
 

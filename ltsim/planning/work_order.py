@@ -77,19 +77,19 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     found = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
-        place = survey.position[survey.station_names.index(name)]
-        yaw = float(survey.yaw[survey.station_names.index(name)])
-        first = list(dict.fromkeys(recording.target[rows].tolist()))
-        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in first}
-        again = [first[i] for i in np.unique(np.linspace(0, len(first) - 1, COMMON).round().astype(int))]
+        at = survey.station_names.index(name)
+        place, seen = survey.position[at], survey.seen[at]
+        order = list(dict.fromkeys(recording.target[rows].tolist()))
+        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
+        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
         found.append(
             Setting(
                 name=name,
                 height=float(place[2]),
-                tapes=_tapes(plan, place, survey.seen[survey.station_names.index(name)]),
-                towards=_towards(plan, place, yaw, survey.seen[survey.station_names.index(name)]),
-                order=tuple(recording.targets[t] for t in first),
-                again={recording.targets[t]: limit[t] for t in again},
+                tapes=_tapes(plan, place, seen),
+                towards=_towards(plan, place, float(survey.yaw[at]), seen),
+                order=tuple(recording.targets[t] for t in order),
+                again={recording.targets[t]: value for t, value in limit.items()},
                 minutes=len(rows) * survey.seconds_per_pointing / 60.0,
             )
         )
@@ -98,13 +98,11 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
 
 @dataclass(frozen=True)
 class _Mark:
-    """What a distance can be taken to."""
+    """What a distance can be taken to: (3,) [m], along the floor or straight to a reflector."""
 
     name: str
     place: Floats
-    """(3,) [m]."""
     floor: bool
-    """Along the floor, else straight to the reflector."""
 
     def length(self, place: Floats) -> float:
         """[m] from an instrument."""

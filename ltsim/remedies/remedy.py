@@ -28,6 +28,7 @@ from ltsim.units import DEGREE, MILLIMETRE
 Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 EFFORT: tuple[Kind, ...] = get_args(Kind)
 """Kinds of remedies, the one that asks least of a person first."""
+SET_UPS = ("return", "station")
 
 CLOSING = 3
 """Targets measured again before leaving a station."""
@@ -66,20 +67,16 @@ class Remedy:
     @property
     def place(self) -> Floats | None:
         """(3,) [m] of a further set-up, on the floor plan."""
-        return self._plan.place(self.network.state.position[-1]) if self._sets_up else None
+        network = self.network
+        plan = FloorPlan.of(network.recording, network.state)
+        return plan.place(network.state.position[-1]) if self.kind in SET_UPS else None
 
     @property
     def yaw(self) -> float | None:
         """[rad] of a further set-up, on the floor plan."""
-        return self._plan.yaw(self.network.state.rotation[-1]) if self._sets_up else None
-
-    @property
-    def _sets_up(self) -> bool:
-        return self.kind in ("return", "station")
-
-    @property
-    def _plan(self) -> FloorPlan:
-        return FloorPlan.of(self.network.recording, self.network.state)
+        network = self.network
+        plan = FloorPlan.of(network.recording, network.state)
+        return plan.yaw(network.state.rotation[-1]) if self.kind in SET_UPS else None
 
 
 @dataclass(frozen=True)
@@ -191,28 +188,27 @@ def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_mo
 def other_ways(network: Network) -> Iterator[Remedy]:
     """The whole work with something more at each station: both faces first, where one is used, then another order."""
     recording = network.recording
-    target, face = recording.target, recording.face
-
-    def other_face(rows: Ints) -> list[tuple[int, int]]:
-        seen = set(zip(target[rows].tolist(), face[rows].tolist(), strict=True))
-        return sorted((t, 3 - f) for t, f in seen if (t, 3 - f) not in seen)
-
-    def closing(rows: Ints) -> list[tuple[int, int]]:
-        return [(t, int(face[rows[0]])) for t in _first_visits(target[rows])[:CLOSING].tolist()]
-
-    def reverse(rows: Ints) -> list[tuple[int, int]]:
-        return list(zip(target[rows[::-1]].tolist(), face[rows[::-1]].tolist(), strict=True))
-
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
-    for key, more in (("other face", other_face), ("close", closing), ("reverse", reverse)):
+    for key in ("other face", "close", "reverse"):
         made = []
         for s in np.unique(recording.station):
             rows = _visit(recording, s)
-            made += [(s, t, f, recording.time[rows[-1]] + step * (i + 1)) for i, (t, f) in enumerate(more(rows))]
+            last = recording.time[rows[-1]]
+            made += [(s, t, f, last + step * i) for i, (t, f) in enumerate(_more(recording, rows, key), 1)]
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
             yield Remedy("survey", advice(key, count=CLOSING), work + len(made) * step, grown)
+
+
+def _more(recording: Recording, rows: Ints, key: str) -> list[tuple[int, int]]:
+    """Target and face of the further pointings of a visit that another way of working makes."""
+    made = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+    if key == "other face":
+        return sorted({(t, 3 - f) for t, f in made} - set(made))
+    if key == "close":
+        return [(t, made[0][1]) for t in _first_visits(recording.target[rows])[:CLOSING].tolist()]
+    return made[::-1]
 
 
 def other_face(network: Network) -> Remedy | None:

@@ -54,11 +54,7 @@ def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
 def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
     """Combinations with a gain under one half, the least known first.
 
-    Parameters
-    ----------
-    covariance : (p, p) float
-        After the adjustment, priors included.
-    prior_sigma : (p,) float
+    `covariance` (p, p) is that after the adjustment, priors included.
     """
     gain, vectors = gains(covariance, prior_sigma)
     silent = gain < SILENT
@@ -97,15 +93,8 @@ def determining(
 ) -> list[list[str]]:
     """For each instrument's undetermined directions a sentence: what would determine them.
 
-    The first remedy that lifts a gain above one half is named, else the one that lifts it most.
-
-    Parameters
-    ----------
-    adjustment : Adjustment
-        Of the network as it is.
-    construction : Construction
-        Whose parameters are meant.
-    directions : one sequence an instrument
+    The first remedy that lifts a gain above one half is named, else the one that lifts it most. `construction` is the
+    one whose parameters are meant; `directions` has one sequence an instrument.
     """
     if not any(directions):
         return [[] for _ in directions]

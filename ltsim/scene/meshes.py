@@ -64,7 +64,9 @@ class Obstacles:
         beam = way / length[:, None]
         if self._rays is None:
             return native_hits(self.triangles, origins, beam, length) > 0
-        votes = np.stack([self._cast(origins + shift, beam, length) for shift in (0.0 * beam, *_bundle(beam))], axis=1)
+        side, other = (GRAZE * way for way in perpendicular(beam))
+        bundle = (0.0 * beam, side, -side, other, -other)
+        votes = np.stack([self._cast(origins + shift, beam, length) for shift in bundle], axis=1)
         hit: Bools = votes[:, 0].copy()
         doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
@@ -92,12 +94,6 @@ class Obstacles:
         feet = points.copy()
         feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
         return self.holds(points) | self.blocked(points, feet)
-
-
-def _bundle(beam: Floats) -> list[Floats]:
-    """Offsets (n, 3) [m] to four parallel rays around each beam (n, 3)."""
-    side, other = (GRAZE * way for way in perpendicular(beam))
-    return [side, -side, other, -other]
 
 
 def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
@@ -134,18 +130,17 @@ def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
 
 def box(size: Floats) -> Floats:
     """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
-    mesh = trimesh.creation.box(extents=size)
-    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
-    triangles[:, :, 2] += 0.5 * size[2]
-    return triangles
+    return _standing(trimesh.creation.box(extents=size), float(size[2]))
 
 
 def cylinder(diameter: float, height: float) -> Floats:
     """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
-    mesh = trimesh.creation.cylinder(radius=0.5 * diameter / np.cos(np.pi / SIDES), height=height, sections=SIDES)
-    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
-    triangles[:, :, 2] += 0.5 * height
-    return triangles
+    radius = 0.5 * diameter / np.cos(np.pi / SIDES)
+    return _standing(trimesh.creation.cylinder(radius=radius, height=height, sections=SIDES), height)
+
+
+def _standing(mesh: trimesh.Trimesh, height: float) -> Floats:
+    return np.array(mesh.triangles, dtype=np.float64) + [0.0, 0.0, 0.5 * height]
 
 
 def walls(size: Floats) -> Floats:
@@ -163,20 +158,11 @@ def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
 def nest_places(
     body: Floats, reach: float, apart: float, around: Obstacles | None = None, *, closed: bool = True
 ) -> Floats:
-    """Places (P, 3) [m] of reflectors on a body's surfaces.
+    """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
 
-    Parameters
-    ----------
-    body : (m, 3, 3) float, [m]
-        Its triangles.
-    reach : float, [m]
-        Height of a reflector's centre over the surface.
-    apart : float, [m]
-        Least distance between two places.
-    around : Obstacles, optional
-        Everything that stands there: no place lies in it.
-    closed : bool
-        The outer side is found, whatever way the triangles are wound; of open surfaces it is that of their normals.
+    Their centres are `reach` [m] over the surface, at least `apart` [m] from each other, and in nothing of what stands
+    `around`. The outer side of a `closed` body is found, whatever way its triangles are wound; of an open surface it is
+    that of the normals.
     """
     drawn, normal = _drawn(body, apart)
     own = Obstacles(body)

@@ -9,10 +9,9 @@ from ltsim.arrays import Floats
 from ltsim.effects.station_weather import StationWeather
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
-from ltsim.planning.criteria import a_criterion, d_criterion
 from ltsim.planning.floor import Area, inside
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
+from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import Searcher
 from ltsim.planning.site import Site
