@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -24,6 +24,7 @@ SHOWN = 3
 """Changes of each sort that are told."""
 
 What = Literal["move", "add", "remove"]
+SORTS: tuple[What, ...] = get_args(What)
 Tried = tuple[float, int | None, int | None, Floats]
 """Factor on the quality, which reflector leaves, which place is taken, the normal matrix then."""
 
@@ -34,9 +35,9 @@ class Changes:
 
     told: tuple[ChangeEntry, ...]
     """Moves and additions that help, the best first, then what can be left out at the least cost."""
-    tried: dict[str, int]
+    tried: dict[What, int]
     """How many of each sort."""
-    helped: dict[str, int]
+    helped: dict[What, int]
     """How many of each made the quality better by more than `MATERIAL`."""
 
     @property
@@ -59,7 +60,7 @@ def reflector_changes(
 ) -> Changes:
     """Try every move, addition and removal of one reflector, but of those that stay (T,); places are the site's."""
     if stays.all() and site.nests is None:
-        return Changes((), dict.fromkeys(("move", "add", "remove"), 0), dict.fromkeys(("move", "add", "remove"), 0))
+        return Changes((), dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0))
     return _Trial(Choice.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
 
 
@@ -101,9 +102,8 @@ class _Trial:
     def changes(self) -> Changes:
         """All single changes."""
         terms, chosen = self.table.terms, self.chosen
-        found: dict[What, list[Tried]] = {"move": [], "add": [], "remove": []}
-        tried = {"move": 0, "add": 0, "remove": 0}
-        helped = dict(tried)
+        found: dict[What, list[Tried]] = {what: [] for what in SORTS}
+        tried, helped = dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0)
 
         def note(what: What, taken: int | None, places: Ints) -> None:
             """One reflector away, one at each of some places instead; of its moves only the best is kept."""

@@ -82,14 +82,8 @@ class Reduced:
 class Reducer:
     """Layouts of one workshop: fixed targets, gauge, noise and priors; set-ups that change.
 
-    Parameters
-    ----------
-    survey : Survey
-        Everything but the places of the stations; its number of stations is that of every layout.
-    construction : Construction, optional
-        Default: the 16 misalignment parameters.
-    effects : sequence of Effect
-        Further effects whose information is wanted too; unit their prior sigma, no prior.
+    `survey` has everything but the places of the stations, whose number is that of every layout; parameters are those
+    of `construction`, by default the 16 misalignments, and of `effects` (unit their prior sigma, no prior).
     """
 
     def __init__(
@@ -308,15 +302,9 @@ class Reducer:
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Squared point error (B, E + gauge) [m^2] of targets with inner constraints over them.
 
-        Effects are not estimated here, only the instrument's parameters.
-
-        Parameters
-        ----------
-        schur : (B, K, K) float
-        inverse : (B, E, 3, 3), weights : (B, E, 3, K) float
-            Of the eliminated targets that are asked about (`eliminated`).
-        mesh : (E,) or (B, E) int
-            Which targets of the survey these are; those of the gauge are asked about as well.
+        Effects are not estimated here, only the instrument's parameters. `schur` (B, K, K), `inverse` (B, E, 3, 3) and
+        `weights` (B, E, 3, K) are those of `eliminated`, of the targets that are asked about: `mesh` (E,) or (B, E).
+        Those of the gauge are asked about as well.
         """
         layouts, size = len(schur), schur.shape[1] - (len(self.scale) - len(self.prior_sigma))
         covariance = np.linalg.inv(schur[:, :size, :size])

@@ -57,12 +57,8 @@ def make_plan(
 ) -> Plan:
     """Search and explain; the same file gives the same plan whatever the number of jobs.
 
-    Ctrl-C ends the search: the plan is then that of the best layout so far, and says so.
-
-    Raises
-    ------
-    SetupError
-        When no layout keeps the plan's rules.
+    Ctrl-C ends the search: the plan is then that of the best layout so far, and says so. SetupError where no layout
+    keeps the plan's rules.
     """
     _check_size(file, scenario)
     built, heard = construction or planned_construction(scenario), follower or Follower()

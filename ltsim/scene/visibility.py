@@ -128,26 +128,16 @@ def visibility(
     reaimed: Bools | None = None,
     obstacles: Obstacles | None = None,
 ) -> Visibility:
-    """Tables of who sees whom.
+    """Tables of who sees whom, from origins of instruments (S, 3) [m] to points (T, 3) [m].
 
     Parameters
     ----------
-    position : (S, 3) float, [m]
-        Origins of the instruments.
-    points : (T, 3) float, [m]
-    limits : SightLimits
     rotation : (S, 3, 3) float, optional
         Instrument frames to the network frame; upright where not given.
     nest_normal : (T, 3) float, optional
         Where open faces look; rows of NaN are unknown and accept every beam.
     reaimed : (T,) bool, optional
         Reflectors that are turned to the station; all are where not given.
-    obstacles : Obstacles, optional
-
-    Raises
-    ------
-    ModelError
-        For arrays of other shapes, or a target at a station's origin.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
