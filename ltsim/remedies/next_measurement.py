@@ -27,13 +27,14 @@ from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import (
     EFFORT,
     Remedy,
+    advice,
     further_pointings,
     further_stations,
     known_length,
+    listed,
     other_ways,
     returns,
 )
-from ltsim.remedies.words import advice, listed
 from ltsim.results import Columns, Result
 
 DECISIVE = 10.0

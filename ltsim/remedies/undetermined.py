@@ -17,8 +17,7 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.remedies.network import Network
-from ltsim.remedies.remedy import Remedy, known_length, near_reflectors, other_face, returns
-from ltsim.remedies.words import advice
+from ltsim.remedies.remedy import Remedy, advice, known_length, near_reflectors, other_face, returns
 
 DETERMINED = 0.5
 """Least gain of a determined combination."""
