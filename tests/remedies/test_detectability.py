@@ -15,9 +15,8 @@ from ltsim.effects.misalignments import TransitOffset
 from ltsim.effects.noise import NoiseLevel
 from ltsim.effects.ranges import RangeStep, StationWeather
 from ltsim.model.construction import misalignment
-from ltsim.planning.detectability import detectability, likeness
 from ltsim.planning.information import LayoutInformation
-from ltsim.remedies.detectability import LEVEL, examine, search_noncentrality
+from ltsim.remedies.detectability import LEVEL, detectability, examine, likeness, search_noncentrality
 from tests.planning.fixtures import survey
 
 INFORMATION = LayoutInformation.of(survey())
