@@ -1,8 +1,8 @@
 """The reflector's bench test evaluated: the eccentricity taken off the lengths gives the error against incidence.
 
-The geometry is that of `simulation.bench`: turned by alpha, a sphere off the table's axis by c changes the length by
--(c_x cos alpha - c_y sin alpha), and a probe tells c. An interferometer records changes only: the table is found less
-its value at 0 deg, a constant that a tracker's range offset takes up.
+Turned by alpha, a sphere off the table's axis by c changes the length by -(c_x cos alpha - c_y sin alpha), and a probe
+tells c. An interferometer records changes only: the table is found less its value at 0 deg, a constant that a tracker's
+range offset takes up.
 
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
