@@ -25,8 +25,7 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import ball_lift
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
-from ltsim.remedies.determining import determining
-from ltsim.remedies.undetermined import Direction, undetermined
+from ltsim.remedies.undetermined import Direction, determining, undetermined
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 CONTRADICTS = 3.0
