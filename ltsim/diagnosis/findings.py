@@ -20,6 +20,8 @@ from ltsim.diagnosis.evidence import carried_by, posterior
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY, Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
+from ltsim.diagnosis.outside import log_likeness
+from ltsim.diagnosis.prior import SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
@@ -68,8 +70,14 @@ class Explained:
         space, others = searcher.space, searcher.without(found, member)
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        probability, rivals = among(ranking.probabilities(), name)
+        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
+        redundancy = space.redundancy - np.sum(found.extension**2, axis=1)
+        shift = space.signature(effect) @ mean
+        ranking = ranking.doubted(log_likeness(space, shift, found.residual, redundancy))
         shown = self._shown(found.members[member].effect, ranking)
+        probability, rivals = among(ranking.probabilities(), name)
+        if not hypothesis.known:
+            probability = self._acts_on(found.members[member].effect, ranking)
         gain = others.residual**2 - found.residual**2
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
@@ -91,7 +99,6 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
-        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
         moved = distortion(space, effect, mean)
         more["moves_targets_um"] = moved
         sentence += f" Not modelled, it moves the targets by {number(moved, 2)} um rms."
@@ -119,6 +126,11 @@ class Explained:
             return self._where(one).model_copy(update={"observables": tuple(sorted(one.observables))})
 
         return ranking.share(lambda h: seen(h.effect) == seen(effect))
+
+    def _acts_on(self, effect: Tunable, ranking: Ranking) -> float:
+        """Probability that something without a name acts on the same observables."""
+        same = ranking.share(lambda h: not h.known and set(h.effect.observables) == set(effect.observables))
+        return same + SAME_OBSERVABLE * ranking.unlisted
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         """Where an effect acts; the set-ups of one of several instruments are that instrument."""

@@ -23,6 +23,10 @@ ABOUT = {
     "constant": "a constant of an instrument that is not what the others, its history or a stated correction say",
 }
 """The same in words."""
+OUTSIDE = 0.2
+"""Share of causes that are in no list, and look like something that is: one in five."""
+SAME_OBSERVABLE = 0.5
+"""Chance that such a cause acts on the observable of what it looks like."""
 LAWS = {
     "everywhere": 0.33,  # any carrier, any driver, the whole recording
     "set-up": 0.14,  # the same at one set-up
