@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -46,6 +47,12 @@ class Case:
     def __post_init__(self) -> None:
         self.sigma = self.recording.sigma()
         self.search(self.baseline)
+
+    def copy(self) -> Case:
+        """The case as it stands, to go on with another way; what was scored is shared."""
+        other = copy(self)
+        other.noise = list(self.noise)
+        return other
 
     @property
     def recording(self) -> Recording:

@@ -25,7 +25,7 @@ from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
-from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
+from ltsim.diagnosis.noise import NoiseHypothesis, most_likely, restricted
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
@@ -100,7 +100,8 @@ def diagnose(
     sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    found, fitted = _refitted(case, _explain(case, threshold) if mismatch else case.searcher.empty)
+    case, found = _explain(case, threshold) if mismatch else (case, case.searcher.empty)
+    found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
     apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
@@ -119,9 +120,23 @@ def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     return any(constant in varied for varied in (*laws, *drifts, *own))
 
 
-def _explain(case: Case, threshold: float) -> Found:
-    """Mean shifts, and changes of the noise beside them, or in place of one or all, until nothing gains."""
-    found = case.searcher.search(threshold, something=True)
+def _explain(case: Case, threshold: float) -> tuple[Case, Found]:
+    """What explains a recording best: begun with shifts of the readings, or with the noise where that may be wrong.
+
+    Each way the one is looked for beside the other until nothing gains. What is stated of the noise is a guess: a law
+    that is sought while it is wrong explains noise, and noise that is fitted before a law hides it.
+    """
+    whole = case.searcher.space
+    after = case.copy()
+    ways = [(case, _in_turn(case, case.searcher.search(threshold, something=True), threshold))]
+    if after.noises(after.searcher.empty)[0][0] > threshold:
+        ways.append((after, _in_turn(after, after.searcher.empty, threshold)))
+    logs = [restricted(whole, one.sigma) + found.score + sum(n.log_prior for n in one.noise) for one, found in ways]
+    return ways[int(np.argmax(logs))]
+
+
+def _in_turn(case: Case, found: Found, threshold: float) -> Found:
+    """Changes of the noise beside a set, or in place of one or all of it, and what shifts then, until nothing gains."""
     for _ in range(MOST_ROUNDS):
         searcher, members = case.searcher, found.members
         kept = [found, *(searcher.without(found, i) for i in range(len(members)))]
