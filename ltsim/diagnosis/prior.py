@@ -27,23 +27,8 @@ OUTSIDE = 0.2
 """Share of causes that are in no list, and look like something that is: one in five."""
 SAME_OBSERVABLE = 0.5
 """Chance that such a cause acts on the observable of what it looks like."""
-LAWS = {
-    "everywhere": 0.33,  # any carrier, any driver, the whole recording
-    "set-up": 0.14,  # the same at one set-up
-    "instrument": 0.09,  # the same at all set-ups of one instrument
-    "two drivers": 0.11,  # a reading that follows two drivers
-    "on the way": 0.03,  # a reading that errs on the way to the target, or a list one row late
-    "reading that swings": 0.08,
-    "set-up that swings": 0.02,
-    "group that swings": 0.02,  # targets that belong together
-    "anything else that swings": 0.02,
-    "across the room": 0.04,  # targets that move together, more the farther across the room
-    "target": 0.04,
-    "group": 0.02,
-    "group that tilts": 0.04,
-    "corner": 0.02,  # a target and those around it
-}
-"""How the share of laws without a card is shared; what a recording does not offer leaves its share to the others."""
+PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
+"""Where a law without a card acts."""
 KINDS = {
     "reading": 0.5,
     "instrument": 0.17,
@@ -55,10 +40,6 @@ KINDS = {
 }
 """Shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all targets seem to
 move alike it is the stands."""
-AT_SET_UPS = {"reading": 0.4, "instrument": 0.09, "circle": 0.01, "stand": 0.46, "air": 0.04}
-"""The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
-AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.25, "circle": 0.05, "stand": 0.15, "air": 0.05}
-"""The same for what happens to one of several instruments."""
 AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
@@ -79,9 +60,4 @@ def log_share(kind: str, among: int) -> float:
 
 def rows() -> Iterator[tuple[str, float]]:
     """Every kind of explanation in words and its share; the shares sum to one."""
-    for kind, part in PRIOR.items():
-        if kind != "law":
-            yield ABOUT[kind], part
-            continue
-        for where, of_laws in LAWS.items():
-            yield f"a law without a card: {where}", part * of_laws
+    return ((ABOUT[kind], part) for kind, part in PRIOR.items())

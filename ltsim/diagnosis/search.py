@@ -24,7 +24,7 @@ from ltsim.diagnosis.evidence import log_average, posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike
-from ltsim.diagnosis.laws_tried import panels
+from ltsim.diagnosis.space import panels
 from ltsim.diagnosis.panel import Hit, Panel
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import Probe
