@@ -165,7 +165,9 @@ class NoiseBank:
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
         targets = space.sightings.target_names if len(space.sightings.target_names) >= LEAST_TARGETS else ()
         of = np.repeat(space.sightings.target[:, None], 3, axis=1)[space.use]
-        at_target = sp.csr_array((np.ones(len(of)), (of, np.arange(len(of)))), (len(space.sightings.target_names), space.size))
+        at_target = sp.csr_array(
+            (np.ones(len(of)), (of, np.arange(len(of)))), (len(space.sightings.target_names), space.size)
+        )
         return cls(list(hypotheses), names, family, gain, logs, means, basis, at_target, targets)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:

@@ -1,11 +1,11 @@
 """A cause that nobody listed: doubt about the model, as a likelihood that evidence can overcome.
 
-Whatever explains the readings best may be a likeness of something that is in no list. Of such a law nothing is known but
-that it resembles the best one up to a share delta of it: the shift of each reading is off by a random amount of
-standard deviation delta times the rms of the shift in its observable, delta log-uniform. Added variance that is not seen
-in what is left of the readings speaks against it, by the restricted likelihood that changes of the noise have.
-A weak effect leaves no residual to see it by, and the doubt stays what it was before; a strong one that leaves nothing
-else behind ends it.
+Whatever explains the readings best may be a likeness of something that is in no list. Of such a law nothing is known
+but that it resembles the best one up to a share delta: the shift of each reading is off by a random amount of standard
+deviation delta times the rms of the shift in its observable, delta log-uniform. Added variance that is not seen in what
+is left of the readings speaks against it, by the restricted likelihood that changes of the noise have. A weak effect
+leaves no residual to see it by, and the doubt stays what it was before; a strong one that leaves nothing else behind
+ends it.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 That something is missing, and that nothing is, start alike. What is missing is shared among kinds of explanations; each
 share evenly among all of its kind that a recording offers: effects of the catalogue, their places and shapes, carriers,
-drivers and places of laws. `rows` is the table as the theory page prints it. None of the numbers is fitted to anything:
-they say what a service engineer would bet before seeing residuals, and a factor of two in one of them is 0.7 of log
-evidence.
+drivers and places of laws (each operator of a driver costs `laws.offered.COST`). `rows` is the table as the theory page
+prints it. None of the numbers is fitted to anything: they say what a service engineer would bet before seeing
+residuals, and a factor of two in one of them is 0.7 of log evidence.
 """
 
 from __future__ import annotations
@@ -60,4 +60,8 @@ def log_share(kind: str, among: int) -> float:
 
 def rows() -> Iterator[tuple[str, float]]:
     """Every kind of explanation in words and its share; the shares sum to one."""
-    return ((ABOUT[kind], part) for kind, part in PRIOR.items())
+    for kind, part in PRIOR.items():
+        if kind != "law":
+            yield ABOUT[kind], part
+            continue
+        yield from ((f"{ABOUT[kind]}: {where}", part * share) for where, share in PLACES.items())

@@ -96,7 +96,12 @@ class _Maker:
                 self._share(tuple(c for c, _ in known), moved, places, weight, ways)
 
     def _share(
-        self, carriers: tuple[Carrier, ...], drivers: Sequence[Driver], places: tuple[Place, ...], weight: float, ways: int
+        self,
+        carriers: tuple[Carrier, ...],
+        drivers: Sequence[Driver],
+        places: tuple[Place, ...],
+        weight: float,
+        ways: int,
     ) -> None:
         """Share a weight for each carrier evenly among drivers and the places that have room for them."""
         alike: dict[tuple[int, int], list[Driver]] = {}

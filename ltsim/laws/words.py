@@ -13,7 +13,7 @@ from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.columns import LOW, MODES
 from ltsim.laws.drivers import CLOCKS, PLACE, Driver, pieces
 from ltsim.laws.law import Law
-from ltsim.laws.offered import FOLLOWED
+from ltsim.laws.offered import FOLLOWED, OPERATORS
 from ltsim.recording.recording import Recording
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
@@ -146,7 +146,8 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         return Driver("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
         return pieces([read_driver(step, recording) for step in steps])
-    known = (*FOLLOWED, *recording.circumstances)
+    further = recording.circumstances
+    known = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
     names = {"": ""} | {PARITIES.get(name, name): name for name in (*known, *OWNERS)}
     for (kind, how, constant), phrase in PHRASES.items():
         pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
