@@ -9,10 +9,11 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.gross import explain_gross
+from ltsim.adjustment.gross import GrossFinding, explain_gross
 from ltsim.adjustment.mixed_up import mend_faces, mend_stations
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Bools
 from ltsim.calibration.known import Known
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
@@ -25,16 +26,18 @@ from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
-from ltsim.diagnosis.noise import NoiseHypothesis, most_likely, restricted
+from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
+from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
+from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
-from ltsim.model.construction import stated_construction
+from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.solve.threads import in_one_thread
 
@@ -88,19 +91,13 @@ def diagnose(
         raise RecordError(f"level: found {level:g}, expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
     construction = stated_construction(recording)
     compared = contradictions if history is None else History.of(history, recording, construction).contradictions
-    converted, wrong = mend_stations(recording)
-    faced, confused = mend_faces(converted)
-    baseline = adjust(faced, construction)
-    mended, use, stray = explain_gross(baseline)
-    gross = [*wrong, *confused, *stray]
-    if gross:
-        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    taken, trials = use if gross else baseline.problem.use, max(TRIALS, ceil(1.0 / level))
-    case = Case(baseline, taken, seed, trials, ordinary=history is None)
-    sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
+    baseline, use, gross = _mended(recording, construction)
+    trials = max(TRIALS, ceil(1.0 / level))
+    case = Case(baseline, use, seed, trials, ordinary=history is None)
+    sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    case, found = _explain(case, threshold) if mismatch else (case, case.searcher.empty)
+    found = _explain(case, threshold) if mismatch else case.empty
     found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
@@ -112,6 +109,20 @@ def diagnose(
     return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
 
 
+def _mended(recording: Recording, construction: Construction) -> tuple[Adjustment, Bools, list[GrossFinding]]:
+    """The ordinary adjustment with mistakes mended and wrong readings left out, readings (n, 3) to use, and these."""
+    converted, wrong = mend_stations(recording)
+    faced, confused = mend_faces(converted)
+    baseline = adjust(faced, construction)
+    mended, use, gross = explain_gross(baseline)
+    if mistaken := [*wrong, *confused, *gross]:
+        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
+    use, stray = stray_readings(ResidualSpace.of(baseline), use if mistaken else baseline.problem.use)
+    if stray:
+        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
+    return baseline, use, [*mistaken, *stray]
+
+
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     """Whether a constant of an instrument is what an effect varies: then it has no value to contradict another."""
     laws = (VARIED.get(e.carrier.name, ()) for e in effects if isinstance(e, Law))
@@ -120,19 +131,30 @@ def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     return any(constant in varied for varied in (*laws, *drifts, *own))
 
 
-def _explain(case: Case, threshold: float) -> tuple[Case, Found]:
-    """What explains a recording best: begun with shifts of the readings, or with the noise where that may be wrong.
+def _explain(case: Case, threshold: float) -> Found:
+    """Shifts of the readings and changes of the noise, each looked for beside the other until nothing gains.
 
-    Each way the one is looked for beside the other until nothing gains. What is stated of the noise is a guess: a law
-    that is sought while it is wrong explains noise, and noise that is fitted before a law hides it.
+    Whichever explains more alone comes first: a law that is sought while the stated noise is wrong explains noise, and
+    noise that is fitted before a law hides it.
     """
-    whole = case.searcher.space
-    after = case.copy()
-    ways = [(case, _in_turn(case, case.searcher.search(threshold, something=True), threshold))]
-    if after.noises(after.searcher.empty)[0][0] > threshold:
-        ways.append((after, _in_turn(after, after.searcher.empty, threshold)))
-    logs = [restricted(whole, one.sigma) + found.score + sum(n.log_prior for n in one.noise) for one, found in ways]
-    return ways[int(np.argmax(logs))]
+    found = case.searcher.search(threshold, something=True)
+    if _noise_alone(case, threshold, found.score):
+        found = case.searcher.search(threshold, something=False)
+        if found.members:
+            case.settle_with(found.effects)
+            found = case.searcher.search(threshold, something=False)
+    return _in_turn(case, found, threshold)
+
+
+def _noise_alone(case: Case, threshold: float, least: float) -> bool:
+    """Changes of the noise, one after another, while they gain; whether there is one that explains `least`."""
+    for _ in range(MOST_ROUNDS):
+        ranked = case.noises(case.empty)
+        if ranked[0][0] < max(threshold, 0.0 if case.noise else least):
+            break
+        case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0)))
+        case.weigh(case.settle_noise(()))
+    return bool(case.noise)
 
 
 def _in_turn(case: Case, found: Found, threshold: float) -> Found:
@@ -150,9 +172,9 @@ def _in_turn(case: Case, found: Found, threshold: float) -> Found:
         if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
         likeliest = _with_probability(ranked[most], rest[most])
-        beside = searcher.space.beside(kept[most].effects)
-        case.add_noise(most_likely(beside, searcher.space.sigma, likeliest))
-        case.search(case.settle_noise(kept[most].effects))
+        beside = case.space.beside(kept[most].effects)
+        case.add_noise(most_likely(beside, case.space.sigma, likeliest))
+        case.weigh(case.settle_noise(kept[most].effects))
         found = case.searcher.search(threshold, something=False)
     return found
 
@@ -166,7 +188,8 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     value, best = ranked[0]
     probability, rivals = among(named, best.effect.name)
-    return replace(best, evidence=value, probability=probability, equivalents=rivals)
+    listed = 1.0 - OUTSIDE * SAME_OBSERVABLE  # what nobody listed may shift readings, and looks like noise
+    return replace(best, evidence=value, probability=listed * probability, equivalents=rivals)
 
 
 def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
@@ -193,7 +216,7 @@ def _likely(explained: Explained, besides: bool) -> Explained:
     """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`."""
     case, found, told = explained.case, explained.found, explained
     while len(found.members) + besides > 1:
-        chances = [told.ranking(i).probabilities().get(h.name, 0.0) for i, h in enumerate(found.members)]
+        chances = [told.probability(i, told.ranking(i)) for i in range(len(found.members))]
         least = int(np.argmin(chances)) if chances else 0
         if not chances or chances[least] >= LIKELY:
             break

@@ -59,10 +59,25 @@ class Explained:
     refit: Refit
 
     def ranking(self, member: int) -> Ranking:
-        """Everything that could stand in a member's place, changes of the noise among it."""
-        others = self.case.searcher.without(self.found, member)
+        """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
+        searcher, found = self.case.searcher, self.found
+        others = searcher.without(found, member)
         noises = [Hypothesis(one.effect, 0.0, value, one.effect.name) for value, one in self.case.noises(others)]
-        return self.case.searcher.rank(others).beside(noises)
+        effect, spread = self.refit.effects[member], found.members[member].spread
+        mean = posterior(*searcher.exact.moments([effect], others)[0], spread)[0]
+        redundancy = searcher.space.redundancy - np.sum(found.extension**2, axis=1)
+        shift = searcher.space.signature(effect) @ mean
+        likeness = log_likeness(searcher.space, shift, found.residual, redundancy)
+        return searcher.rank(others).beside(noises).doubted(likeness)
+
+    def probability(self, member: int, ranking: Ranking) -> float:
+        """Probability of a member's name; of what has none, that it acts on the same observables."""
+        hypothesis = self.found.members[member]
+        if hypothesis.known:
+            return ranking.probabilities().get(hypothesis.name, 0.0)
+        acts = set(hypothesis.effect.observables)
+        same = ranking.share(lambda h: not h.known and set(h.effect.observables) == acts)
+        return same + SAME_OBSERVABLE * ranking.unlisted
 
     def finding(self, member: int, ranking: Ranking) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -70,14 +85,8 @@ class Explained:
         space, others = searcher.space, searcher.without(found, member)
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
-        redundancy = space.redundancy - np.sum(found.extension**2, axis=1)
-        shift = space.signature(effect) @ mean
-        ranking = ranking.doubted(log_likeness(space, shift, found.residual, redundancy))
+        probability, rivals = self.probability(member, ranking), among(ranking.probabilities(), name)[1]
         shown = self._shown(found.members[member].effect, ranking)
-        probability, rivals = among(ranking.probabilities(), name)
-        if not hypothesis.known:
-            probability = self._acts_on(found.members[member].effect, ranking)
         gain = others.residual**2 - found.residual**2
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
@@ -99,7 +108,7 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
-        moved = distortion(space, effect, mean)
+        moved = distortion(space, effect, posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0])
         more["moves_targets_um"] = moved
         sentence += f" Not modelled, it moves the targets by {number(moved, 2)} um rms."
         return Finding(
@@ -126,11 +135,6 @@ class Explained:
             return self._where(one).model_copy(update={"observables": tuple(sorted(one.observables))})
 
         return ranking.share(lambda h: seen(h.effect) == seen(effect))
-
-    def _acts_on(self, effect: Tunable, ranking: Ranking) -> float:
-        """Probability that something without a name acts on the same observables."""
-        same = ranking.share(lambda h: not h.known and set(h.effect.observables) == set(effect.observables))
-        return same + SAME_OBSERVABLE * ranking.unlisted
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         """Where an effect acts; the set-ups of one of several instruments are that instrument."""

@@ -232,24 +232,6 @@ class NoiseBank:
         return sorted(found, key=lambda one: -one[0])
 
 
-def restricted(space: ResidualSpace, sigma: Floats) -> float:
-    """Log restricted likelihood ratio of other standard deviations (n, 3) against those of a space, nothing else new.
-
-    Exact where there is a basis; elsewhere residuals count as uncorrelated.
-    """
-    rows = int(space.use.sum())
-    factor = ((sigma / space.sigma) ** 2)[space.use]
-    weight, residual = 1.0 - 1.0 / factor, space.residual[:rows]
-    if not isinstance(space.projection, BasisProjection):
-        share = space.redundancy[:rows]
-        return 0.5 * float(weight @ residual**2 - share @ np.log(factor))
-    basis = space.projection.basis[:rows]
-    normal = np.eye(basis.shape[1]) - basis.T @ (weight[:, None] * basis)
-    turned = basis.T @ (weight * residual)
-    fit = float(weight @ residual**2 + turned @ np.linalg.solve(normal, turned))
-    return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(np.log(factor).sum()))
-
-
 def repeat_means(space: ResidualSpace, faces: str = EACH_FACE) -> sp.csr_array:
     """Rows (g, m) that add up readings of one kind, target, station and perhaps face, over the root of their number."""
     s = space.sightings
@@ -314,5 +296,5 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
     values = np.sum(weight * sizes, axis=0)
     sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
-    drop = float(gains(values).sum())
+    drop = float(gains(values).sum() - gains(0.0 * scale).sum())
     return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))
