@@ -1,8 +1,8 @@
 """Single readings that are wrong: they come before any law, which would bend to them.
 
 A reading is a stray one when its normalised residual (Baarda), in units of what readings of its kind really scatter, is
-too large for chance, and stands alone: no other reading of its station to its target is off. With one pointing after a
-moment a wrong reading is the plainer cause than a target that has moved.
+too large for chance, and when without it no other reading of its target is off. With one pointing after a moment a
+wrong reading is the plainer cause than a target that has moved.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import numpy as np
 
 from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Bools
+from ltsim.arrays import Bools, Floats
 from ltsim.recording.recording import OBSERVABLES
 
-WRONG, OFF = 7.0, 4.0
+WRONG, OFF = 8.0, 4.0
 """Normalised residuals of a stray reading, which noise does not reach in any recording, and of one that is off too."""
 SEEN = 0.02
 """Redundancy from which a reading's own residual tells anything."""
@@ -25,26 +25,40 @@ MOST = 5
 
 def stray_readings(space: ResidualSpace, use: Bools) -> tuple[Bools, list[GrossFinding]]:
     """Readings (n, 3) to use, without stray ones, and these as findings, the worst first."""
-    recording, used = space.adjustment.recording, space.use
-    rows = int(used.sum())
-    w = np.zeros(used.shape)
-    w[used] = space.residual[:rows] / np.sqrt(np.maximum(space.redundancy[:rows], SEEN))
-    scale = np.array([MAD * np.median(np.abs(w[used[:, k], k])) if used[:, k].any() else 1.0 for k in range(3)])
-    w /= np.maximum(scale, 1.0)
-    pair = recording.station * len(recording.targets) + recording.target
-    off = np.bincount(pair, (np.abs(w) > OFF).sum(axis=1))
-    row, column = np.nonzero((np.abs(w) > WRONG) & (off[pair] == 1)[:, None])
-    worst = np.argsort(-np.abs(w[row, column]))[:MOST]
-    use, found = use.copy(), []
-    for i, k in zip(row[worst].tolist(), column[worst].tolist(), strict=True):
-        use[i, k] = False
-        station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        arm = 1.0 if k == 0 else float(space.sightings.range_[i])
-        redundancy = max(float(space.redundancy[np.flatnonzero(np.flatnonzero(used) == 3 * i + k)[0]]), SEEN)
-        size = abs(float(space.adjustment.residuals[i, k])) * arm / redundancy
-        sentence = (
-            f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by {size * 1e3:.2f} mm, "
-            f"{abs(w[i, k]):.0f} times what such readings scatter; the others there are not."
-        )
-        found.append(GrossFinding("outlier", np.array([i]), (station,), (target,), (OBSERVABLES[k],), size, sentence))
+    use, found = use.copy(), list[GrossFinding]()
+    place = np.flatnonzero(space.use)
+    target = space.adjustment.recording.target[place // 3]
+    w = _normalised(space)
+    while len(found) < MOST and np.abs(w).max(initial=0.0) > WRONG:
+        worst = int(np.argmax(np.abs(w)))
+        rest = space.extended(np.eye(1, space.size, worst).T)
+        others = _normalised(rest)
+        if np.abs(others[target == target[worst]]).max() > OFF:
+            break
+        use.ravel()[place[worst]] = False
+        found.append(_finding(space, int(place[worst]), worst, float(abs(w[worst]))))
+        space, w = rest, others
     return use, found
+
+
+def _normalised(space: ResidualSpace) -> Floats:
+    """Residuals (r,) of the readings over what readings of their kind scatter; zero where nothing would show."""
+    kind = np.nonzero(space.use)[1]
+    redundancy = space.redundancy[: len(kind)]
+    w = np.where(redundancy > SEEN, space.residual[: len(kind)] / np.sqrt(np.maximum(redundancy, SEEN)), 0.0)
+    scale = np.array([MAD * np.median(np.abs(w[kind == k])) if (kind == k).any() else 1.0 for k in range(3)])
+    found: Floats = w / np.maximum(scale, 1.0)[kind]
+    return found
+
+
+def _finding(space: ResidualSpace, place: int, row: int, times: float) -> GrossFinding:
+    """The finding of a reading, by its place among all (n, 3)."""
+    recording, (i, k) = space.adjustment.recording, divmod(place, 3)
+    station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+    arm = 1.0 if k == 0 else float(space.sightings.range_[i])
+    size = abs(float(space.residual[row])) / float(space.redundancy[row]) * float(space.sigma[i, k]) * arm
+    sentence = (
+        f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by {size * 1e3:.2f} mm, "
+        f"{times:.0f} times what such readings scatter; without it no other reading of {target} is."
+    )
+    return GrossFinding("outlier", np.array([i]), (station,), (target,), (OBSERVABLES[k],), size, sentence)
