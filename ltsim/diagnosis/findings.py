@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.gross import CLOSE, GrossFinding
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.diagnosis.blind import distortion
@@ -21,7 +21,7 @@ from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY, Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
-from ltsim.diagnosis.prior import SAME_OBSERVABLE
+from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
@@ -218,14 +218,15 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
-    """The finding of a gross error, certain by its size."""
+    """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
+    probability = 1.0 if gross.size > CLOSE else 1.0 - OUTSIDE * SAME_OBSERVABLE
     floor = float(adjustment.recording.sigma()[:, 0].min())
     return Finding(
         effect=gross.effect,
         known=True,
         where=_place(observables=gross.observables, stations=gross.stations, targets=gross.targets),
         parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
-        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=1.0),
+        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=probability),
         sentence=gross.sentence,
         equivalents=(),
     )
