@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross
+from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.mixed_up import mend_faces, mend_stations
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -21,7 +22,7 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_average
-from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, noise_finding
+from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, known_finding, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
@@ -91,7 +92,7 @@ def diagnose(
         raise RecordError(f"level: found {level:g}, expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
     construction = stated_construction(recording)
     compared = contradictions if history is None else History.of(history, recording, construction).contradictions
-    baseline, use, gross = _mended(recording, construction)
+    baseline, use, gross, wrong = _mended(recording, construction)
     trials = max(TRIALS, ceil(1.0 / level))
     case = Case(baseline, use, seed, trials, ordinary=history is None)
     sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
@@ -101,6 +102,7 @@ def diagnose(
     found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
+    mistaken += [known_finding(test, baseline) for test in wrong]
     apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
     explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
@@ -109,18 +111,21 @@ def diagnose(
     return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
 
 
-def _mended(recording: Recording, construction: Construction) -> tuple[Adjustment, Bools, list[GrossFinding]]:
-    """The ordinary adjustment with mistakes mended and wrong readings left out, readings (n, 3) to use, and these."""
+def _mended(
+    recording: Recording, construction: Construction
+) -> tuple[Adjustment, Bools, list[GrossFinding], list[KnownTest]]:
+    """The ordinary adjustment with mistakes mended, readings (n, 3) to use, wrong readings and wrong known values."""
     converted, wrong = mend_stations(recording)
     faced, confused = mend_faces(converted)
     baseline = adjust(faced, construction)
+    known = [test for test in (*baseline.wrong, *baseline.axes) if test.left_out or test.rivals]
     mended, use, gross = explain_gross(baseline)
     if mistaken := [*wrong, *confused, *gross]:
         baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
     use, stray = stray_readings(ResidualSpace.of(baseline), use if mistaken else baseline.problem.use)
     if stray:
         baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    return baseline, use, [*mistaken, *stray]
+    return baseline, use, [*mistaken, *stray], known
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import CLOSE, GrossFinding
+from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.diagnosis.blind import distortion
@@ -36,6 +37,7 @@ from ltsim.laws.words import IN_ITS_OWN_WAY, describe
 from ltsim.notation import number, with_sigma
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
 
 MOST_EQUIVALENTS = 3
 """Equivalents that are stated at most."""
@@ -229,6 +231,49 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
         evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=probability),
         sentence=gross.sentence,
         equivalents=(),
+    )
+
+
+DATUM = {
+    "point": "known coordinates",
+    "axes": "stated coordinates",
+    "length": "known length",
+    "level": "level",
+    "mark": "place of the stand",
+}
+"""What is called wrong of each kind of known value."""
+
+
+def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
+    """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
+    recording = adjustment.recording
+    ends = (test.name, *test.name.split("-")) if test.kind == "length" else (test.name,)
+    unit = "arcsec" if test.kind == "level" else "mm"
+    factor = FACTOR[unit]
+    rows = [
+        Estimate(
+            name=f"off along {axis}" if len(test.error) > 1 else "off", value=e / factor, sigma=s / factor, unit=unit
+        )
+        for axis, e, s in zip(test.axes or "xyz", test.error.tolist(), test.sigma_error.tolist(), strict=False)
+        if np.isfinite(s)
+    ]
+    sentence = test.sentence[0].upper() + test.sentence[1:] + "."
+    return Finding(
+        effect="unknown",
+        known=False,
+        where=_place(
+            stations=(test.name,) if test.name in recording.stations else (),
+            targets=tuple(t for t in recording.targets if t in ends)
+            if test.kind in ("point", "axes", "length")
+            else (),
+        ),
+        parameters=tuple(rows),
+        evidence=Evidence(
+            chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=1.0 - OUTSIDE * SAME_OBSERVABLE
+        ),
+        sentence=sentence,
+        formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
+        carrier=DATUM[test.kind],
     )
 
 

@@ -91,3 +91,17 @@ def test_a_name_is_less_certain_than_the_place_that_the_readings_show():
     assert finding.effect == "range-cyclic"
     assert 0.7 < finding.evidence.probability < 0.95
     assert "unknown" in [other.effect for other in finding.equivalents]
+
+
+def test_a_known_length_that_is_wrong_is_told_as_that_and_not_as_physics():
+    recording, _ = workshop(2)
+    first, *others = recording.gauge.distance
+    wrong = first.model_copy(update={"length_mm": first.length_mm + 0.3})
+    gauge = recording.gauge.model_copy(update={"distance": (wrong, *others)})
+    changed_ = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+    found = diagnose(changed_)
+    assert found.verdict == "mismatch"
+    assert [f.carrier for f in found.findings] == ["known length"]
+    assert set(found.findings[0].where.targets) == {first.from_, first.to}
+    (size,) = found.findings[0].parameters
+    assert size.value == pytest.approx(0.3, abs=4 * size.sigma + 0.02)
