@@ -13,7 +13,7 @@ from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Engine, recording_of
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.truth import BLOCK, Truth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.effects.warming import GaugeScale
+from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.evaluation.criteria import evaluate
 from ltsim.evaluation.share_removed import target_error
 from ltsim.model.construction import dh, misalignment
