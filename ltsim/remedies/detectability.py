@@ -207,7 +207,7 @@ def examine_baseline(adjustment: Adjustment, effect: Effect) -> Seen:
     """
     at = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior_sigma[0][at]
-    information = np.linalg.inv(block) - np.diag(1.0 / prior**2)
+    information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     sizes = _smallest(information, noncentrality(len(information)))
     return Seen(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 
