@@ -67,10 +67,7 @@ def _stated(lines: list[str], hints: Hints, file: Path) -> Hints:
 def write(recording: Recording, path: Path) -> None:
     """Write polar text in degrees and millimetres, azimuth counter-clockwise, elevation, raw on both faces.
 
-    Raises
-    ------
-    RecordError
-        For a recording with incomplete pointings, which this format cannot hold.
+    Raises RecordError for a recording with incomplete pointings, which this format cannot hold.
     """
     missing = np.flatnonzero(~np.all(recording.measured, axis=1))
     if len(missing):
