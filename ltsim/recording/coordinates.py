@@ -25,7 +25,7 @@ from ltsim.recording.files import Where, decoded, shown
 from ltsim.recording.formats.xml import Node, banded, parse
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import PLACE, READINGS, SIGMA_OF, Column, columns_of, words_of
-from ltsim.recording.tables.sheets import Row, Sheet, separator_of, sheets_of, split
+from ltsim.recording.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.units import FACTOR, MILLIMETRE
 
 AXES = "xyz"
@@ -102,9 +102,7 @@ def read_points(path: str | Path, unit: Unit | None = None, *, strict: bool = Tr
 
 def recognises(head: str) -> bool:
     """Whether the first lines of a file are those of a list of points without a header, or its header."""
-    lines = [line for line in head.splitlines() if line.strip()]
-    separator = separator_of(lines)
-    rows = [Row(i + 1, split(line.lstrip("# "), separator), line.startswith("#")) for i, line in enumerate(lines[:60])]
+    rows = rows_of_head(head)
     found = _header_of(rows)
     body = [row for row in rows[0 if found is None else found[0] :] if not row.comment]
     if found is not None:

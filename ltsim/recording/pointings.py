@@ -145,18 +145,17 @@ def _at_one_height(observed: Sequence[Observed]) -> bool:
 
 
 def _pointing(row: dict[str, Observed], file: str) -> Pointing:
-    kinds = sorted(row, key=OBSERVABLES.index)
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     stated = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
     flat = "distance" in row and row["distance"].horizontal
     lines = sorted({one.line for one in row.values() if one.line})
-    one = next(iter(row.values()))
+    first = next(iter(row.values()))
     return Pointing(
-        one.station,
-        one.target,
+        first.station,
+        first.target,
         1,
-        **{kind: row[kind].value for kind in kinds},  # type: ignore[arg-type]
+        **{kind: one.value for kind, one in row.items()},
         covariates={name: value for name, value in (sigmas | stated).items() if value == value},
         labels={KIND_COLUMN: "horizontal"} if flat else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",

@@ -211,7 +211,8 @@ class Polar:
         name = words.first(5, "a target needs its name and four sigmas")[0]
         height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
         correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
-        self.targets[name] = Sigmas(*words.numbers(1, *["sigma"] * 4), height)
+        azimuth, elevation, distance, ppm = words.numbers(1, "sigma", "sigma", "sigma", "sigma")
+        self.targets[name] = Sigmas(azimuth, elevation, distance, ppm, height)
         return (
             f"target {shown(name)}: its correction of distances of {correction:g} m is not applied"
             if correction

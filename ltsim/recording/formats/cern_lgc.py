@@ -134,7 +134,7 @@ def _begin(keyword: str, rest: Words, file: _File) -> None:
         file.curved = keyword
     elif keyword == "POLAR":
         name, default, _ = rest.first(3, "*POLAR needs an instrument, its default target and a height")
-        file.polar[rest.where.name(name, "instrument")] = Polar(default, *rest.numbers(2, "height"))
+        file.polar[rest.where.name(name, "instrument")] = Polar(default, rest.numbers(2, "height")[0])
     elif keyword == "TSTN":
         _begin_setup(rest, file)
     elif keyword == "V0":

@@ -342,8 +342,8 @@ def _lengths(network: _Network) -> tuple[list[GaugeDistance], list[Observed]]:
         if o.station in angles or start == o.target or not {start, o.target} <= seen or any(o.heights):
             rest.append(o)
         else:
-            length, sigma = o.value / MILLIMETRE, o.sigma / MILLIMETRE
-            gauge.append(GaugeDistance(from_=start, to=o.target, length_mm=length, sigma_mm=sigma))
+            length = {"length_mm": o.value / MILLIMETRE, "sigma_mm": o.sigma / MILLIMETRE}
+            gauge.append(GaugeDistance.model_validate({"from": start, "to": o.target, **length}))
     return gauge, rest
 
 

@@ -191,7 +191,8 @@ def _readings_of_places(table: Table, hints: Hints, file: Path) -> tuple[Meaning
         if missing:
             raise p.where.wrong(f"the coordinate {missing} is missing")
     printed = np.array([[float(p.values[axis]) for axis in PLACE] for p in table.pointings])
-    length, notes = next((c.unit for c in table.columns if c.role in PLACE and c.unit), ""), []
+    length = next((c.unit for c in table.columns if c.role in PLACE and c.unit), "")
+    notes: list[str] = []
     if not length:
         length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
     readings = to_polar(printed * FACTOR[length])

@@ -21,7 +21,7 @@ from ltsim.recording.tables.header import ALLOWED, Column, names_places
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
 from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
 from ltsim.recording.tables.setups import common_names, heights_not_applied, over_marks, split_rounds
-from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, Row, is_folder, separator_of, sheets_of, split
+from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
 from ltsim.units import FACTOR, MILLIMETRE, ratio
 
 SETUP = "setup.toml"
@@ -36,9 +36,7 @@ def recognises(path: Path, head: str) -> bool:
         return path.suffix.lower() == ".xlsx"
     if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False
-    lines = [line for line in head.splitlines()[:-1][:60] if line.strip()]
-    separator = separator_of(lines)
-    rows = [Row(i, split(line.lstrip("# "), separator)) for i, line in enumerate(lines)]
+    rows = rows_of_head("\n".join(head.splitlines()[:-1]))  # the last line may be cut
     headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
     if headers and names_places(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named

@@ -115,19 +115,26 @@ def text_sheet(file: Path) -> Sheet:
 
 
 def _rows(lines: Sequence[str], file: Path) -> Iterator[Row]:
-    separator = separator_of(lines)
+    separator = _separator_of(lines)
     for i, line in enumerate(lines):
         comment = line.lstrip().startswith("#")
         text = line.lstrip().lstrip("#") if comment else line
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if text.strip() and not says_separator:
-            fields = split(text, separator)
+            fields = _split(text, separator)
             if len(fields) > MAX_FIELDS:
                 raise Where(file, i + 1).wrong(f"{len(fields)} fields, expected at most {MAX_FIELDS}")
             yield Row(i + 1, fields, comment)
 
 
-def separator_of(lines: Sequence[str]) -> str:
+def rows_of_head(head: str) -> list[Row]:
+    """The first lines of a file as rows, comments among them, for whoever asks whether the file is his."""
+    lines = [line for line in head.splitlines() if line.strip()]
+    separator = _separator_of(lines)
+    return [Row(i + 1, _split(line.lstrip("# "), separator), line.startswith("#")) for i, line in enumerate(lines[:60])]
+
+
+def _separator_of(lines: Sequence[str]) -> str:
     """The separator that makes most values of most lines of one width; of equals the first of `SEPARATORS`.
 
     Lines of three columns count before those of two, and those before the mere number of columns.
@@ -135,13 +142,13 @@ def separator_of(lines: Sequence[str]) -> str:
     sample = [line for line in lines[:SAMPLE] if line.strip() and not line.lstrip().startswith("#")]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
-    width = {s: max((len(split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
+    width = {s: max((len(_split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
     return max(SEPARATORS, key=lambda s: (_values(sample, s, 3), _values(sample, s, 2), width.get(s, 0)))
 
 
 def _values(lines: Sequence[str], separator: str, least: int) -> int:
     """Cells that hold values in the lines of one width, of `least` columns at least, that hold most."""
-    rows = [fields for fields in (split(line, separator) for line in lines) if len(fields) >= least]
+    rows = [fields for fields in (_split(line, separator) for line in lines) if len(fields) >= least]
     test = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
     for fields in rows:
@@ -149,7 +156,7 @@ def _values(lines: Sequence[str], separator: str, least: int) -> int:
     return max(counts.values(), default=0)
 
 
-def split(line: str, separator: str) -> tuple[str, ...]:
+def _split(line: str, separator: str) -> tuple[str, ...]:
     """The fields of one line; quotes count where they are quotes of CSV."""
     if separator == " ":
         return tuple(line.split())
