@@ -299,7 +299,7 @@ def _in_plan(network: _Network) -> None:
         network.points[name].values.setdefault("z", 0.0)
         network.points[name].fixed += "z"
     network.notes.append(
-        f'{len(flat)} points are adjusted in plan only (adj="xy"): their heights are held and mean nothing, and '
+        f'{len(flat)} points are adjusted in plan only (adj="xy"): they have no heights, and '
         f"{len(network.observed) - len(kept)} observations that need heights are left out, as Gama does"
     )
     network.observed = kept
@@ -352,6 +352,7 @@ def _target(point: _Point, height: float) -> Target:
     return Target(
         known_mm=point.known if point.fixed else None,
         **known if point.fixed else {},  # type: ignore[arg-type]
+        in_plan=point.active == "xy",
         approximate_mm=None if point.fixed == "xyz" else point.place,
         datum=bool(point.datum),
         datum_axes=point.datum or "xyz",  # type: ignore[arg-type]

@@ -128,7 +128,7 @@ def _angles(
     asked, known = polar, None
     if unit:
         turns = [float(ratio(u or unit, "deg")) for u in (one, other)]
-        asked = replace(polar, horizontal=polar.horizontal * turns[0] % 360.0, vertical=polar.vertical * turns[1])
+        asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
         known = "deg"
     if known and (said or hints.vertical):
         return (one or unit, other or unit), hints.vertical or said or "elevation", []
