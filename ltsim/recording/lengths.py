@@ -39,10 +39,7 @@ class KnownLengths:
     def of(cls, recording: Recording, file: object = "setup.toml") -> KnownLengths:
         """The lengths whose targets the recording holds; `file` is named in errors.
 
-        Raises
-        ------
-        RecordError
-            When a material is not stated, or a column has no temperature of a length.
+        Raises RecordError when a material is not stated, or a column has no temperature of a length.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]

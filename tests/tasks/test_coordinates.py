@@ -147,7 +147,7 @@ def test_results_of_gama_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.points[:, 2], [101.2345, 99.5])
     np.testing.assert_allclose(found.covariance, [[1e-6, 0.25e-6], [0.25e-6, 2e-6]])
     path.write_text(GAMA.replace("<band>1</band>", "<band>2</band>"))
-    with pytest.raises(RecordError, match="another size"):
+    with pytest.raises(RecordError, match="do not match dim and band"):
         read_coordinates(path)
     path.write_text(GAMA.replace("<flt>0.25</flt>", "<flt>25</flt>"))
     with pytest.raises(RecordError, match="negative in some direction"):
