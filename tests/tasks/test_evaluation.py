@@ -18,13 +18,12 @@ from ltsim.randomness import stream
 from ltsim.recording import write
 from ltsim.recording.result_file import read_result
 from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
-from ltsim.tasks.files import UncertaintyFile, compared, told
+from ltsim.tasks.files import UncertaintyFile, compared, conformity, normalised_error
 from ltsim.tasks.inputs import Inputs, Source
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.montecarlo import draw, shortest_intervals
 from ltsim.tasks.propagation import expansion_of, propagate
 from ltsim.tasks.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
-from ltsim.tasks.verdict import conformity, normalised_error
 from tests.networks import drawn, network
 
 TASKS: dict[str, Any] = {
@@ -184,7 +183,7 @@ def test_conformity() -> None:
     assert at_limit.probability == pytest.approx(0.5, abs=1e-6)
     assert at_limit.judgement == "accepted"
     guarded = conformity(9.0, 1.0, limits, Decision(risk=0.05))
-    assert guarded.guard == pytest.approx(1.645, abs=1e-3)
+    assert guarded.guard_band == pytest.approx(1.645, abs=1e-3)
     assert guarded.judgement == "undecided"
     inside = conformity(10.0 - 1.645, 1.0, limits, Decision(risk=0.05))
     assert inside.judgement == "accepted"
@@ -209,7 +208,7 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
 
 
 def test_results_against_themselves_differ_by_nothing() -> None:
-    content = told(evaluated())
+    content = evaluated().content
     assert {value for _, value in compared(content, content)} == {0.0}
 
 
