@@ -59,7 +59,8 @@ class Evaluation(Result):
     @property
     def warnings(self) -> list[str]:
         """What makes a figure less than it seems, one sentence each."""
-        told = []
+        air = self.inputs.air
+        told = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
         for i, (task, output) in enumerate(self.results):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > CURVED:
