@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.verdict import Verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibration.determined import determined
-from ltsim.calibration.known_values import KNOWN, KnownEntry
+from ltsim.calibration.evidence import determined, harmonics
 from ltsim.calibration.schema import (
+    KNOWN,
     NOISE,
     OUTLIERS,
     PARAMETERS,
@@ -26,12 +26,15 @@ from ltsim.calibration.schema import (
     DeterminedEntry,
     Fit as Fit,
     FittedEffectEntry,
+    HarmonicEntry,
+    KnownEntry,
     NoiseRow as NoiseRow,
     OutlierRow as OutlierRow,
     ParameterEntry,
     StationPose as StationPose,
 )
 from ltsim.chances import p_is, two_sided
+from ltsim.effects.signature import Parameter
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
@@ -40,6 +43,7 @@ from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Result, Table
 from ltsim.units import ARCSECOND, MILLIMETRE
 
+OfOne = TypeVar("OfOne", DeterminedEntry, HarmonicEntry)
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
 
@@ -119,11 +123,20 @@ class Calibration(Result):
     @cached_property
     def determined(self) -> tuple[DeterminedEntry, ...]:
         """Combinations of parameters that are known far better than each of them."""
-        several, size = len(self.instruments) > 1, len(self.construction.names)
-        found: list[DeterminedEntry] = []
+        return self._of_each(determined)
+
+    @cached_property
+    def harmonics(self) -> tuple[HarmonicEntry, ...]:
+        """Every pair of a cosine and a sine coefficient as amplitude and phase."""
+        return self._of_each(harmonics)
+
+    def _of_each(self, told: Callable[[Sequence[Parameter], Floats, Floats], list[OfOne]]) -> tuple[OfOne, ...]:
+        """What is told of each instrument's values and covariance; with its name where there are several."""
+        several, size = len(self.instruments) > 1, self.construction.size
+        found: list[OfOne] = []
         for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
             own = slice(i * size, (i + 1) * size)
-            entries = determined(self.construction.parameters, values, self.covariance[own, own])
+            entries = told(self.construction.parameters, values, self.covariance[own, own])
             found += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
         return tuple(found)
 

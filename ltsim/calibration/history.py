@@ -7,6 +7,7 @@ unchanged instrument would give, drawn from the prior and measured anew each tim
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +18,6 @@ from scipy import linalg, special
 
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.dates import days_of
 from ltsim.calibration.evidence import Evidence, evidence
 from ltsim.chances import p_is
 from ltsim.errors import RecordError, option
@@ -353,3 +353,23 @@ def _test(gap: Floats, spread: Floats) -> ChiSquare:
     kept = values > RESOLVED * max(float(values[-1]), 0.0)
     z = (vectors[:, kept].T @ gap) / np.sqrt(values[kept])
     return ChiSquare(float(z @ z), int(kept.sum()))
+
+
+def days_of(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
+    """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
+    if len(dates) != len(labels):
+        raise RecordError(f"found {len(dates)} dates for {len(labels)} calibrations, expected one each")
+    stated = [date for date in dates if date]
+    if len(stated) < len(dates):
+        return None
+    try:
+        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in stated]
+    except ValueError:
+        raise RecordError(f"found the dates {', '.join(stated)}, expected such as 2026-05-31") from None
+    days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
+    back = np.flatnonzero(np.diff(days) < 0)
+    if len(back):
+        i = int(back[0])
+        message = f"{labels[i]} ({stated[i]}) stands before {labels[i + 1]} ({stated[i + 1]})"
+        raise RecordError(f"{message}; expected calibrations in the order of time")
+    return days

@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.choice import WIDE, Choice
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
-from ltsim.calibration.known_values import known_of
+from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.result import (
     criteria_of,
     directions_of,
     fit_of,
     frame_of,
+    known_of,
     noise_of,
     notes_on_axes,
     notes_on_hand,
@@ -33,10 +33,12 @@ from ltsim.calibration.result import (
     verdict_of,
 )
 from ltsim.calibration.worth import correction_of
+from ltsim.effects.made import names
 from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import MODE_COLUMN, Recording
 from ltsim.recording.result_file import SourceEntry
 
@@ -53,21 +55,10 @@ def calibrate_network(
     weigh: bool = True,
     beside: Sequence[Wanted] = (),
 ) -> Calibration:
-    """Estimate the parameters of an instrument from a network, with everything else that is unknown.
+    """The method `network` of `ltsim.calibrate`, whose options and errors it has, and further ones of programs.
 
     Parameters
     ----------
-    recording : Recording
-    construction : Construction, optional
-        Default: that of the set-up; the misalignments of a source in the head (16 parameters), or of a steering mirror.
-    advise : bool
-        Compute which further measurements would cure undetermined combinations (half of the time it takes).
-    robust : bool
-        Leave out readings that do not belong, each tested again at the end.
-    noise_from_data : bool
-        Estimate the noise of each observable of each instrument, and of the levels, from the residuals.
-    datum : sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
     weigh : bool
@@ -75,20 +66,6 @@ def calibrate_network(
         prior follow the readings; without it the estimates are those of the stated priors, linear in the readings.
     beside : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
-
-    Raises
-    ------
-    NetworkError
-        When stations share too few targets, most pointings or the known points contradict the rest, or control points
-        leave nothing to a datum that was asked for.
-    ModelError
-        When the datum names a target that does not exist, or too few, or the choice a parameter.
-    SetupError
-        When the set-up states a prior of a parameter that does not exist.
-    RecordError
-        When the choice's prior belongs to other instruments or another construction.
-    ConvergenceError
-        When the adjustment does not converge.
     """
     built = construction or stated_construction(recording)
     chosen = choice or Choice()
@@ -112,16 +89,45 @@ def calibrate_network(
     return replace(calibration, notes=(*calibration.notes, *disagreement(calibration, freed)))
 
 
-def adjust_network(
-    recording: Recording,
+def adjust(
+    recording: RecordingSource,
     *,
     robust: bool = False,
     noise_from_data: bool = False,
-    datum: Sequence[str] | None = None,
+    datum: str | Sequence[str] | None = None,
 ) -> Calibration:
-    """The same network without instrument parameters, in the same form; arguments and errors of `calibrate_network`."""
-    found = _adjusted(recording, ideal(), robust, noise_from_data, datum)
-    return _calibration(recording, found, "adjustment", advise=False, robust=robust)
+    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    robust : bool
+        Leave out readings that do not belong, each tested again at the end.
+    noise_from_data : bool
+        Estimate the noise of each observable and instrument from the residuals.
+    datum : str or sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
+
+    Returns
+    -------
+    Calibration
+        Without instrument parameters.
+
+    Raises
+    ------
+    NetworkError
+        When the network cannot be solved; the message names stations or targets.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.adjust(recording).to_dataframe("targets").shape
+    (28, 7)
+    """
+    seen = recording_of(recording)
+    found = _adjusted(seen, ideal(), robust, noise_from_data, None if datum is None else names(datum))
+    return _calibration(seen, found, "adjustment", advise=False, robust=robust)
 
 
 def _adjusted(
@@ -135,7 +141,7 @@ def _adjusted(
 ) -> Adjustment:
     grouping: Grouping | None = "instrument" if noise_from_data else None
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    found = adjust(recording, construction, effects=effects, **how)
+    found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")

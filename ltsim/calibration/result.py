@@ -8,11 +8,13 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment, observable_name
 from ltsim.adjustment.frame import Frame
+from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.screening import gross_pointings
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibration.calibration import SHOWN_UNITS, Combination, Fit, NoiseRow, OutlierRow, StationPose
+from ltsim.calibration.calibration import SHOWN_UNITS
+from ltsim.calibration.schema import Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
 from ltsim.chances import AGREES
 from ltsim.effects.motions import exact_target_change
 from ltsim.errors import NetworkError
@@ -139,6 +141,29 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
                 )
             )
     return tuple(rows)
+
+
+def known_of(adjustment: Adjustment) -> tuple[KnownEntry, ...]:
+    """Known coordinates, lengths and levels, each tested by the rest: an entry a component."""
+    return tuple(_known_entry(test, k) for test in adjustment.known for k in range(len(test.error)))
+
+
+def _known_entry(test: KnownTest, k: int) -> KnownEntry:
+    unit, factor = ("arcsec", ARCSECOND) if test.kind == "level" else ("mm", MILLIMETRE)
+    one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
+    return KnownEntry(
+        kind=test.kind,
+        name=test.name,
+        component="" if one else (test.axes or "xy")[k],
+        residual=float(test.residual[k]) / factor,
+        error=float(test.error[k]) / factor,
+        sigma_error=float(test.sigma_error[k]) / factor if sure else None,
+        minimal_detectable=float(test.minimal_detectable[k]) / factor if sure else None,
+        unit=unit,
+        redundancy=float(test.redundancy[k]),
+        w=test.w,
+        left_out=test.left_out,
+    )
 
 
 def notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:

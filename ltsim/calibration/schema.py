@@ -10,7 +10,6 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy import special
 
 from ltsim.arrays import Floats
-from ltsim.calibration.known_values import KnownEntry
 from ltsim.chances import p_is
 from ltsim.evaluation.schema import CriterionEntry
 from ltsim.notation import number, with_sigma
@@ -199,6 +198,33 @@ class OutlierRow(Entry):
     """It did not take part in the adjustment."""
 
 
+class KnownEntry(Entry):
+    """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
+
+    kind: Literal["point", "length", "level", "mark", "axes"]
+    """What is known."""
+    name: str
+    """Target, both ends of a length, or station."""
+    component: str = ""
+    """x, y or z of a point; the two tilts of a level are x and y."""
+    residual: Finite
+    """Stated less adjusted."""
+    error: Finite
+    """By how much it is wrong by what the rest says."""
+    sigma_error: Known = None
+    """Standard deviation of the error; null where the rest says nothing."""
+    minimal_detectable: Known = None
+    """Smallest error that the test finds with 80 %."""
+    unit: str
+    """Of residual, error and what follows them."""
+    redundancy: Finite
+    """Share of an error that the residual shows."""
+    w: Finite
+    """Root of the fall of chi-square without the whole known value."""
+    left_out: bool = False
+    """It contradicts the rest and had no say."""
+
+
 class NoiseRow(Entry):
     """Noise that was found from the readings; no `factor_sigma`: too little redundancy, the factor is as stated."""
 
@@ -318,6 +344,7 @@ PARAMETERS = Table(
 )
 
 
+KNOWN = Table("known.csv", "known values, each tested by the rest", columns_of(KnownEntry))
 OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
 NOISE = Table(
     "noise.csv",

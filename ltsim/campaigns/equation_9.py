@@ -12,8 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration.distance_solver import Estimate
-from ltsim.calibration.equation_9 import solve_equation_9
+from ltsim.calibration.distance_solver import Estimate, solve_equation_9
 from ltsim.campaigns.distance import CLOSED, BatchDistance
 from ltsim.campaigns.single import Single
 from ltsim.campaigns.truth import Block

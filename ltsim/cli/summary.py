@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ltsim.calibration import Calibration
-    from ltsim.calibration.known_values import KnownEntry
+    from ltsim.calibration.schema import KnownEntry
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",

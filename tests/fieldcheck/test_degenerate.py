@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.calibration import adjust_network, calibrate_network
+from ltsim.calibration import calibrate_network
 from ltsim.errors import LtsimError
 from ltsim.fieldcheck import check
 from ltsim.geometry.polar import to_polar
@@ -83,9 +83,9 @@ def agreed(way: Break, seed: int) -> str:
     """The sentence of all verbs about a network that is degenerate in one way."""
     recording, state = workshop()
     broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
-    said = words(adjust_network, broken)
+    said = words(lt.adjust, broken)
     if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud; check does not say so yet
-        doubt = adjust_network(broken).verdict.sentence
+        doubt = lt.adjust(broken).verdict.sentence
         assert way is on_a_line
         assert "hold its pose so weakly" in doubt
         return doubt
@@ -111,7 +111,7 @@ def test_a_pointing_to_the_zenith_is_named_by_all_verbs() -> None:
     above = state.points.copy()
     above[3] = state.position[1] + state.rotation[1] @ [0.0, 0.0, 2.0]
     broken = seen(recording, above, 0)
-    verbs = (adjust_network, lambda r: calibrate_network(r, advise=False), lt.diagnose)
+    verbs = (lt.adjust, lambda r: calibrate_network(r, advise=False), lt.diagnose)
     for said in (words(verb, broken) for verb in verbs):
         assert "row 32: at the zenith an azimuth means nothing, leave it out" in said
     assert any("row 32: at the zenith" in item.sentence for item in check(broken).items)
