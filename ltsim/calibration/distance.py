@@ -33,9 +33,12 @@ from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import SourceEntry
 from ltsim.solve.design import as_dense
 
-METHODS: dict[str, Norm] = {"distance": "squares", "distance-l1": "absolute"}
-AS_PRINTED: dict[str, Norm] = {"equation-9": "squares", "equation-9-l1": "absolute"}
-"""Methods that leave no combination out, however little the readings tell of it."""
+METHODS: dict[str, Norm] = {
+    "distance": "squares",
+    "distance-l1": "absolute",
+    "equation-9": "squares",
+    "equation-9-l1": "absolute",
+}
 
 
 def calibrate_distance(
@@ -60,12 +63,12 @@ def calibrate_distance(
     recording, _ = tied_readings(recording)
     usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
     start = np.where(held, known.mean / prior, 0.0).ravel()
-    problem, notes = DistanceProblem(usable, built, prior), tuple[str, ...]()
-    if method in AS_PRINTED:
-        estimate = solve_equation_9(problem, AS_PRINTED[method], box=box, start=start, held=held.ravel())
+    problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
+    if method.startswith("equation-9"):
+        estimate = solve_equation_9(problem, norm, box=box, start=start, held=held.ravel())
     else:
-        estimate = solve_distances(problem, METHODS[method], start=start, held=held.ravel())
-        notes = with_minimum(problem, METHODS[method], estimate, held.ravel()) if advise else ()
+        estimate = solve_distances(problem, norm, start=start, held=held.ravel())
+        notes = with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
@@ -109,10 +112,9 @@ def _fit(propagation: Propagation) -> Fit:
     mean, variance = propagation.chi2_moments()
     expected = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected > 0
+    status = "capped", "the cap on iterations was reached before the steps became small"
     if estimate.converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
-    else:
-        status = "capped", "the cap on iterations was reached before the steps became small"
     return Fit(
         chi2=chi2,
         dof=expected,
@@ -140,7 +142,13 @@ def _undetermined(
 
 @dataclass(frozen=True)
 class Propagation:
-    """An estimate of the parameters and the adjustment of the readings that they correct."""
+    """How the error of parameters that were found beforehand spreads through the adjustment of corrected readings.
+
+    With e the whitened noise of readings and gauge, A the adjustment, D its design, B the design of the parameters and
+    dx their error, the network errs by A e - A B dx and leaves the residuals R e - R B dx, R = 1 - D A. The parameters
+    come from the same readings: their error is correlated with e, and an estimator other than the adjustment's own
+    leaves more in the residuals than the degrees of freedom say.
+    """
 
     recording: Recording
     """As it was measured."""

@@ -14,6 +14,7 @@ from ltsim.calibration import (
     read_calibration,
 )
 from ltsim.calibration.beside import Wanted
+from ltsim.calibration.distance import METHODS
 from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Choice, Known
@@ -27,7 +28,6 @@ from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
 
-METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
 NO_PRIOR = "none"
 
 
@@ -103,8 +103,8 @@ def calibrate(
     >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    if method not in ("network", *METHODS):
+        raise unknown_name("method", method, ("network", *METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree go with a construction's name: this one is built already")
