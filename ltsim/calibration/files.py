@@ -1,4 +1,4 @@
-"""calibration.json and the tables beside it: written whole or not at all, and read back."""
+"""calibration.json with its tables, and history.json: written whole or not at all, and read back."""
 
 from __future__ import annotations
 
@@ -9,8 +9,18 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.events import Event, events
+from ltsim.calibration.history import Change, History
+from ltsim.calibration.history_schema import (
+    CalibrationOf,
+    ChangeEntry,
+    CourseEntry,
+    DifferenceEntry,
+    EventEntry,
+    HistoryFile,
+)
 from ltsim.calibration.result import named
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, VerdictEntry
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
 from ltsim.errors import ModelError, RecordError, unknown_name
 from ltsim.model.construction import with_parameters
 from ltsim.recording.files import read_text, shown
@@ -157,3 +167,69 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
     return (f"{file}: {which} not in the file and taken as zero: {named(names)}",)
+
+
+def history_file(history: History) -> HistoryFile:
+    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
+    factors = np.array([p.factor for p in history.construction.parameters])
+    return HistoryFile(
+        construction=history.construction.name,
+        calibrations=tuple(
+            CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
+            for label, c in zip(history.labels, history.calibrations, strict=True)
+        ),
+        parameters=tuple(_course(history, k) for k in range(history.construction.size)),
+        mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
+        constant=history.constancy(),
+        changes=tuple(_change(history, change) for change in history.changes()),
+        events=tuple(_event(history, event) for event in events(history)),
+        since_first=_change(history, history.change(0, len(history) - 1)),
+    )
+
+
+def _course(history: History, k: int) -> CourseEntry:
+    parameter, known = history.construction.parameters[k], history.population
+    return CourseEntry(
+        name=parameter.name,
+        unit=parameter.unit,
+        values=(history.values[:, k] / parameter.factor).tolist(),
+        sigmas=(history.sigma[:, k] / parameter.factor).tolist(),
+        prior_sigma=history.prior_sigma[k] / parameter.factor,
+        mean=known.mean[k] / parameter.factor,
+        spread=known.spread[k] / parameter.factor,
+        constant=history.constancy(k),
+    )
+
+
+def _event(history: History, event: Event) -> EventEntry:
+    parameter = history.construction.parameters[event.parameter]
+    return EventEntry(
+        from_=history.labels[event.step],
+        to=history.labels[event.step + 1],
+        name=parameter.name,
+        difference=event.difference / parameter.factor,
+        sigma=event.sigma / parameter.factor,
+        usual=event.usual / parameter.factor,
+        unit=parameter.unit,
+        p_value=event.p_value,
+    )
+
+
+def _change(history: History, change: Change) -> ChangeEntry:
+    parameters = history.construction.parameters
+    return ChangeEntry(
+        from_=change.first,
+        to=change.second,
+        **change.joint.model_dump(),
+        changed=tuple(parameters[k].name for k in change.changed()),
+        parameters=tuple(
+            DifferenceEntry(
+                name=parameter.name,
+                difference=change.difference[k] / parameter.factor,
+                sigma=change.sigma[k] / parameter.factor,
+                unit=parameter.unit,
+                p_value=change.p_values[k],
+            )
+            for k, parameter in enumerate(parameters)
+        ),
+    )

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
+from scipy import special
 
-from ltsim.calibration.events import Event, events
-from ltsim.calibration.history import Change, History
 from ltsim.calibration.schema import Fit, NotNegative
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 
@@ -21,7 +19,12 @@ class ChiSquareEntry(Entry):
     dof: int
     """Degrees of freedom."""
     p_value: Finite
-    """Chance of as much or more in a correct model."""
+    """Chance of as much or more in a correct model; 1 without degrees of freedom."""
+
+    @classmethod
+    def of(cls, chi2: float, dof: int) -> Self:
+        """The test of a statistic."""
+        return cls(chi2=chi2, dof=dof, p_value=float(special.chdtrc(dof, max(chi2, 0.0))) if dof else 1.0)
 
 
 class DifferenceEntry(Entry):
@@ -133,69 +136,3 @@ class HistoryFile(ResultFile):
             if len(course.values) != count or len(course.sigmas) != count:
                 raise ValueError(f"the parameter {course.name} has not one value and one sigma a calibration")
         return self
-
-
-def history_file(history: History) -> HistoryFile:
-    """The content of `history.json`: parameters in the units a person reads, tests as chi-square."""
-    factors = np.array([p.factor for p in history.construction.parameters])
-    return HistoryFile(
-        construction=history.construction.name,
-        calibrations=tuple(
-            CalibrationOf(label=label, fit=Fit(chi2=c.fit.chi2, dof=c.fit.dof, sigma0=c.fit.sigma0))
-            for label, c in zip(history.labels, history.calibrations, strict=True)
-        ),
-        parameters=tuple(_course(history, k) for k in range(history.construction.size)),
-        mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
-        constant=ChiSquareEntry(**history.constancy().entry),
-        changes=tuple(_change(history, change) for change in history.changes()),
-        events=tuple(_event(history, event) for event in events(history)),
-        since_first=_change(history, history.change(0, len(history) - 1)),
-    )
-
-
-def _course(history: History, k: int) -> CourseEntry:
-    parameter, known = history.construction.parameters[k], history.population
-    return CourseEntry(
-        name=parameter.name,
-        unit=parameter.unit,
-        values=(history.values[:, k] / parameter.factor).tolist(),
-        sigmas=(history.sigma[:, k] / parameter.factor).tolist(),
-        prior_sigma=history.prior_sigma[k] / parameter.factor,
-        mean=known.mean[k] / parameter.factor,
-        spread=known.spread[k] / parameter.factor,
-        constant=ChiSquareEntry(**history.constancy(k).entry),
-    )
-
-
-def _event(history: History, event: Event) -> EventEntry:
-    parameter = history.construction.parameters[event.parameter]
-    return EventEntry(
-        from_=history.labels[event.step],
-        to=history.labels[event.step + 1],
-        name=parameter.name,
-        difference=event.difference / parameter.factor,
-        sigma=event.sigma / parameter.factor,
-        usual=event.usual / parameter.factor,
-        unit=parameter.unit,
-        p_value=event.p_value,
-    )
-
-
-def _change(history: History, change: Change) -> ChangeEntry:
-    parameters = history.construction.parameters
-    return ChangeEntry(
-        from_=change.first,
-        to=change.second,
-        **change.joint.entry,
-        changed=tuple(parameters[k].name for k in change.changed()),
-        parameters=tuple(
-            DifferenceEntry(
-                name=parameter.name,
-                difference=change.difference[k] / parameter.factor,
-                sigma=change.sigma[k] / parameter.factor,
-                unit=parameter.unit,
-                p_value=change.p_values[k],
-            )
-            for k, parameter in enumerate(parameters)
-        ),
-    )

@@ -15,7 +15,7 @@ from ltsim.evaluation.schema import CriterionEntry
 from ltsim.notation import number, with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable
-from ltsim.results import Column, Table, columns_of, numbers, texts
+from ltsim.results import numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 NotNegative = Annotated[Finite, Field(ge=0)]
@@ -56,9 +56,7 @@ class Fit(Entry):
     sigma0: Known = None
     """Square root of chi-square over degrees of freedom."""
     p_value: Known = None
-    """Chance of as much or more in a correct model: near 1 where the readings scatter less than stated. What is printed
-    is two-sided, twice the smaller of it and of its complement.
-    """
+    """Chance of as much or more in a correct model, near 1 where readings scatter less; printed two-sided."""
     iterations: int = 0
     """Steps of Gauss-Newton."""
     status: str = "not stated"
@@ -109,22 +107,30 @@ class HarmonicEntry(Entry):
     """Where there are several."""
 
 
-class Combination(Entry):
-    """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
+class Terms(Entry):
+    """A combination of parameters."""
 
     combination: dict[str, Finite]
     """Coefficient of each parameter."""
+
+    @property
+    def terms(self) -> str:
+        """The combination in a line."""
+        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
+
+
+class Combination(Terms):
+    """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
+
     gain: Known = None
     """Share of the prior variance that the readings removed."""
     cure: str = ""
     """The measurement that would determine it."""
 
 
-class DeterminedEntry(Entry):
+class DeterminedEntry(Terms):
     """A combination of parameters that the recording determines far better than each of them."""
 
-    combination: dict[str, Finite]
-    """Coefficient of each parameter."""
     value: Finite
     """Its size."""
     sigma: Known = None
@@ -133,11 +139,6 @@ class DeterminedEntry(Entry):
     """Of both."""
     instrument: str = ""
     """Where there are several."""
-
-    @property
-    def terms(self) -> str:
-        """The combination in a line."""
-        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
 
 
 class StationPose(Entry):
@@ -263,9 +264,7 @@ class Correction(Entry):
     plausible_scale: tuple[Positive, Positive]
     """The same from and to, each with 95 %."""
     uncorrected_um: NotNegative
-    """Expected error of a new point as it is read: rms of its distance from the truth in one set-up's frame, by the
-    instrument's constants alone, without the noise of its own reading.
-    """
+    """Expected rms error of a new point as it is read, in its set-up's frame, by the instrument's constants alone."""
     corrected_um: NotNegative
     """The same after the correction."""
     noise_um: NotNegative = 0.0
@@ -329,29 +328,6 @@ class FittedEffectEntry(Entry):
         )
         tried = f", the best of {self.tried}" if self.tried > 1 else ""
         return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
-
-
-PARAMETERS = Table(
-    "parameters.csv",
-    "estimates of the instrument's parameters, each in its unit",
-    columns_of(
-        ParameterEntry,
-        "name instrument value sigma unit prior_sigma held applied",
-        value={"sigma": "sigma"},
-        prior_sigma={"shown": ".3g"},
-        name={"name": "parameter"},
-    ),
-)
-
-
-KNOWN = Table("known.csv", "known values, each tested by the rest", columns_of(KnownEntry))
-OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
-NOISE = Table(
-    "noise.csv",
-    "noise found from the readings",
-    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
-)
-STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 
 
 class CalibrationFile(ResultFile):

@@ -74,8 +74,9 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
+    from ltsim.calibration.files import history_file
     from ltsim.calibration.history import History
-    from ltsim.calibration.history_schema import HistoryFile, history_file
+    from ltsim.calibration.history_schema import HistoryFile
 
     claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []

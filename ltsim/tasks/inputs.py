@@ -14,15 +14,15 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.effects import find_effect
 from ltsim.effects.air import Air
 from ltsim.effects.effect import Effect, NoiseEffect, by_displacement
+from ltsim.effects.made import effect_from
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.reflectors import smrs_of
 from ltsim.tasks.spec import Tasks, TypeB
-from ltsim.units import FACTOR, MILLIMETRE
+from ltsim.units import MILLIMETRE
 
 SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
 """Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""
@@ -208,11 +208,8 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
 def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
     """The effect of an entry and the sizes (p,) [SI] of its parameters."""
     try:
-        kind = find_effect(entry.effect)
-        units = {s.name: FACTOR[s.unit] for s in kind.shape}
-        constants = {k: v * units[k] if k in units and isinstance(v, float) else v for k, v in entry.shape.items()}
-        effect = kind(stations=entry.stations, targets=entry.targets, **constants)
-    except (ModelError, ValueError, TypeError) as problem:
+        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
         raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")

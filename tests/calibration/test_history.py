@@ -11,8 +11,8 @@ from scipy import stats
 from ltsim.calibration import Calibration, calibrate_network, write_calibration
 from ltsim.calibration.calibration import Fit
 from ltsim.calibration.events import can_tell, events
+from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
-from ltsim.calibration.history_schema import history_file
 from ltsim.cli.main import run
 from ltsim.errors import RecordError
 from ltsim.evaluation.two_face import compare_two_face, two_face

@@ -15,8 +15,8 @@ import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats
 from ltsim.calibration import Calibration, calibrate_network, write_calibration
+from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History as Course
-from ltsim.calibration.history_schema import history_file
 from ltsim.calibration.known import Known
 from ltsim.cli.main import run
 from ltsim.diagnosis.diagnose import LEAST_GAIN
