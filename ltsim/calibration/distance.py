@@ -11,21 +11,12 @@ from scipy import special
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Floats, Ints
+from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
 from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.distance_solver import Estimate, Norm, solve_distances, solve_equation_9, with_minimum
 from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.calibration.result import (
-    criteria_of,
-    frame_of,
-    gross_rows,
-    notes_on_modes,
-    outliers_of,
-    stations_of,
-    tied_readings,
-    undetermined_of,
-)
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
@@ -60,8 +51,8 @@ def calibrate_distance(
     known = (choice or Choice()).applied(recording, built)
     prior, held = known.sigma, known.held
     source = SourceEntry.of(recording)
-    recording, _ = tied_readings(recording)
-    usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
+    recording, _ = result.tied_readings(recording)
+    usable = recording.with_readings(np.where(result.gross_rows(recording)[:, None], np.nan, recording.readings))
     start = np.where(held, known.mean / prior, 0.0).ravel()
     problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):
@@ -91,17 +82,17 @@ def calibrate_distance(
         held=held,
         fit=_fit(propagation),
         undetermined=_undetermined(adjustment, built, estimate, advise=advise),
-        frame=frame_of(adjustment),
-        stations=stations_of(adjustment, pose),
+        frame=result.frame_of(adjustment),
+        stations=result.stations_of(adjustment, pose),
         targets=recording.targets,
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
-        criteria=criteria_of(recording, adjustment, built, values),
-        outliers=outliers_of(adjustment),
+        criteria=result.criteria_of(recording, adjustment, built, values),
+        outliers=result.outliers_of(adjustment),
         lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
         recording=source,
-        notes=(*notes_on_modes(adjustment), *notes),
+        notes=(*result.notes_on_modes(adjustment), *notes),
         adjustment=adjustment,
     )
 
@@ -132,7 +123,7 @@ def _undetermined(
 ) -> tuple[Combination, ...]:
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
-        return undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
+        return result.undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
     names = construction.names_of(instruments)
     return tuple(
         Combination(combination=d.coefficients(names), gain=d.gain, cure="use the network method, which names a cure")

@@ -13,25 +13,11 @@ from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.prior import ParameterPrior
+from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
 from ltsim.calibration.known import WIDE, Choice
-from ltsim.calibration.result import (
-    criteria_of,
-    directions_of,
-    fit_of,
-    frame_of,
-    known_of,
-    noise_of,
-    notes_on_axes,
-    notes_on_hand,
-    notes_on_modes,
-    outliers_of,
-    stations_of,
-    undetermined_of,
-    verdict_of,
-)
 from ltsim.calibration.worth import correction_of
 from ltsim.effects.made import names
 from ltsim.effects.range_mode import RangeMode
@@ -83,8 +69,8 @@ def calibrate_network(
     if weigh:
         wider = WIDE if chosen.free else None
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
-        calibration = replace(calibration, correction=worth, weighed=weighed)
-        calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
+        criteria = result.criteria_of(found.recording, found, built, weighed)
+        calibration = replace(calibration, correction=worth, weighed=weighed, criteria=criteria)
     calibration = replace(calibration, prior_sigma=prior.sigma, informed=informed)
     return replace(calibration, notes=(*calibration.notes, *disagreement(calibration, freed)))
 
@@ -155,7 +141,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)
     prior = adjustment.problem.prior_sigma
-    values = adjustment.state.instrument
+    values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
     return Calibration(
         method=method,
         construction=construction,
@@ -164,21 +150,21 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         prior_sigma=prior,
         covariance=covariance,
         held=held,
-        fit=fit_of(adjustment),
-        undetermined=undetermined_of(adjustment, construction, directions_of(covariance, prior), advise=advise),
-        frame=frame_of(adjustment),
-        stations=stations_of(adjustment),
+        fit=result.fit_of(adjustment),
+        undetermined=result.undetermined_of(adjustment, construction, directions, advise=advise),
+        frame=result.frame_of(adjustment),
+        stations=result.stations_of(adjustment),
         targets=recording.targets,
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance,
-        criteria=criteria_of(recording, adjustment, construction, values),
-        outliers=outliers_of(adjustment),
-        verdict=verdict_of(adjustment),
+        criteria=result.criteria_of(recording, adjustment, construction, values),
+        outliers=result.outliers_of(adjustment),
+        verdict=result.verdict_of(adjustment),
         robust=robust,
-        noise=noise_of(adjustment),
-        known=known_of(adjustment),
+        noise=result.noise_of(adjustment),
+        known=result.known_of(adjustment),
         lost_targets=adjustment.lost_targets,
         recording=SourceEntry.of(source),
-        notes=(*notes_on_axes(adjustment), *notes_on_modes(adjustment), *notes_on_hand(adjustment)),
+        notes=result.notes_on(adjustment),
         adjustment=adjustment,
     )

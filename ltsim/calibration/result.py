@@ -98,7 +98,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
-    estimated = verdict_of(adjustment).case is Case.SMALLER_NOISE and verdict_of(adjustment).by_estimate
+    judged = verdict_of(adjustment)
+    estimated = judged.case is Case.SMALLER_NOISE and judged.by_estimate
     return (*found, *(row(o.row, o.observable, o.size, o.w) for o in adjustment.outliers(estimated=estimated)))
 
 
@@ -166,7 +167,12 @@ def _known_entry(test: KnownTest, k: int) -> KnownEntry:
     )
 
 
-def notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
+def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
+    """What a reader should know of an adjusted network: its axes, its range zeros, whether it is a mirror image."""
+    return (*_notes_on_axes(adjustment), *notes_on_modes(adjustment), *_notes_on_hand(adjustment))
+
+
+def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
     """How the coordinates fit that only give the axes."""
     kept = [test for test in adjustment.axes if not test.left_out]
     if not kept:
@@ -278,7 +284,7 @@ def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 
-def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
+def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     """What is to be said of a network of ranges alone: whether it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:

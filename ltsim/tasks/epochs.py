@@ -43,11 +43,7 @@ def compare(
     """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
     lost = {*first.lost_targets, *second.lost_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    known = _frame(common, stable)
-    if len(common) < 4:
-        raise NetworkError(f"the recordings share {len(common)} points; at least 4 are needed to see one of them move")
-    if stable is not None and len(stable) < 3:
-        raise ModelError(f"{len(stable)} stable points hold no frame; name at least 3")
+    known = _frame("recordings", common, stable, held=3)
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
@@ -70,25 +66,23 @@ def compare_coordinates(
             f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
         )
     common = [name for name in first.names if name in second.names]
-    known = _frame(common, stable)
-    held = len(first.axes) if free or scaled else 0
-    if len(common) < held + 1:
-        raise NetworkError(
-            f"the lists share {len(common)} points; at least {held + 1} are needed to see one of them move"
-        )
-    if stable is not None and len(stable) < held:
-        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+    known = _frame("lists", common, stable, held=len(first.axes) if free or scaled else 0)
     one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
     gap = _aligned(one, other, scaled, known, first.along)
     sources = SourceEntry.listed(first), SourceEntry.listed(second)
     return judged(gap, common, known & (stable is not None), level, sources)
 
 
-def _frame(common: Sequence[str], stable: Sequence[str] | None) -> Bools:
-    """(T,): which common points may hold the frame: all, or those said to be stable."""
+def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
+    """(T,): which common points may hold the frame, `held` of them at least: all, or those said to be stable."""
     for name in stable or ():
         if name not in common:
             raise unknown_name("common point", name, common)
+    if len(common) < held + 1:
+        needed = f"at least {held + 1} are needed to see one of them move"
+        raise NetworkError(f"the {kind} share {len(common)} points; {needed}")
+    if stable is not None and len(stable) < held:
+        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
     return np.array([stable is None or name in stable for name in common])
 
 
