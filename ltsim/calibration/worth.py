@@ -2,8 +2,7 @@
 
 The estimates and their covariance are those of the stated prior. What is taken out of readings may be less:
 
-* a term that predicts targets worse than going without it, when they take no part in its estimation
-  (`calibrate.held_out`);
+* a term that predicts targets worse than going without it, when they take no part in its estimation (`HeldOut`);
 * where the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
 * where some scale that they leave plausible expects the correction to do harm, the correction of the smallest plausible
   scale, which none of them expects to.
@@ -42,6 +41,13 @@ UNLIKELY = 30.0
 """Scale beyond which what the readings show is none of these parameters: no instrument is so far off in all of them."""
 NOTHING = 0.02
 """Share of the estimated correction below which it counts as none."""
+WORSE = 2.0
+"""Sum of squares over the targets held out by which a term has to be worse: what Akaike's criterion asks of one."""
+LARGEST = 400
+"""Most unknown poses and parameters of a network that is tested."""
+MOST_TARGETS = 150
+FEWEST = 5
+"""Targets that predict each other."""
 
 
 def correction_of(
@@ -222,18 +228,15 @@ def point_errors(adjustment: Adjustment) -> Floats:
     return total / max(int(whole.sum()), 1)
 
 
-WORSE = 2.0
-"""Sum of squares over the targets held out by which a term has to be worse: what Akaike's criterion asks of one."""
-LARGEST = 400
-"""Most unknown poses and parameters of a network that is tested."""
-MOST_TARGETS = 150
-FEWEST = 5
-"""Targets that predict each other."""
-
-
 @dataclass(frozen=True)
 class HeldOut:
-    """What one target's readings leave when the others predict them."""
+    """What one target's readings leave when the others predict them.
+
+    They check each other once its place is eliminated. With r their residual (m,) and A (m, K) their design by poses
+    and parameters, both so reduced, C the covariance of these from all readings, H = A C A' and S = (1 - H)^-1, the
+    target held out leaves S r; a term fixed at zero changes what the others predict by a rank-one step for each of its
+    parameters. So all that is needed is m x m and p x p: one adjustment serves for every target and term.
+    """
 
     residual: Floats
     """(m,): S r."""
