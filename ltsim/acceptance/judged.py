@@ -167,9 +167,7 @@ def judged(
         sentence += (
             f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
         )
-    source = {} if recording is None else {"recording": SourceEntry.of(recording)}
-    return AcceptanceFile(
-        **source,
+    content = AcceptanceFile(
         title=title,
         kind="measured" if recording is None else "network",
         plan=name,
@@ -179,3 +177,4 @@ def judged(
         groups=group_entries(tests, groups, predicted=False),
         tests=tuple(tests),
     )
+    return content if recording is None else content.model_copy(update={"recording": SourceEntry.of(recording)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -203,9 +204,9 @@ def _course(history: History, k: int) -> CourseEntry:
 
 def _event(history: History, event: Event) -> EventEntry:
     parameter = history.construction.parameters[event.parameter]
+    ends: dict[str, Any] = {"from": history.labels[event.step], "to": history.labels[event.step + 1]}
     return EventEntry(
-        from_=history.labels[event.step],
-        to=history.labels[event.step + 1],
+        **ends,
         name=parameter.name,
         difference=event.difference / parameter.factor,
         sigma=event.sigma / parameter.factor,
@@ -217,10 +218,9 @@ def _event(history: History, event: Event) -> EventEntry:
 
 def _change(history: History, change: Change) -> ChangeEntry:
     parameters = history.construction.parameters
+    told: dict[str, Any] = {"from": change.first, "to": change.second, **change.joint.model_dump()}
     return ChangeEntry(
-        from_=change.first,
-        to=change.second,
-        **change.joint.model_dump(),
+        **told,
         changed=tuple(parameters[k].name for k in change.changed()),
         parameters=tuple(
             DifferenceEntry(

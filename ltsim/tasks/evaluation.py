@@ -134,9 +134,8 @@ class Evaluation(Result):
     def _conformity(self, i: int, task: Task, output: Output) -> Conformity | None:
         if output.name not in task.tolerances:
             return None
-        value, sigma, draws = (
-            x / output.factor for x in (self.linear.values[i], self.linear.sigma[i], self.drawn.values[:, i])
-        )
+        value, sigma = float(self.linear.values[i]) / output.factor, float(self.linear.sigma[i]) / output.factor
+        draws = self.drawn.values[:, i] / output.factor
         return conformity(value, sigma, task.tolerances[output.name], self.tasks.decision, draws)
 
 
