@@ -19,9 +19,9 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
 from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
-from ltsim.effects.made import names
-from ltsim.effects.range_mode import RangeMode
+from ltsim.effects.ranges import RangeMode
 from ltsim.effects.signature import Signature
+from ltsim.effects.verbs import names
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
@@ -164,6 +164,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         noise=result.noise_of(adjustment),
         known=result.known_of(adjustment),
         lost_targets=adjustment.lost_targets,
+        axes=result.axes_of(adjustment),
         recording=SourceEntry.of(source),
         notes=result.notes_on(adjustment),
         adjustment=adjustment,

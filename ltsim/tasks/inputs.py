@@ -16,7 +16,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.effects.air import Air
 from ltsim.effects.effect import Effect, NoiseEffect, by_displacement
-from ltsim.effects.made import effect_from
+from ltsim.effects.verbs import effect_from
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
