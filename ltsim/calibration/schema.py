@@ -27,9 +27,7 @@ COORDINATES = (
     *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
-TARGETS = ResultTable(
-    "targets.csv", "adjusted targets; what readings do not determine has no row or height", COORDINATES
-)
+TARGETS = ResultTable("targets.csv", "adjusted targets; what readings do not tell has no row or height", COORDINATES)
 RESIDUALS = ResultTable(
     "residuals.csv",
     "one row an observation that was used",
