@@ -12,8 +12,9 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.blunders import FaceConfusion, WrongUnit
+from ltsim.effects.face_confusion import FaceConfusion
 from ltsim.effects.motions import exact_target_change
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.model.measurement import verticals
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS

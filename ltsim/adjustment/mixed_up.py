@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.start import station_clouds
 from ltsim.arrays import Floats
-from ltsim.effects.blunders import WrongUnit
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar

@@ -19,7 +19,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
 from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
-from ltsim.effects.ranges import RangeMode
+from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.effects.verbs import names
 from ltsim.errors import NetworkError

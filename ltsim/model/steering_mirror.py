@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ltsim.effects.circles import AzimuthEccentricity, AzimuthSecondOrder
+from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.effects.effect import Lobe, Parameter, SlotEffect, Term
-from ltsim.effects.misalignments import TransitOffset, TransitTilt, VerticalIndex
-from ltsim.effects.ranges import RangeOffset, RangeScale
+from ltsim.effects.range_offset import RangeOffset
+from ltsim.effects.range_scale import RangeScale
+from ltsim.effects.transit_offset import TransitOffset
+from ltsim.effects.transit_tilt import TransitTilt
+from ltsim.effects.vertical_index import VerticalIndex
 from ltsim.units import ARCSECOND, MICROMETRE
 
 SHARED: tuple[SlotEffect, ...] = (
