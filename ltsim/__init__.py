@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ltsim import effects as effects, errors as errors
     from ltsim.acceptance.verbs import accept as accept
+    from ltsim.calibration.correct import correct as correct
+    from ltsim.calibration.network import adjust as adjust
     from ltsim.calibration.verbs import (
-        adjust as adjust,
         calibrate as calibrate,
-        correct as correct,
         evaluate as evaluate,
         history as history,
         verify as verify,
@@ -42,7 +42,9 @@ if TYPE_CHECKING:
 _ROOMS = {
     "files": ("read", "write", "convert"),
     "simulation.verbs": ("scenario", "simulate"),
-    "calibration.verbs": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
+    "calibration.correct": ("correct",),
+    "calibration.network": ("adjust",),
+    "calibration.verbs": ("calibrate", "evaluate", "verify", "history"),
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
     "campaigns.judging": ("judge",),

@@ -22,7 +22,7 @@ from ltsim.adjustment.precision import ellipsoids
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.verdict import verdict
 from ltsim.calibration import calibrate_network
-from ltsim.calibration.choice import Choice
+from ltsim.calibration.known import Choice
 from ltsim.effects import BASELINE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector

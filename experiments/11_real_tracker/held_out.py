@@ -10,7 +10,7 @@ import numpy as np
 import ltsim as lt
 from ltsim.arrays import Floats
 from ltsim.calibration import calibrate_network
-from ltsim.calibration.choice import Choice
+from ltsim.calibration.known import Choice
 from ltsim.calibration.worth import point_errors
 from ltsim.evaluation.two_face import compare_two_face
 from ltsim.randomness import stream

@@ -16,9 +16,9 @@ import numpy as np
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
-from ltsim.calibration.choice import Choice
 from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
+from ltsim.calibration.known import Choice
 from ltsim.diagnosis import diagnose
 from ltsim.effects import BASELINE
 from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face

@@ -9,16 +9,15 @@ from typing import Any
 
 from ltsim.calibration import (
     Calibration,
-    adjust_network,
     calibrate_distance,
     calibrate_network,
-    correct as corrected_by,
     read_calibration,
 )
 from ltsim.calibration.beside import Wanted
-from ltsim.calibration.choice import Choice
+from ltsim.calibration.distance import METHODS
+from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.calibration.history import History
-from ltsim.calibration.known import Known
+from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.result import gross_rows
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import effect_from, names
@@ -29,50 +28,7 @@ from ltsim.model.construction import Construction, built_construction
 from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
 
-METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
 NO_PRIOR = "none"
-CalibrationSource = Calibration | str | Path
-"""A calibration, its file, or the folder that holds it."""
-
-
-def adjust(
-    recording: RecordingSource,
-    *,
-    robust: bool = False,
-    noise_from_data: bool = False,
-    datum: str | Sequence[str] | None = None,
-) -> Calibration:
-    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
-
-    Parameters
-    ----------
-    recording : Recording, str or Path
-    robust : bool
-        Leave out readings that do not belong, each tested again at the end.
-    noise_from_data : bool
-        Estimate the noise of each observable and instrument from the residuals.
-    datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
-
-    Returns
-    -------
-    Calibration
-        Without instrument parameters.
-
-    Raises
-    ------
-    NetworkError
-        When the network cannot be solved; the message names stations or targets.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.adjust(recording).to_dataframe("targets").shape
-    (28, 7)
-    """
-    held = None if datum is None else names(datum)
-    return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=held)
 
 
 def calibrate(
@@ -147,8 +103,8 @@ def calibrate(
     >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    if method not in ("network", *METHODS):
+        raise unknown_name("method", method, ("network", *METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree go with a construction's name: this one is built already")
@@ -215,32 +171,6 @@ def _named_construction(name: str | None, harmonics: int | None, degree: int | N
     if harmonics is not None or degree is not None:
         raise ModelError(f"{option('harmonics')} and {option('degree')} go with the construction dh")
     return None
-
-
-def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
-    """The recording that an ideal tracker would have made, by a calibration of the instrument.
-
-    Parameters
-    ----------
-    recording : Recording, str or Path
-    calibration : Calibration, str or Path
-    again : bool
-        Correct readings too that the set-up says are corrected.
-
-    Raises
-    ------
-    RecordError
-        When the calibration does not know the recording's instrument, or a file is malformed.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> corrected = lt.correct(recording, lt.calibrate(recording))
-    >>> len(corrected)
-    140
-    """
-    return corrected_by(recording_of(recording), calibration_of(calibration), again=again)
 
 
 def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:
@@ -349,8 +279,3 @@ def _labelled(number: int, source: RecordingSource | Calibration, options: dict[
         return label, calibrate(recording, advise=False, **options)
     except LtsimError as problem:
         raise RecordError(f"{label} cannot be calibrated: {problem}") from None
-
-
-def calibration_of(source: CalibrationSource) -> Calibration:
-    """The calibration itself, read where a path was given."""
-    return source if isinstance(source, Calibration) else read_calibration(Path(source))

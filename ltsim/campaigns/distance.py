@@ -19,8 +19,7 @@ import numpy as np
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.distance import METHODS
-from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances
-from ltsim.calibration.equation_9 import solve_equation_9
+from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem, Distances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
 from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Calibrated, Engine, Single

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.calibration import Calibration
-from ltsim.calibration.verbs import correct
+from ltsim.calibration import Calibration, correct
 from ltsim.campaigns.spec import JUDGE, judge_of
 from ltsim.evaluation.clouds import measured_points
 from ltsim.evaluation.share_removed import ShareRemoved, cloud_error

@@ -15,7 +15,7 @@ from ltsim.cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from ltsim.recording.coordinates import Coordinates
-    from ltsim.tasks.congruence import Congruence
+    from ltsim.tasks.comparison import Comparison
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
 Stable = Annotated[
@@ -62,16 +62,18 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.recording.coordinates import holds_coordinates
-    from ltsim.tasks.comparison import DISPLACEMENTS, ComparisonFile, comparison_file, write_comparison
+    from ltsim.recording.result_file import write_result
+    from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 
-    claim(out, ComparisonFile, (DISPLACEMENTS.file,), force=force)
+    claim(out, Comparison, (DISPLACEMENTS.file,), force=force)
     lists = holds_coordinates(source) or holds_coordinates(second)
     one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
     how: dict[str, Any] = {"free": free, "same_instrument": same_instrument, "calibrate": calibrate, "robust": robust}
     with terminal.busy("comparing"):
         found = lt.compare(one, other, stable=names_of(stable), scaled=scale, level=level, **how)
-    content = comparison_file(found) if out is None else write_comparison(found, out)
-    terminal.answer(content.content())
+    if out is not None:
+        found = write_result(out, found, {DISPLACEMENTS.file: found.table().csv()})
+    terminal.answer(found.content())
     show(terminal, found)
     terminal.written(out)
     return int(bool(found.moved))
@@ -89,12 +91,12 @@ def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
     return found
 
 
-def show(terminal: Terminal, found: Congruence) -> None:
+def show(terminal: Terminal, found: Comparison) -> None:
     """The verdict, then a line a point."""
     terminal.say("\n" + found.sentence)
     terminal.say(
         f"no motion at all has {p_is(found.p_value)} (chi-square {found.statistic:.1f}, {found.dof} degrees of "
-        f"freedom); without the points that moved {p_is(found.after)}"
+        f"freedom); without the points that moved {p_is(found.p_value_after)}"
     )
     table = found.table().only("target moved dx_um dy_um dz_um visible_um p_value")
     terminal.say(table.text())

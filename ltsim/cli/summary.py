@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ltsim.calibration import Calibration
-    from ltsim.calibration.known_values import KnownEntry
+    from ltsim.calibration.schema import KnownEntry
 
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
@@ -115,7 +115,7 @@ def show_treatment(terminal: Terminal, calibration: Calibration) -> None:
 
 def parameter_table(calibration: Calibration) -> str:
     """Parameters that the data say something about; the others are counted."""
-    from ltsim.calibration.schema import PARAMETERS
+    from ltsim.calibration.calibration import PARAMETERS
 
     shown = [i for i in range(len(calibration.names)) if _informed(calibration, i)]
     text = PARAMETERS.filled(calibration.parameters[i] for i in shown).text()
@@ -153,8 +153,7 @@ def show_undetermined(terminal: Terminal, calibration: Calibration) -> None:
     # What the recording almost determines is of more use than what nothing would.
     listed = sorted(calibration.undetermined, key=lambda c: -(c.gain or 0.0))[:MOST_SHOWN]
     for combination in listed:
-        terms = " ".join(f"{value:+.2f} {name}" for name, value in combination.combination.items())
-        terminal.say(f"  gain {combination.gain or 0.0:.2f}: {terms}")
+        terminal.say(f"  gain {combination.gain or 0.0:.2f}: {combination.terms}")
         if combination.cure:
             terminal.say(f"    cure: {combination.cure}")
     if count > MOST_SHOWN:

@@ -48,7 +48,8 @@ def uncertainty(
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
     from ltsim.recording.result_file import read_result
-    from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared, told, write_uncertainty
+    from ltsim.tasks.evaluation import write_uncertainty
+    from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
     from ltsim.tasks.spec import load_tasks
 
     claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
@@ -59,7 +60,7 @@ def uncertainty(
     recording = _recording(terminal, tasks, file, drawn, beside=source is None)
     with terminal.busy("drawing trials"):
         evaluation = lt.uncertainty(recording, tasks, seed=seed)
-    content = told(evaluation)
+    content = evaluation.content
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
     if out is not None:
         content = write_uncertainty(evaluation, out)

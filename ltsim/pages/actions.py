@@ -11,7 +11,7 @@ from ltsim.diagnosis.schema import DiagnosisFile
 from ltsim.pages.words import count, listing
 from ltsim.planning.schema import NextFile
 from ltsim.recording.result_file import read_result
-from ltsim.tasks.comparison import ComparisonFile
+from ltsim.tasks.comparison import Comparison
 
 MOST = 5
 """Actions at the head of a page."""
@@ -82,7 +82,7 @@ def _next(folder: Path) -> list[str]:
 
 
 def _comparison(folder: Path) -> list[str]:
-    moved = [d.target for d in read_result(folder, ComparisonFile).displacements if d.moved]
+    moved = [d.target for d in read_result(folder, Comparison).displacements if d.moved]
     said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
     return [said] if moved else []
 

@@ -18,7 +18,7 @@ from ltsim.pages.figures.check import check_figure
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
-from ltsim.tasks.congruence import Congruence
+from ltsim.tasks.comparison import Comparison
 
 
 @singledispatch
@@ -67,7 +67,7 @@ def _(result: Diagnosis) -> Figure:
 
 
 @figure_of.register
-def _(result: Congruence) -> Figure:
+def _(result: Comparison) -> Figure:
     table = result.table()
     places, shifts, axes = (
         table.numbers(*names)

@@ -44,7 +44,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     ManifestFile,
     RecoveryFile,
     uncertainty.UncertaintyFile,
-    comparison.ComparisonFile,
+    comparison.Comparison,
     checks.CheckFile,
     acceptance.AcceptanceFile,
 )
@@ -72,7 +72,7 @@ TABLES: dict[str, tuple[Table, ...]] = {
     plan.NextFile.FILE: (plan.NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
-    comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
+    comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
     RecoveryFile.FILE: (TRIALS,),

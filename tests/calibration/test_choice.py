@@ -101,7 +101,7 @@ def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Reco
 
 WRONG = {
     "an unknown name": ({"without": ["beam-tlit"]}, "did you mean beam-tilt"),
-    "an unknown instrument": ({"without": ["beam-tilt@X"]}, "no instrument 'X'"),
+    "an unknown instrument": ({"without": ["beam-tilt@X"]}, "no instrument called .X."),
     "a value for several": ({"hold": {"azimuth-eccentricity": 1.0}}, "several parameters"),
     "nothing left": ({"parameters": ["beam-tilt"], "without": ["beam-tilt"]}, "no parameter is left"),
     "orders of another construction": ({"construction": "misalignment", "harmonics": 3}, "belong to"),

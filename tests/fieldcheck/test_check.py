@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import ltsim as lt
 from ltsim.adjustment.reliability import surprise
-from ltsim.calibration import adjust_network
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
 from ltsim.cli.options import Reading
@@ -171,7 +171,7 @@ def test_never_go_where_adjust_refuses() -> None:
     clockwise[recording.station == 1, 1] *= -1.0
     for broken in (recording.select(lost), recording.with_readings(clockwise)):
         with pytest.raises(NetworkError) as refused:
-            adjust_network(broken)
+            lt.adjust(broken)
         found = check(broken)
         assert not found.passed
         assert ("", "network") in kinds(found)

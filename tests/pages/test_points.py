@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from ltsim.calibration import Calibration, adjust_network
+import ltsim as lt
+from ltsim.calibration import Calibration
 from ltsim.errors import RecordError
 from ltsim.pages.points import write_points
 from tests.pages import samples
@@ -17,7 +18,7 @@ from tests.pages import samples
 
 @pytest.fixture(scope="module")
 def found() -> Calibration:
-    return adjust_network(samples.recording())
+    return lt.adjust(samples.recording())
 
 
 def test_a_point_cloud_holds_millimetres(found: Calibration, tmp_path: Path) -> None:

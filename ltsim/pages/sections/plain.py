@@ -23,7 +23,7 @@ from ltsim.pages.style import svg_uri
 from ltsim.pages.words import count, duration, listing, natural, sentence
 from ltsim.planning.schema import NextFile
 from ltsim.recording.result_file import ResultFile, companion, read_result
-from ltsim.tasks.comparison import ComparisonFile
+from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.files import UncertaintyFile
 
 LEVEL, LIKELY = 0.01, 0.5
@@ -49,7 +49,7 @@ def _check(content: CheckFile, folder: Path) -> Section:
     return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=2)
 
 
-def _comparison(content: ComparisonFile, folder: Path) -> Section:
+def _comparison(content: Comparison, folder: Path) -> Section:
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     places, shifts, axes = (np.array([getattr(d, n) for d in points]) for n in ("place_mm", "shift_um", "semi_axes_um"))
     moved = np.array([d.moved for d in points], dtype=bool)
@@ -241,7 +241,7 @@ _WRITERS: dict[type[ResultFile], Callable[[Any, Path], Section]] = {
     HistoryFile: _history,
     UncertaintyFile: _uncertainty,
     CheckFile: _check,
-    ComparisonFile: _comparison,
+    Comparison: _comparison,
     AcceptanceFile: _acceptance,
     NextFile: _next,
 }
