@@ -12,7 +12,6 @@ from scipy import special
 from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.known import KnownTest, known_tests
-from ltsim.adjustment.loose import poseless, without_loose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
@@ -22,12 +21,13 @@ from ltsim.adjustment.reliability import (
     normalised,
     redundancy_of,
 )
+from ltsim.adjustment.snooping import poseless, without_loose
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor, SingularSystemError
@@ -322,8 +322,3 @@ class Adjustment(Result):
         every = [name for name in self.recording.targets if name not in self.lost_targets]
         datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
         return replace(self, datum=datum)
-
-
-def observable_name(column: int) -> str:
-    """Name of a column of the readings."""
-    return OBSERVABLES[column]

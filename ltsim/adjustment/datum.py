@@ -18,7 +18,7 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.measurement import State
 from ltsim.solve.blocks import Factor
-from ltsim.solve.rank import FORMED, unit_diagonal
+from ltsim.solve.design import FORMED, unit_diagonal
 from ltsim.units import MILLIMETRE
 
 PASSES = 5

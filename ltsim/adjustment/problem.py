@@ -8,15 +8,13 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.adjustment.marks import Marks
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.adjustment.rows import ControlRows, GaugeRows, LevelRows, free_motions
-from ltsim.adjustment.structure import Structure
-from ltsim.adjustment.unknowns import Unknowns
+from ltsim.adjustment.rows import ControlRows, GaugeRows, LevelRows, Marks, free_motions
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.measurement import MeasurementModel, Prediction, State
+from ltsim.recording.recording import Recording
 from ltsim.solve.blocks import BlockSystem
 from ltsim.solve.design import Design, Pattern, as_dense
 
@@ -278,3 +276,158 @@ def _plausible_sizes(model: MeasurementModel) -> Floats:
     """Sizes (q,) of a bad but plausible case of each parameter of the further effects."""
     sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
     return np.array(sizes, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
+
+    Set-ups over one mark share the columns of their position, with the target where that mark is one.
+    """
+
+    pose: Ints
+    """(S, 6): translation, then rotation."""
+    target: Ints
+    """(T, 3): gauge targets and those under a set-up are kept, all others are eliminated block by block."""
+    instrument: Ints
+    """(I, p)."""
+    extra: Ints
+    """(q,)."""
+    kept: int
+    """Number of kept columns K."""
+    size: int
+    """Number of all columns."""
+
+    @classmethod
+    def of(cls, model: MeasurementModel, kept_targets: set[int], marks: Marks) -> Unknowns:
+        """The unknowns of a model; `kept_targets` are not eliminated."""
+        recording = model.recording
+        stations, targets = len(recording.stations), len(recording.targets)
+        instruments, p = len(recording.instruments), model.construction.size
+        alone = (marks.target < 0) & (marks.first == np.arange(stations))
+        own = np.repeat(alone[:, None], 6, axis=1)
+        own[:, 3:] = True
+        pose = np.full((stations, 6), -1)
+        pose[own] = np.arange(own.sum())
+        at = int(own.sum())
+        keep = np.zeros(targets, dtype=bool)
+        keep[[*kept_targets, *marks.target[marks.target >= 0]]] = True
+        target = np.empty((targets, 3), dtype=np.int64)
+        target[keep] = at + np.arange(3 * keep.sum()).reshape(-1, 3)
+        at += 3 * int(keep.sum())
+        instrument = at + np.arange(instruments * p).reshape(instruments, p)
+        at += instruments * p
+        extra = at + np.arange(model.extra_size)
+        at += model.extra_size
+        target[~keep] = at + np.arange(3 * (~keep).sum()).reshape(-1, 3)
+        shared = marks.target >= 0
+        pose[shared, :3] = target[marks.target[shared]]
+        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
+        return cls(pose, target, instrument, extra, at, at + 3 * int((~keep).sum()))
+
+    def retract(self, state: State, step: Floats) -> State:
+        """The state after a step (size,)."""
+        return state.moved(step[self.pose], step[self.target], step[self.instrument], step[self.extra])
+
+
+VERTICAL = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The unknowns of a network and what is held of them; two recordings of the same pointings share it."""
+
+    unknowns: Unknowns
+    """Places of the unknowns."""
+    yaw: Ints
+    tilt: Ints
+    """Stations without azimuths, and those without any angle or level."""
+    height: Ints
+    """Levelled stations that only read azimuths."""
+    place: Ints
+    """Stations without any reading."""
+    unseen: Bools
+    """(T,): targets without a reading in use, known coordinates or a set-up on them."""
+
+    @classmethod
+    def of(
+        cls,
+        model: MeasurementModel,
+        use: Bools,
+        gauge: GaugeRows,
+        control: ControlRows,
+        levels: LevelRows,
+        marks: Marks,
+        known_marks: ControlRows,
+        unknowns: Unknowns | None = None,
+    ) -> Structure:
+        """The structure of a network with `use` (n, 3) of its readings, by counting; `unknowns` where it is known."""
+        recording, count = model.recording, len(model.recording.stations)
+        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
+        level, alone = np.zeros(count, dtype=bool), marks.first == np.arange(count)
+        level[levels.station] = True
+        alone &= marks.target < 0
+        alone[known_marks.target] = False
+        kept = set(gauge.first.tolist()) | set(gauge.second.tolist())
+        return cls(
+            unknowns=unknowns or Unknowns.of(model, kept, marks),
+            yaw=np.flatnonzero(~azimuth),
+            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
+            height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
+            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
+            unseen=_unseen(recording, use, control, marks),
+        )
+
+    @property
+    def held_columns(self) -> Ints:
+        """Columns (h, 3) of what no reading determines: each row is held where it is."""
+        unknowns = self.unknowns
+        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3], unknowns.pose[self.height, 2:3]]
+        rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
+        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
+
+    def held_directions(self, state: State) -> Floats:
+        """Directions (h, 3) in these columns."""
+        yaw = state.rotation[self.yaw] @ VERTICAL
+        tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
+        single = np.zeros((self.held - len(yaw) - len(tilt), 3))
+        single[:, 0] = 1.0
+        return np.concatenate([yaw, tilt, single])
+
+    @property
+    def held_poses(self) -> Bools:
+        """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
+        held = np.zeros(self.unknowns.pose.shape, dtype=bool)
+        held[self.yaw, 3:] = True
+        held[self.tilt, 3:] = True
+        held[self.height, 2] = True
+        held[self.place, :3] = True
+        return held
+
+    @property
+    def held(self) -> int:
+        """Number h of held unknowns."""
+        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place)
+        return counted + 3 * int(self.unseen.sum())
+
+    @property
+    def anchors(self) -> Ints:
+        """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
+        turned = self._turned
+        return turned[:1] if len(turned) else np.arange(len(self.unknowns.pose))
+
+    @property
+    def anchors_turn(self) -> bool:
+        """Whether the datum rows hold the turns of the anchors too."""
+        return len(self._turned) > 0
+
+    @cached_property
+    def _turned(self) -> Ints:
+        return np.setdiff1d(np.arange(len(self.unknowns.pose)), self.yaw)
+
+
+def _unseen(recording: Recording, use: Bools, control: ControlRows, marks: Marks) -> Bools:
+    seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets))
+    seen[control.target] += 1
+    seen[marks.target[marks.target >= 0]] += 1
+    return seen == 0

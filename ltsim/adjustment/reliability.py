@@ -10,7 +10,7 @@ from scipy import optimize, special
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.solve.blocks import Factor
-from ltsim.solve.robust import median_deviation
+from ltsim.solve.design import median_deviation
 
 FAMILY_LEVEL = 0.01
 """Chance that a clean recording shows any outlier at all (Sidak over all readings)."""

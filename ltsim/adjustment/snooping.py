@@ -6,15 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.adjustment.loose import without_loose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of, scale_of
-from ltsim.arrays import Bools
-from ltsim.model.measurement import State
+from ltsim.arrays import Bools, Floats
+from ltsim.geometry.polar import wrap
+from ltsim.geometry.rigid import holds_pose
+from ltsim.model.construction import ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.recording import Recording
 from ltsim.solve.blocks import Factor, SingularSystemError
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import POINT, as_dense, median_deviation
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.solve.robust import median_deviation
 
 HUBER = 2.0
 RELAXATIONS = 8
@@ -121,3 +123,145 @@ def _retested(
         # A target that is left out by now cannot speak for its readings.
         new |= still | (rejected & kept.unseen_targets[problem.model.recording.target][:, None])
     return new
+
+
+LARGEST_ERROR = 1e-3
+"""[m] what no tracker error of a plausible size reaches at workshop range."""
+WORKSHOP = 10.0
+"""[m] range up to which that holds; beyond, errors of the angles grow with the range."""
+FACTOR = 30.0
+PASSES = 20
+SETTLED = 0.9
+"""A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
+
+
+def gross_pointings(recording: Recording, position: Floats, rotation: Floats, points: Floats) -> Bools:
+    """(n,) True where a pointing misses its target by far more than the rest of the recording does.
+
+    A swapped or misnamed reflector, a wrong unit in one row. These rows stay out of the adjustment and are reported.
+    """
+    return screened(recording, position, rotation, points)[1]
+
+
+def screened(
+    recording: Recording, position: Floats, rotation: Floats, points: Floats
+) -> tuple[tuple[Floats, Floats, Floats], Bools]:
+    """Positions, rotations and targets freed of the start's own errors, and the gross pointings (n,) left then.
+
+    A long chain of stations that was joined one by one does not close; what looks gross there may only be that. So
+    where anything looks gross the network is relaxed, with such pointings held loosely, until the verdict stands.
+    """
+    model = MeasurementModel(recording, ideal())
+    state = State(position, rotation, points, np.zeros((len(recording.instruments), 0)))
+    excess = _excess(model, state)
+    for _ in range(PASSES if np.any(excess > 1.0) else 0):
+        loose = np.maximum(excess, 1.0)[:, None]
+        problem = without_loose(NetworkProblem.of(model, sigma=recording.sigma() * loose), state)
+        try:
+            state = problem.retract(state, Factor(problem.linearise(state)).step())
+        except SingularSystemError:
+            break
+        before, excess = excess, _excess(model, state)
+        if not np.any((excess > 1.0) & (excess < SETTLED * before)):
+            break
+    return (state.position, state.rotation, state.points), excess > 1.0
+
+
+def _excess(model: MeasurementModel, state: State) -> Floats:
+    """Miss (n,) of each pointing in parts of what is still no gross error."""
+    readings, predicted = model.recording.readings, model.predict(state)
+    gap = readings - predicted
+    gap[:, 1:] = wrap(gap[:, 1:])
+    range_ = model.geometry(state).range_
+    gap[:, 1] *= range_ * np.cos(predicted[:, 2])
+    gap[:, 2] *= range_
+    miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
+    limit = np.maximum(LARGEST_ERROR * np.maximum(1.0, range_ / WORKSHOP), FACTOR * median_deviation(miss))
+    return miss / limit
+
+
+def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
+    """The problem without the readings and known lengths of targets that they do not determine.
+
+    A length to such a target keeps its row, without weight.
+    """
+    while True:
+        loose = loose_targets(problem, state)
+        gauge = problem.gauge
+        reached = problem.unseen_targets | loose
+        idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
+        if not loose.any() and not idle.any():
+            return problem
+        problem = replace(problem, gauge=gauge.without(idle))
+        problem = problem.using(problem.use & ~loose[problem.model.recording.target][:, None])
+
+
+def loose_targets(problem: NetworkProblem, state: State) -> Bools:
+    """(T,) True for targets with readings in use that leave a direction of them open, stations taken as known."""
+    recording, count = problem.model.recording, len(problem.model.recording.targets)
+    whole = np.bincount(recording.target, problem.use.all(axis=1), count) > 0
+    doubtful = ~whole & ~problem.unseen_targets
+    doubtful[problem.marks.target[problem.marks.target >= 0]] = False
+    if not doubtful.any():
+        return doubtful
+    weighted = np.where(problem.use, 1.0 / problem.sigma, 0.0)[:, :, None]
+    rows = np.where(problem.use[:, :, None], problem.model.linearised(state).by_target * weighted, 0.0)
+    normal = np.zeros((count, 3, 3))
+    np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
+    gauge, control = problem.gauge, problem.control
+    along = gauge.directions(state.points) / gauge.sigma[:, None]
+    for end in (gauge.first, gauge.second):
+        np.add.at(normal, end, along[:, :, None] * along[:, None, :])
+    np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
+    spread = np.linalg.eigvalsh(normal)
+    return doubtful & (spread[:, 0] <= POINT * spread[:, 2])
+
+
+def poseless(problem: NetworkProblem, state: State) -> str:
+    """A sentence: a station whose targets leave its pose open, as geometry alone decides; empty where there is none.
+
+    Set-ups over marks and stations without readings are not asked.
+    """
+    recording, marks = problem.model.recording, problem.marks
+    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    used = problem.use.any(axis=1)
+    seen[recording.station[used], recording.target[used]] = True
+    vertical = np.full((len(seen), 3), np.nan)
+    vertical[problem.levels.station] = problem.levels.vertical
+    free = np.array([not name for name in marks.names]) & seen.any(axis=1)
+    few = np.flatnonzero(free & ~holds_pose(state.points, seen, vertical))
+    if not len(few):
+        return ""
+    levelled = few[0] in problem.levels.station
+    what = "two targets that are not above one another" if levelled else "three targets off one line"
+    return f"station {recording.stations[few[0]]} sees fewer than {what}; a pose needs them"
+
+
+LEAST = 10
+"""Rows without a clock that must repeat others, all of those that could, before they count as copies."""
+
+
+def copied_rows(recording: Recording) -> Bools:
+    """(n,) True for rows that an earlier row of the same time, set-up, target and face equals in every digit.
+
+    Where the recording has no clock, two pointings may read the same by chance: then rows are copies only if every
+    repeated pointing repeats to the last digit.
+    """
+    values = np.sort(recording.readings, axis=None)
+    if not np.any(values[1:] == values[:-1]):
+        return np.zeros(len(recording), dtype=bool)
+    place = np.stack([recording.station, recording.target, recording.face], axis=1)
+    clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
+    whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
+    repeated = _later(np.concatenate([place, clock], axis=1))
+    copied = _later(whole) & recording.measured.any(axis=1)
+    if recording.has_clock:
+        return copied
+    return copied & (copied.sum() >= max(LEAST, int(repeated.sum())))
+
+
+def _later(rows: np.ndarray) -> Bools:
+    """(n,) True for rows that equal an earlier one."""
+    later = np.ones(len(rows), dtype=bool)
+    later[np.unique(rows, axis=0, return_index=True)[1]] = False
+    return later

@@ -11,8 +11,8 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.components import Grouping
-from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.verdict import require_result
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.choice import WIDE, Choice

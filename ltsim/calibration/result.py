@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment, observable_name
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.screening import gross_pointings
+from ltsim.adjustment.snooping import gross_pointings
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
@@ -85,7 +85,7 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        observable = observable_name(column)
+        observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
 
@@ -258,8 +258,7 @@ def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
-    every = np.arange(len(recording.stations)), np.arange(len(recording.targets))
-    if Frame.of(recording).hand(every[0], state.position, every[1], state.points)[1]:
+    if Frame.of(recording).tells_hand(state.position, state.points):
         return ()
     return (
         "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "

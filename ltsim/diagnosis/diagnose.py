@@ -9,8 +9,7 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.gross import explain_gross
-from ltsim.adjustment.mixed_up import mend_faces, mend_stations
+from ltsim.adjustment.gross import explain_gross, mend_faces, mend_stations
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.known import Known

@@ -9,14 +9,15 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
 from ltsim.model.construction import Construction
-from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
-from ltsim.units import MILLIMETRE
+from ltsim.units import DEGREE, MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -209,11 +210,11 @@ class MeasurementModel:
             raw = raw + effect.shift(sightings, extra)
         derivatives = by_pose, by_target, by_instrument, by_extra
         if self._horizontal is not None:
-            _reduce_to_horizontal(raw, derivatives, self._horizontal)
+            reduce_to_horizontal(raw, derivatives, self._horizontal)
         return Prediction(raw, *derivatives)
 
 
-def _reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
+def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
     """Turn the slope distances `flat` (n,) of readings (n, 3) and their derivatives into horizontal ones, in place."""
     range_, level = raw[flat, 0], raw[flat, 2]
     cosine = np.cos(level)
@@ -221,3 +222,60 @@ def _reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bo
     for by in derivatives:
         by[flat, 0] = (sign * cosine)[:, None] * by[flat, 0] - (sign * range_ * np.sin(level))[:, None] * by[flat, 2]
     raw[flat, 0] = range_ * np.abs(cosine)
+
+
+UPRIGHT = 5 * DEGREE
+"""How far the axes of instruments on tripods part, as seen in the length of their mean."""
+ROUGH = 3 * DEGREE
+"""How well a floor plan knows directions: frames that agree so well are one frame."""
+
+
+def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
+    """Rotation (3, 3) from the set-up's frame to the network's.
+
+    The stations' rough positions (three or more, off one line) say it; otherwise their yaws. With control points both
+    frames are one, and nothing better is known where the set-up is silent: then it is the identity.
+
+    Parameters
+    ----------
+    recording : Recording
+    position : (S, 3) float, [m]
+    rotation : (S, 3, 3) float
+        Instrument frame to network frame.
+    """
+    if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
+        return np.eye(3)
+    setups = [recording.station_setup(name) for name in recording.stations]
+    turn = _by_positions([s.position_mm for s in setups], position, rotation)
+    if turn is None:
+        turn = _by_yaws([s.yaw_deg for s in setups], rotation)
+    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < ROUGH:
+        return np.eye(3)
+    return turn
+
+
+def _by_positions(stated: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
+    """By the rough places of three or more stations; upright instruments know the vertical far better than these."""
+    known = [i for i, p in enumerate(stated) if p is not None]
+    if len(known) < 3:
+        return None
+    plan = np.array([stated[i] for i in known], dtype=np.float64) * MILLIMETRE
+    axis = rotation[known, :, 2].mean(axis=0)
+    level, here = np.eye(3), position[known]
+    if np.linalg.norm(axis) > np.cos(UPRIGHT):
+        level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
+        here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
+    try:
+        turn, _ = align(plan, here)
+    except NetworkError:
+        return None
+    return level.T @ turn
+
+
+def _by_yaws(stated: list[float | None], rotation: Floats) -> Floats | None:
+    """Mean of the rotations that upright stations with these yaws ask for."""
+    asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(stated, rotation, strict=True) if yaw is not None]
+    if not asked:
+        return None
+    left, _, right = np.linalg.svd(np.sum(asked, axis=0))
+    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right

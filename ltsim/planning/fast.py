@@ -26,8 +26,7 @@ from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import as_dense
-from ltsim.solve.rank import POINT, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
 """[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""

@@ -11,7 +11,7 @@ import scipy.linalg
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError
-from ltsim.solve.robust import absolute_weights
+from ltsim.solve.design import absolute_weights
 
 PASSES = 12
 NEAR = 8

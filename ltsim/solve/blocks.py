@@ -18,9 +18,8 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError
-from ltsim.solve.design import Design
+from ltsim.solve.design import DOUBTFUL, RANK, Design
 from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
-from ltsim.solve.rank import DOUBTFUL, RANK
 from ltsim.solve.threads import in_one_thread
 
 UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
@@ -44,7 +43,7 @@ class BlockSystem:
 
 
 class SingularSystemError(NetworkError):
-    """The rows leave a direction of the unknowns undetermined (`ltsim.solve.rank`)."""
+    """The rows leave a direction of the unknowns undetermined (`ltsim.solve.design`)."""
 
 
 class Factor:

@@ -17,8 +17,7 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.solve.chain import BlockChain, Window, inverse_of
-from ltsim.solve.design import column_scale, scaled
-from ltsim.solve.rank import unit_diagonal
+from ltsim.solve.design import column_scale, scaled, unit_diagonal
 
 
 class Elimination(Protocol):

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.curvature import BENT, curvature
-from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.verdict import Case, verdict
+from ltsim.adjustment.verdict import BENT, Case, curvature, doubts, verdict
 from ltsim.calibration import adjust_network
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar
