@@ -144,11 +144,7 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
     up = verticals(recording)[recording.station[at]]
     high = np.einsum("ni,ni->n", off, up)
     aside = np.linalg.norm(off - high[:, None] * up, axis=1)
-    upright = (
-        (np.abs(high) > CLOSE)
-        & (aside < np.maximum(CLOSE, ASIDE * np.abs(high)))
-        & (aside < adjustment.sightings.range_[at])
-    )
+    beside = aside < np.minimum(np.maximum(CLOSE, ASIDE * np.abs(high)), adjustment.sightings.range_[at])
     lift = np.zeros((len(recording), 3))
     lift[at] = high[:, None] * up
     mended = recording.readings - exact_target_change(adjustment.sightings, lift)
