@@ -86,7 +86,7 @@ def estimated_components(
 def _scaled(stated: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
     """The problem with other standard deviations: a factor for each group, the last for the levels."""
     levels = replace(stated.levels, sigma=stated.levels.sigma * factor[-1])
-    return replace(stated, sigma=stated.sigma * factor[group], levels=levels).using(use)
+    return replace(stated, sigma=stated.sigma * factor[group], levels=levels, use=use)
 
 
 def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize, special
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Floats, Ints
 from ltsim.solve.blocks import Factor
 from ltsim.solve.design import median_deviation
 
@@ -95,24 +95,6 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = P
 
     limit = special.chdtri(dof, single_level(hypotheses, level))
     return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
-
-
-def minimal_detectable_bias(
-    problem: NetworkProblem, redundancy: Floats, *, level: float = FAMILY_LEVEL, power: float = POWER
-) -> Floats:
-    """Smallest error (n, 3) [m, rad, rad] of each reading that the search for outliers finds with a power.
-
-    The search tests all readings in use together at a level; infinite where nothing checks a reading.
-
-    References
-    ----------
-    Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
-    """
-    needed = noncentrality(level=level, power=power, hypotheses=int(problem.use.sum()))
-    bias = np.where(problem.use, np.inf, np.nan)
-    checked: Bools = problem.use & (redundancy > UNCHECKED)
-    bias[checked] = np.sqrt(needed / redundancy[checked]) * problem.sigma[checked]
-    return bias
 
 
 def surprise(drop: Floats | float, rank: Ints | int) -> Floats:

@@ -148,7 +148,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     held = adjustment.problem.prior.held
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)
-    prior = adjustment.problem.prior_sigma
+    prior = adjustment.problem.prior.sigma
     values = adjustment.state.instrument
     return Calibration(
         method=method,

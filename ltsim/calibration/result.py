@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.snooping import gross_pointings
+from ltsim.adjustment.snooping import screened
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
@@ -34,7 +34,7 @@ MOST_NAMED = 6
 def gross_rows(recording: Recording) -> Bools:
     """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
     tied, reached = tied_readings(recording)
-    return gross_pointings(tied, *reached)
+    return screened(tied, *reached)[1]
 
 
 def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:

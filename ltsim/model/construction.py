@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -13,9 +12,10 @@ from ltsim.arrays import Floats, Ints
 from ltsim.effects import BASELINE
 from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
-from ltsim.effects.effect import Lobe, Parameter, Power, SlotEffect, Term, one
+from ltsim.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, one
 from ltsim.effects.range_offset import RangeOffset
 from ltsim.effects.range_scale import RangeScale
+from ltsim.effects.signature import PriorKind
 from ltsim.effects.transit_offset import TransitOffset
 from ltsim.effects.transit_tilt import TransitTilt
 from ltsim.effects.vertical_index import VerticalIndex
@@ -177,7 +177,7 @@ class Construction:
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearised(raw, values)
-        by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
+        by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
@@ -192,10 +192,20 @@ def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
     )
 
 
+BOUNDS: dict[str, tuple[str, float]] = {
+    "offset": ("um", 20 * MICROMETRE),
+    "angle": ("urad", 3 * ARCSECOND),
+    "range_offset": ("um", 10 * MICROMETRE),
+    "range_scale": ("ppm", 2 * PPM),
+}
+"""Unit and prior sigma of a parameter by the guarantee that bounds it."""
+
 SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
+MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
+HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
 
-DH_PHYSICAL = {
+DH_PHYSICAL: dict[str, PriorKind] = {
     "J1.dX_c": "offset",
     "T.dX_0": "offset",
     "T.dY_0": "offset",
@@ -218,18 +228,6 @@ DH_PHYSICAL = {
 _SPAN = 5.0
 
 
-def _harmonic(column: int, k: int) -> Term:
-    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
-    if k == 0:
-        return Term("", one)
-    return Term("", Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2))
-
-
-def _power(k: int) -> Term:
-    """Basis number k of the range axis' polynomials: range to the power k."""
-    return Term("", Power(k))
-
-
 def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
     """The paper's D-H construction with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
 
@@ -248,37 +246,69 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero
     amplitude. Units: um and urad; a polynomial's coefficient k is per metre^k.
     """
-    parameters: list[Parameter] = []
-    terms: list[Term] = []
-
-    def add(name: str, slot: str, term: Term, angular: bool, scale: float) -> None:
+    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in MOTIONS]
+    waves = range(2 * harmonics + 1)
+    rows = [(slot, SUFFIX[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
+    rows += [(f"T.{motion}", str(k), Power(k), _SPAN**-k) for motion in MOTIONS for k in range(degree + 1)]
+    parameters, terms = [], []
+    for slot, end, basis, scale in rows:
+        name = f"{slot}_{end}"
         kind = DH_PHYSICAL.get(name)
-        full = 3 * ARCSECOND if angular else 20 * MICROMETRE
-        if kind in ("range_offset", "range_scale"):
-            full = 10 * MICROMETRE if kind == "range_offset" else 2 * PPM
-        penalised = extra * (ARCSECOND if angular else 5 * MICROMETRE) * scale
-        unit = "ppm" if kind == "range_scale" else ("urad" if angular else "um")
-        sigma = full if kind else penalised
-        meaning = f"coefficient {name} of eq. 8"
-        parameters.append(Parameter(name, unit, meaning, sigma, kind))  # type: ignore[arg-type]
-        terms.append(Term(slot, term.basis))
-
-    for joint, column in (("J1", 1), ("J2", 2)):
-        for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
-            for k in range(2 * harmonics + 1):
-                name = f"{joint}.{motion}_{SUFFIX[k]}"
-                add(name, f"{joint}.{motion}", _harmonic(column, k), motion[0] == "e", 1.0)
-    for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
-        for k in range(degree + 1):
-            name = f"T.{motion}_{k}"
-            add(name, f"T.{motion}", _power(k), motion[0] == "e", _SPAN**-k)
+        penalised = ("urad", ARCSECOND) if ".e" in slot else ("um", 5 * MICROMETRE)
+        unit, sigma = BOUNDS[kind] if kind else (penalised[0], extra * penalised[1] * scale)
+        parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
+        terms.append(Term(slot, basis))
     return Construction("dh", DH, tuple(parameters), tuple(terms))
+
+
+def _harmonic(column: int, k: int) -> Basis:
+    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
+    return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else one
+
+
+SHARED: tuple[SlotEffect, ...] = (
+    RangeOffset(),
+    RangeScale(),
+    TransitOffset(),
+    TransitTilt(),
+    VerticalIndex(),
+    AzimuthEccentricity(),
+    AzimuthSecondOrder(),
+)
+"""Causes that the design with the source in the head has too; they feed the same slots of another chain."""
+MIRROR: tuple[tuple[str, PriorKind, str], ...] = (
+    ("mirror-offset", "offset", "mirror in front of the transit axis, along its normal"),
+    ("mirror-tilt", "angle", "mirror turned left, its plane not along the transit axis"),
+    ("cover-forward", "offset", "beam forward of the standing axis, turning with the head"),
+    ("cover-left", "offset", "beam left of the standing axis, turning with the head"),
+    ("beam-x", "offset", "beam beside the standing axis, along x of the base"),
+    ("beam-y", "offset", "beam beside the standing axis, along y of the base"),
+    ("beam-tilt-x", "angle", "beam leans about x of the base"),
+    ("beam-tilt-y", "angle", "beam leans about y of the base"),
+    ("elevation-eccentricity-cos", "angle", "cosine of the mirror's angle, half the raw elevation"),
+    ("elevation-eccentricity-sin", "angle", "sine of the mirror's angle"),
+    ("elevation-second-order-cos", "angle", "cosine of twice the mirror's angle"),
+    ("elevation-second-order-sin", "angle", "sine of twice the mirror's angle"),
+)
+"""Misalignments of mirror, axes, cover plate and beam, each for its slot of `kinematics.steering_mirror`."""
+MIRROR_CIRCLE: dict[str, Lobe] = {
+    "elevation-eccentricity-cos": Lobe("cos", 2, 0.5),
+    "elevation-eccentricity-sin": Lobe("sin", 2, 0.5),
+    "elevation-second-order-cos": Lobe("cos", 2, 1.0),
+    "elevation-second-order-sin": Lobe("sin", 2, 1.0),
+}
+"""Lobes of the circle that turns with the mirror, at half the rate of the reading."""
 
 
 def steering_mirror() -> Construction:
     """The construction with a beam-steering mirror and its 21 parameters."""
-    parameters, terms = zip(*PARAMETERS, strict=True)
-    return Construction("steering-mirror", STEERING_MIRROR, parameters, terms)
+    parameters = [p for effect in SHARED for p in effect.parameters]
+    terms = [t for effect in SHARED for t in effect.terms]
+    for name, kind, meaning in MIRROR:
+        unit, sigma = BOUNDS[kind]
+        parameters.append(Parameter(name, unit, meaning, sigma, kind))
+        terms.append(Term("elevation", MIRROR_CIRCLE[name]) if name in MIRROR_CIRCLE else Term(name))
+    return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
 
 
 def ideal() -> Construction:
@@ -286,23 +316,15 @@ def ideal() -> Construction:
     return Construction("ideal", MISALIGNMENT, (), ())
 
 
-def construction(name: str) -> Construction:
-    """Give a construction by its name: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
-    known: dict[str, Callable[[], Construction]] = {
-        "misalignment": misalignment,
-        "dh": dh,
-        "steering-mirror": steering_mirror,
-        "ideal": ideal,
-    }
-    if name not in known:
-        raise unknown_name("construction", name, known)
-    return known[name]()
+CONSTRUCTIONS: dict[str, Callable[[], Construction]] = {
+    "misalignment": misalignment,
+    "dh": dh,
+    "steering-mirror": steering_mirror,
+    "ideal": ideal,
+}
 
 
-HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
-
-
-def built_construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
+def construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
     """Give a construction by its name, a D-H chain with other orders than 2 where they are given.
 
     Raises
@@ -310,8 +332,10 @@ def built_construction(name: str, harmonics: int | None = None, degree: int | No
     ModelError
         When there is no such construction, it has no orders to choose, or an order is out of bounds.
     """
+    if name not in CONSTRUCTIONS:
+        raise unknown_name("construction", name, CONSTRUCTIONS)
     if harmonics is None and degree is None:
-        return construction(name)
+        return CONSTRUCTIONS[name]()
     if name != "dh":
         raise ModelError(f"harmonics and degree belong to the construction dh, not to {name}")
     for what, order, highest in (("harmonics", harmonics, HIGHEST_ORDER), ("degree", degree, HIGHEST_DEGREE)):
@@ -356,47 +380,3 @@ def stated_construction(recording: Recording) -> Construction:
         message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
         raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
     return of_design(next(iter(designs.values()), ""))
-
-
-SHARED: tuple[SlotEffect, ...] = (
-    RangeOffset(),
-    RangeScale(),
-    TransitOffset(),
-    TransitTilt(),
-    VerticalIndex(),
-    AzimuthEccentricity(),
-    AzimuthSecondOrder(),
-)
-"""Causes that the design with the source in the head has too; they feed the same slots of another chain."""
-
-
-def _offset(name: str, slot: str, meaning: str) -> tuple[Parameter, Term]:
-    return Parameter(name, "um", meaning, 20 * MICROMETRE, "offset"), Term(slot)
-
-
-def _tilt(name: str, slot: str, meaning: str) -> tuple[Parameter, Term]:
-    return Parameter(name, "urad", meaning, 3 * ARCSECOND, "angle"), Term(slot)
-
-
-def _circle(name: str, meaning: str, order: float, wave: Literal["cos", "sin"]) -> tuple[Parameter, Term]:
-    """A lobe of the circle that turns with the mirror, at half the rate of the reading."""
-    parameter = Parameter(name, "urad", meaning, 3 * ARCSECOND, "angle")
-    return parameter, Term("elevation", Lobe(wave, 2, 0.5 * order))
-
-
-PARAMETERS: tuple[tuple[Parameter, Term], ...] = (
-    *((p, t) for effect in SHARED for p, t in zip(effect.parameters, effect.terms, strict=True)),
-    _offset("mirror-offset", "mirror-offset", "mirror in front of the transit axis, along its normal"),
-    _tilt("mirror-tilt", "mirror-tilt", "mirror turned left, its plane not along the transit axis"),
-    _offset("cover-forward", "cover-forward", "beam forward of the standing axis, turning with the head"),
-    _offset("cover-left", "cover-left", "beam left of the standing axis, turning with the head"),
-    _offset("beam-x", "beam-x", "beam beside the standing axis, along x of the base"),
-    _offset("beam-y", "beam-y", "beam beside the standing axis, along y of the base"),
-    _tilt("beam-tilt-x", "beam-tilt-x", "beam leans about x of the base"),
-    _tilt("beam-tilt-y", "beam-tilt-y", "beam leans about y of the base"),
-    _circle("elevation-eccentricity-cos", "cosine of the mirror's angle, half the raw elevation", 1, "cos"),
-    _circle("elevation-eccentricity-sin", "sine of the mirror's angle", 1, "sin"),
-    _circle("elevation-second-order-cos", "cosine of twice the mirror's angle", 2, "cos"),
-    _circle("elevation-second-order-sin", "sine of twice the mirror's angle", 2, "sin"),
-)
-"""Each parameter and the slot of `kinematics.steering_mirror` that it feeds."""

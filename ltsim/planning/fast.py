@@ -98,7 +98,7 @@ class Reducer:
         self._rank_free, self._free = problem.free.shape[1], problem.free
         self._vertical = np.full((self.stations, 3), np.nan)
         self._vertical[problem.levels.station] = problem.levels.vertical
-        self.prior_sigma = problem.prior_sigma[0]
+        self.prior_sigma = problem.prior.sigma[0]
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
         self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)

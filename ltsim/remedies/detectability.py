@@ -221,7 +221,7 @@ def baseline_information(adjustment: Adjustment, effect_parameters: Sequence[str
     problem = adjustment.problem
     at = [adjustment.construction.index(name) for name in effect_parameters]
     block = adjustment.instrument_covariance[np.ix_(at, at)]
-    information = np.linalg.inv(block) - np.diag(1.0 / problem.prior_sigma[0][at] ** 2)
+    information = np.linalg.inv(block) - np.diag(1.0 / problem.prior.sigma[0][at] ** 2)
     return np.asarray(information, dtype=np.float64)
 
 

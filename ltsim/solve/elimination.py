@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -18,32 +17,6 @@ import scipy.sparse as sp
 from ltsim.arrays import Floats, Ints
 from ltsim.solve.chain import BlockChain, Window, inverse_of
 from ltsim.solve.design import column_scale, scaled, unit_diagonal
-
-
-class Elimination(Protocol):
-    """What `Factor` asks of a factorisation of K kept unknowns and E blocks of three."""
-
-    scale: Floats
-    """(K + 3 E,): one over the norm of each column of the design."""
-
-    @property
-    def smallest_pivot(self) -> float:
-        """The smallest pivot."""
-
-    def solve(self, right: Floats) -> Floats:
-        """Solve for a right-hand side (K + 3 E, c)."""
-
-    def kept_inverse(self) -> Floats:
-        """The inverse (K, K) on the kept unknowns."""
-
-    def kept_sets(self, columns: Ints) -> Floats:
-        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
-
-    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
-
-    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """R N^-1 R' for groups of neighbouring rows (q, K + 3 E): group i from edges[i] to edges[i + 1]."""
 
 
 class DenseElimination:
@@ -71,6 +44,7 @@ class DenseElimination:
     def _inverse(self) -> Floats:
         return inverse_of(self._root)
 
+    @property
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
         return self._inverse[: self._kept, : self._kept]
@@ -79,6 +53,7 @@ class DenseElimination:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
+    @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
         at = np.arange(self._kept, len(self._root)).reshape(-1, 3)
@@ -123,12 +98,9 @@ class SparseElimination:
         return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
 
     @cached_property
-    def _kept_inverse(self) -> Floats:
-        return self._chain.inverse()
-
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
-        return self._kept_inverse
+        return self._chain.inverse()
 
     def kept_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
@@ -138,16 +110,15 @@ class SparseElimination:
             mine = np.flatnonzero(lowest == i)
             places = window.place[columns[mine]]
             found[mine] = window.inverse[places[:, :, None], places[:, None, :]]
-            apart = mine[np.any(places < 0, axis=1)]
-            found[apart] = np.nan
+            found[mine[np.any(places < 0, axis=1)]] = np.nan
         if np.isnan(found).any():
-            inverse = self.kept_inverse()
-            return inverse[columns[:, :, None], columns[:, None, :]]
+            return self.kept_inverse[columns[:, :, None], columns[:, None, :]]
         return found
 
     def _windows(self) -> Iterator[tuple[int, Window]]:
         return zip(reversed(range(self._chain.count)), self._chain.windows, strict=True)
 
+    @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
         blocks = np.empty_like(self._inverse)
@@ -174,7 +145,7 @@ class SparseElimination:
         carried = sp.csr_array(back @ _block_diagonal(self._inverse))
         if not len(edges) > 1:
             return
-        kept = self.kept_inverse()
+        kept = self.kept_inverse
         for low, high in pairwise(edges.tolist()):
             front, columns = dense_rows(reduced, low, high)
             form = front @ kept[columns[:, None], columns] @ front.T

@@ -96,10 +96,11 @@ def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e
     x, damping, before, held = start, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, cap + 1):
-        step, factor, damping = _damped_step(system, damping)
-        held = held or (step is not None and not damping)
-        if step is None or factor is None:
+        factor, damping = _damped(system, damping)
+        held = held or (factor is not None and not damping)
+        if factor is None:
             return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
+        step = factor.step()
         length = _length(system, step)
         if not damping and length < ROUNDED and length > before / 4:
             return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
@@ -153,19 +154,15 @@ def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     return BlockSystem(system.design, residual - system.design @ step, system.kept)
 
 
-def _damped_step(system: BlockSystem, damping: float) -> tuple[Floats | None, Factor | None, float]:
-    """A step with at least `damping`, more where the normal matrix is singular."""
-    while damping < 1e-2:
+def _damped(system: BlockSystem, damping: float) -> tuple[Factor | None, float]:
+    """The factor with at least `damping`, more where the normal matrix is singular."""
+    while True:
         try:
-            factor = Factor(system, damping)
-            return factor.step(), factor, damping
+            return Factor(system, damping), damping
         except SingularSystemError:
+            if damping >= 1e-2:
+                return None, damping
             damping = max(100 * damping, 1e-10)
-    try:
-        factor = Factor(system, damping)
-    except SingularSystemError:
-        return None, None, damping
-    return factor.step(), factor, damping
 
 
 def _finish(x: X, system: BlockSystem, iteration: int, status: Status, *, held: bool) -> Solution[X]:
