@@ -271,7 +271,10 @@ class NetworkProblem:
 
     def linearise(self, state: State) -> BlockSystem:
         """The whitened system at a state."""
-        prediction = self.model.linearised(state)
+        return self.system(state, self.model.linearised(state))
+
+    def system(self, state: State, prediction: Prediction) -> BlockSystem:
+        """The whitened system at a state whose readings are predicted already."""
         design = self._pattern.filled(self._values(state, prediction))
         if self.gauge.root is not None:
             design = self._with_shared_errors(design)
