@@ -91,6 +91,8 @@ class Adjustment(Result):
     ) -> Adjustment:
         """The adjustment that pointings will have when they are made: precision does not depend on readings.
 
+        NetworkError when the pointings do not determine the poses and the targets that they reach.
+
         Parameters
         ----------
         recording : Recording
@@ -99,11 +101,6 @@ class Adjustment(Result):
             Where stations and targets will be, and the instrument's parameters.
         construction, effects
             Whose parameters are to be estimated; default an ideal tracker without any.
-
-        Raises
-        ------
-        NetworkError
-            When the pointings do not determine the poses and the targets that they reach.
         """
         model = MeasurementModel(recording, construction or ideal(), tuple(effects))
         problem = without_loose(NetworkProblem.of(model), state)
@@ -322,10 +319,7 @@ class Adjustment(Result):
     def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
         """The same state with covariances by inner constraints over some targets, by default all that are determined.
 
-        Raises
-        ------
-        ModelError
-            When a target does not exist, or these do not hold the free motions.
+        ModelError when a target does not exist, or these do not hold the free motions.
         """
         every = [name for name in self.recording.targets if name not in self.lost_targets]
         datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)

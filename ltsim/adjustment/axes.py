@@ -34,11 +34,8 @@ NOTHING: Mapping[str, Axes] = MappingProxyType({})
 def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
     """The recording with its datum at stated coordinates [m] of targets; `adjust` leaves out those that do not fit.
 
-    Raises
-    ------
-    RecordError
-        When fewer than three targets off one line are among them, or their shape is not that of the network:
-        mirrored, of another scale, or known points define the frame already.
+    RecordError when fewer than three targets off one line are among them, or their shape is not that of the network:
+    mirrored, of another scale, or known points define the frame already.
     """
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
     _require_no_known_points(recording, source)
@@ -86,10 +83,7 @@ def with_control(recording: Recording, path: Path) -> Recording:
 
     A list as of `read_points` with standard deviations; a coordinate that it leaves out is not known.
 
-    Raises
-    ------
-    RecordError
-        For a malformed file, one without standard deviations, or one that names no measured target.
+    RecordError for a malformed file, one without standard deviations, or one that names no measured target.
     """
     listed, targets, found = read_points(path, strict=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):

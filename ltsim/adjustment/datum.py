@@ -121,10 +121,7 @@ class InnerDatum:
     def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:
         """The datum that ties motions (u, f) to some unknowns; `spread` multiplies with the covariance (u, u).
 
-        Raises
-        ------
-        ModelError
-            When these unknowns do not hold the motions.
+        ModelError when these unknowns do not hold the motions.
         """
         held = np.zeros_like(motion)
         held[columns.ravel()] = motion[columns.ravel()]
@@ -139,10 +136,7 @@ class InnerDatum:
     def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
         """The datum tied to some points; None where no motion is free.
 
-        Raises
-        ------
-        ModelError
-            When these points do not hold the free motions.
+        ModelError when these points do not hold the free motions.
         """
         if not problem.free.shape[1]:
             return None

@@ -187,10 +187,7 @@ def misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Float
 def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
     """Rotation and translation of points (k >= 2, 3) about the vertical alone.
 
-    Raises
-    ------
-    NetworkError
-        When the points lie above one another.
+    NetworkError when the points lie above one another.
     """
     a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):

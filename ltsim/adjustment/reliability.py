@@ -75,8 +75,8 @@ def single_level(count: int, level: float) -> float:
 
 
 @lru_cache
-def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = POWER, hypotheses: int = 1) -> float:
-    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `power`.
+def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
+    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `POWER`.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = P
     from scipy.stats import ncx2  # half a second to load, and most adjustments ask for no power
 
     limit = special.chdtri(dof, single_level(hypotheses, level))
-    return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
+    return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - POWER, 1e-3, 200.0 + 2 * limit))
 
 
 def surprise(drop: Floats | float, rank: Ints | int) -> Floats:

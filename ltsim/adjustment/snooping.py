@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import holds_pose
@@ -175,22 +175,11 @@ def _step(problem: NetworkProblem, state: State, loose: Floats) -> tuple[State, 
 # --- within the adjustment ----------------------------------------------------------------------------------------
 
 
-def snooped(
-    problem: NetworkProblem, state: State, level: float = FAMILY_LEVEL
-) -> tuple[NetworkProblem, Solution[State]]:
-    """The problem without its outliers, and its solution.
+def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solution[State]]:
+    """The problem without its outliers, and its solution; every reading in `use` may be used, `state` is near it.
 
     Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
-
-    Parameters
-    ----------
-    problem : NetworkProblem
-        With every reading in `use` that may be used.
-    state : State
-        Near the solution.
-    level : float
-        Chance that a clean recording loses any reading.
     """
     for _ in range(RELAXATIONS):
         whitened = _whitened(problem, state)
@@ -202,7 +191,7 @@ def snooped(
         factor = Factor(problem.linearise(state))
     except SingularSystemError:
         return problem, solve(problem, state)
-    limit = critical_w(int(problem.use.sum()), level)
+    limit = critical_w(int(problem.use.sum()))
     w, scale, _ = _tested(problem, problem, state, factor)
     rejected: Bools = w > limit * scale
     seen: set[bytes] = set()

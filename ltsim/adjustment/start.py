@@ -30,10 +30,7 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     angles, single beams are intersected, stations resected, and a network of ranges alone begins by algebra. Targets
     that are tied to nothing stand amid the others, to be left out.
 
-    Raises
-    ------
-    NetworkError
-        When the readings do not tie a station to the rest.
+    NetworkError when the readings do not tie a station to the rest.
     """
     pairs, frame = Pairs.of(recording, _flat_points(recording)), Frame.of(recording)
     grown = []

@@ -13,7 +13,6 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
 from ltsim.adjustment.gross import mend_stations, mistakes
-from ltsim.adjustment.reliability import FAMILY_LEVEL
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
@@ -78,18 +77,9 @@ class Verdict:
     """Readings that do not belong by the test to be trusted."""
 
 
-def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY_LEVEL) -> Verdict:
-    """The verdict on an adjustment.
-
-    Parameters
-    ----------
-    adjustment : Adjustment
-    level : float
-        Of the global test, two-sided.
-    family : float
-        Of all tests of single readings together.
-    """
-    judged, open_ = _by_tests(adjustment, level, family), doubts(adjustment)
+def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
+    """The verdict on an adjustment, by a global test at a two-sided `level`."""
+    judged, open_ = _by_tests(adjustment, level), doubts(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
@@ -97,14 +87,14 @@ def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY
     return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _by_tests(adjustment: Adjustment, level: float, family: float) -> Verdict:
+def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     """Single errors where leaving them out heals the global test, other noise where it does not."""
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: nothing can be tested, the stated noise holds."
         return Verdict(Case.UNCHECKED, sentence, False, 0)
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
-    outliers, by_tau = adjustment.outliers(family), len(adjustment.outliers(family, estimated=True))
+    outliers, by_tau = adjustment.outliers(), len(adjustment.outliers(estimated=True))
     by_w, wrong = len(outliers), _readings(len(outliers))
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
@@ -118,7 +108,7 @@ def _by_tests(adjustment: Adjustment, level: float, family: float) -> Verdict:
     if sigma0 < low:
         sentence = f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too "
         return Verdict(Case.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True, by_tau)
-    rest = chi2 - sum(o.w**2 for o in adjustment.outliers())
+    rest = chi2 - sum(o.w**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
         sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -21,7 +21,7 @@ from ltsim.effects.transit_tilt import TransitTilt
 from ltsim.effects.vertical_index import VerticalIndex
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
-from ltsim.kinematics.chain import Chain, Motion, point, point_and_derivatives
+from ltsim.kinematics.chain import Chain, point, point_and_derivatives
 from ltsim.kinematics.dh import DH
 from ltsim.kinematics.misalignment import MISALIGNMENT
 from ltsim.kinematics.steering_mirror import STEERING_MIRROR
@@ -72,30 +72,17 @@ class Construction:
         return Construction(self.name, self.chain, parameters, terms)
 
     @cached_property
-    def _moving(self) -> tuple[Motion, Motion, Motion]:
-        """The motions driven by range, azimuth and elevation, in this order."""
-        probe = np.zeros((1, 3))
-        driven = []
+    def _moving(self) -> tuple[Chain, tuple[str, ...]]:
+        """The chain with slots on all motions that a reading drives, and those of range, azimuth and elevation."""
+        still, chain, slots = np.zeros((1, 3)), list(self.chain), []
         for column in range(3):
-            moved = probe.copy()
-            moved[0, column] = 1.0
-            driven.append(
-                next(m for m in self.chain if m.nominal is not None and m.nominal(moved)[0] != m.nominal(probe)[0])
-            )
-        return driven[0], driven[1], driven[2]
-
-    @cached_property
-    def _named_chain(self) -> Chain:
-        """The chain with a private slot on motions driven by a reading that have none of their own."""
-        renamed = {
-            id(m): type(m)(m.axis, m.slot or f"reading-{i}", m.nominal, m.sign) for i, m in enumerate(self._moving)
-        }
-        return tuple(renamed.get(id(m), m) for m in self.chain)
-
-    @cached_property
-    def _reading_slots(self) -> tuple[str, str, str]:
-        slots = [m.slot or f"reading-{i}" for i, m in enumerate(self._moving)]
-        return slots[0], slots[1], slots[2]
+            moved = np.eye(3)[[column]]
+            driven = (m.nominal is not None and m.nominal(moved)[0] != m.nominal(still)[0] for m in self.chain)
+            place = list(driven).index(True)
+            motion = self.chain[place]
+            slots.append(motion.slot or f"reading-{column}")
+            chain[place] = replace(motion, slot=slots[-1])
+        return tuple(chain), tuple(slots)
 
     def bases(self, raw: Floats) -> Floats:
         """(n, p): each parameter's basis at raw readings (n, 3)."""
@@ -129,10 +116,10 @@ class Construction:
         The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the
         size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
         """
-        slots = {term.slot for term in self.terms} | set(self._reading_slots)
-        bases = self.bases(raw)
-        p, by_slot = point_and_derivatives(self._named_chain, raw, self._amounts(bases, values), slots)
-        by_reading = np.stack([by_slot[slot] for slot in self._reading_slots], axis=2)
+        (chain, driven), bases = self._moving, self.bases(raw)
+        slots = {term.slot for term in self.terms} | set(driven)
+        p, by_slot = point_and_derivatives(chain, raw, self._amounts(bases, values), slots)
+        by_reading = np.stack([by_slot[slot] for slot in driven], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(raw), 3, 0))
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
@@ -209,17 +196,10 @@ DH_PHYSICAL: dict[str, PriorKind] = {
     "J1.dX_c": "offset",
     "T.dX_0": "offset",
     "T.dY_0": "offset",
-    "J2.eX_c": "angle",
-    "J1.eX_c": "angle",
-    "J2.eY_c": "angle",
-    "J1.eY_sin": "angle",
-    "J1.eY_cos": "angle",
-    "J1.eY_sin2": "angle",
-    "J1.eY_cos2": "angle",
-    "J2.eY_sin": "angle",
-    "J2.eY_cos": "angle",
-    "J2.eY_sin2": "angle",
-    "J2.eY_cos2": "angle",
+    **dict.fromkeys(("J1.eX_c", "J2.eX_c", "J2.eY_c"), "angle"),
+    **dict.fromkeys(
+        (f"{joint}.eY_{wave}" for joint in ("J1", "J2") for wave in ("sin", "cos", "sin2", "cos2")), "angle"
+    ),
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
@@ -276,38 +256,36 @@ SHARED: tuple[SlotEffect, ...] = (
     AzimuthSecondOrder(),
 )
 """Causes that the design with the source in the head has too; they feed the same slots of another chain."""
-MIRROR: tuple[tuple[str, PriorKind, str], ...] = (
-    ("mirror-offset", "offset", "mirror in front of the transit axis, along its normal"),
-    ("mirror-tilt", "angle", "mirror turned left, its plane not along the transit axis"),
-    ("cover-forward", "offset", "beam forward of the standing axis, turning with the head"),
-    ("cover-left", "offset", "beam left of the standing axis, turning with the head"),
-    ("beam-x", "offset", "beam beside the standing axis, along x of the base"),
-    ("beam-y", "offset", "beam beside the standing axis, along y of the base"),
-    ("beam-tilt-x", "angle", "beam leans about x of the base"),
-    ("beam-tilt-y", "angle", "beam leans about y of the base"),
-    ("elevation-eccentricity-cos", "angle", "cosine of the mirror's angle, half the raw elevation"),
-    ("elevation-eccentricity-sin", "angle", "sine of the mirror's angle"),
-    ("elevation-second-order-cos", "angle", "cosine of twice the mirror's angle"),
-    ("elevation-second-order-sin", "angle", "sine of twice the mirror's angle"),
+MIRROR: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
+    ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
+    ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
+    ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
+    ("cover-left", "offset", None, "beam left of the standing axis, turning with the head"),
+    ("beam-x", "offset", None, "beam beside the standing axis, along x of the base"),
+    ("beam-y", "offset", None, "beam beside the standing axis, along y of the base"),
+    ("beam-tilt-x", "angle", None, "beam leans about x of the base"),
+    ("beam-tilt-y", "angle", None, "beam leans about y of the base"),
+    (
+        "elevation-eccentricity-cos",
+        "angle",
+        Lobe("cos", 2, 0.5),
+        "cosine of the mirror's angle, half the raw elevation",
+    ),
+    ("elevation-eccentricity-sin", "angle", Lobe("sin", 2, 0.5), "sine of the mirror's angle"),
+    ("elevation-second-order-cos", "angle", Lobe("cos", 2, 1.0), "cosine of twice the mirror's angle"),
+    ("elevation-second-order-sin", "angle", Lobe("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam, each for its slot of `kinematics.steering_mirror`."""
-MIRROR_CIRCLE: dict[str, Lobe] = {
-    "elevation-eccentricity-cos": Lobe("cos", 2, 0.5),
-    "elevation-eccentricity-sin": Lobe("sin", 2, 0.5),
-    "elevation-second-order-cos": Lobe("cos", 2, 1.0),
-    "elevation-second-order-sin": Lobe("sin", 2, 1.0),
-}
-"""Lobes of the circle that turns with the mirror, at half the rate of the reading."""
+"""Misalignments of mirror, axes, cover plate and beam, each for its slot of `kinematics.steering_mirror`; lobes are of
+the circle that turns with the mirror, at half the rate of the reading."""
 
 
 def steering_mirror() -> Construction:
     """The construction with a beam-steering mirror and its 21 parameters."""
     parameters = [p for effect in SHARED for p in effect.parameters]
     terms = [t for effect in SHARED for t in effect.terms]
-    for name, kind, meaning in MIRROR:
-        unit, sigma = BOUNDS[kind]
-        parameters.append(Parameter(name, unit, meaning, sigma, kind))
-        terms.append(Term("elevation", MIRROR_CIRCLE[name]) if name in MIRROR_CIRCLE else Term(name))
+    for name, kind, lobe, meaning in MIRROR:
+        parameters.append(Parameter(name, BOUNDS[kind][0], meaning, BOUNDS[kind][1], kind))
+        terms.append(Term("elevation", lobe) if lobe else Term(name))
     return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
 
 
@@ -327,10 +305,7 @@ CONSTRUCTIONS: dict[str, Callable[[], Construction]] = {
 def construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
     """Give a construction by its name, a D-H chain with other orders than 2 where they are given.
 
-    Raises
-    ------
-    ModelError
-        When there is no such construction, it has no orders to choose, or an order is out of bounds.
+    ModelError when there is no such construction, it has no orders to choose, or an order is out of bounds.
     """
     if name not in CONSTRUCTIONS:
         raise unknown_name("construction", name, CONSTRUCTIONS)
@@ -369,10 +344,7 @@ def of_design(design: str) -> Construction:
 def stated_construction(recording: Recording) -> Construction:
     """The construction that a recording's set-up states: where the beam comes from in its instruments.
 
-    Raises
-    ------
-    NetworkError
-        When instruments of both designs measured together: their parameters are not the same.
+    NetworkError when instruments of both designs measured together: their parameters are not the same.
     """
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:

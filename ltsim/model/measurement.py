@@ -63,7 +63,7 @@ class Prediction:
 def sightings_of(recording: Recording, state: State) -> Sightings:
     """The sightings of a recording's pointings with stations and targets at `state`.
 
-    Nest normals are turned from the floor plan into the network's frame (`floor_plan.plan_rotation`).
+    Nest normals are turned from the floor plan into the network's frame (`plan_rotation`).
     """
     return _sightings(recording, state, plan_rotation(recording, state.position, state.rotation))
 
@@ -92,16 +92,17 @@ def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
 def _nest_normals(recording: Recording) -> Floats:
     """Stated normals (T, 3) of the nests, floor plan; NaN where unknown."""
     missing = (np.nan, np.nan, np.nan)
-    stated = [recording.target_setup(name).nest_normal or missing for name in recording.targets]
-    normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return _units([recording.target_setup(name).nest_normal or missing for name in recording.targets])
 
 
 def verticals(recording: Recording) -> Floats:
     """Direction of plumb (S, 3) at each station, a unit vector of the network frame."""
-    up = (0.0, 0.0, 1.0)
-    stated = np.array([recording.station_setup(name).vertical or up for name in recording.stations], dtype=np.float64)
-    return stated / np.linalg.norm(stated, axis=1, keepdims=True)
+    return _units([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
+
+
+def _units(stated: list[tuple[float, float, float]]) -> Floats:
+    vectors = np.array(stated, dtype=np.float64).reshape(-1, 3)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def lift_of(recording: Recording) -> Floats | None:

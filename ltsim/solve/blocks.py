@@ -48,16 +48,13 @@ class SingularSystemError(NetworkError):
 class Factor:
     """The factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
 
+    SingularSystemError when the rows and the damping leave a direction undetermined.
+
     Parameters
     ----------
     system : BlockSystem
     damping : float
         Added to the unit diagonal of the scaled normal matrix.
-
-    Raises
-    ------
-    SingularSystemError
-        When the rows and the damping leave a direction undetermined.
     """
 
     @in_one_thread

@@ -57,6 +57,8 @@ class Window:
 class BlockChain:
     """Factor of a positive definite sparse matrix.
 
+    LinAlgError when it is not positive definite.
+
     Parameters
     ----------
     matrix : (K, K) sparse
@@ -66,11 +68,6 @@ class BlockChain:
     ----------
     block_of : (K,) int
         The block each column lies in; the number of blocks for the border.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When it is not positive definite.
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
