@@ -1,7 +1,8 @@
 """Gross errors explained: swapped reflectors, wrong units, mixed-up faces, single bad readings.
 
 A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the mistakes
-people make; what a mistake explains can be mended, the rest is left out.
+people make; what a mistake explains can be mended, the rest is left out. Whole stations in another unit, convention or
+face are seen before anything is adjusted: their cloud of points has not the shape that other stations saw.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Designs of least squares: dense where they are small, sparse otherwise."""
+"""Designs of least squares, dense where they are small and sparse otherwise, and what they determine.
+
+What is undetermined is decided by stated tolerances, never by whether a factorisation happens to fail: its pivots carry
+rounding errors that grow with the length of the null vector, so a doubtful direction's image is looked at itself.
+"""
 
 from __future__ import annotations
 
