@@ -147,7 +147,7 @@ def _descend(evaluate: Evaluate, free: Bools, x: Floats, rotation: Floats) -> tu
     """Levenberg-Marquardt from the best starts at once: costs, ascending, and where they were reached."""
     with np.errstate(divide="ignore", invalid="ignore"):
         best = np.argsort(_cost(evaluate(x, rotation)[0]))[:BEST]
-        here = x[best], rotation[best], *evaluate(x[best], rotation[best])
+        here: tuple[Floats, ...] = (x[best], rotation[best], *evaluate(x[best], rotation[best]))
         cost, damping = _cost(here[2]), np.full(len(best), 1e-3)
         step = np.zeros((len(best), 6))
         for _ in range(ITERATIONS):

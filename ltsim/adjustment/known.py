@@ -357,7 +357,7 @@ def without(recording: Recording, test: Known) -> Recording:
         left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update={"distance": left})}
     elif test.kind in ("level", "mark"):
-        unsaid = {"levelled": False} if test.kind == "level" else {"over": None}
+        unsaid: dict[str, object] = {"levelled": False} if test.kind == "level" else {"over": None}
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
     else:
         unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
