@@ -20,6 +20,8 @@ from ltsim.solve.design import Design, Pattern, as_dense
 DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
 station's frame wants one far below the sigmas of the network, the numbers one not too far."""
+UPRIGHT = 1.0 - 1e-8
+"""Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
 WEAK = 300.0
 """Prior sigmas to which further effects are held: far beyond any plausible size."""
 
@@ -85,6 +87,8 @@ class Structure:
     """Stations without any reading."""
     unseen: Bools
     """(T,): targets without a reading in use, known coordinates or a set-up on them."""
+    flat: Bools
+    """(T,): targets that levelled set-ups saw by horizontal directions alone: nothing tells their height."""
     turned: Ints
     """Stations whose yaw the readings know."""
 
@@ -98,7 +102,13 @@ class Structure:
         level[levels.station] = True
         alone[problem.known_marks.target] = False
         seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        seen[[*problem.control.target, *marks.target[marks.target >= 0]]] = True
+        known = np.concatenate([problem.control.target, marks.target[marks.target >= 0]])
+        seen[known] = True
+        upright = np.zeros(count, dtype=bool)
+        upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
+        flat = np.bincount(recording.target, use[:, 1], len(recording.targets)) > 0
+        flat[recording.target[use[:, [0, 2]].any(axis=1) | (use[:, 1] & ~upright[recording.station])]] = False
+        flat[np.concatenate([known, problem.gauge.first, problem.gauge.second])] = False
         return cls(
             unknowns=problem.unknowns,
             yaw=np.flatnonzero(~azimuth),
@@ -106,6 +116,7 @@ class Structure:
             height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
             place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             unseen=~seen,
+            flat=flat,
             turned=np.flatnonzero(azimuth),
         )
 
@@ -113,7 +124,8 @@ class Structure:
     def held_columns(self) -> Ints:
         """Columns (h, 3) of each row that holds."""
         unknowns = self.unknowns
-        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3], unknowns.pose[self.height, 2:3]]
+        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3]]
+        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.flat, 2:3]]
         rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
@@ -138,7 +150,7 @@ class Structure:
     @property
     def held(self) -> int:
         """Number h of held unknowns."""
-        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place)
+        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place) + int(self.flat.sum())
         return counted + 3 * int(self.unseen.sum())
 
     @property

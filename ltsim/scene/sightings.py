@@ -131,9 +131,8 @@ class Sightings:
     def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
         """Beam, left and up (n, 3) each, in the network frame."""
         turn = self.rotation[self.station]
-        beam, left, up = unit_vectors(self.azimuth, self.elevation)
-        network = tuple(np.einsum("nij,nj->ni", turn, v) for v in (beam, left, up))
-        return network[0], network[1], network[2]
+        beam, left, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
+        return beam, left, up
 
     @cached_property
     def slot_responses(self) -> dict[str, Floats]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.verdict import BENT, Case, curvature, doubts, verdict
+from ltsim.adjustment.doubt import BENT, curvature, doubts
+from ltsim.adjustment.verdict import Case, verdict
 from ltsim.calibration import adjust_network
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar

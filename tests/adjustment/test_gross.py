@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.gross import explain_gross, mend_faces, mend_stations
-from ltsim.adjustment.verdict import doubts
 from ltsim.recording.recording import Recording
 from ltsim.recording.slips import UNIT_SLIPS, Slip
 from tests.networks import network

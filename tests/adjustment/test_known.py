@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points, with_control
-from ltsim.adjustment.verdict import doubts
+from ltsim.adjustment.doubt import doubts
 from ltsim.calibration import adjust_network, calibrate_network
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError

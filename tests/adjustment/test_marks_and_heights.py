@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.gross import mistakes
-from ltsim.adjustment.verdict import doubts
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.model.construction import ideal
 from ltsim.model.measurement import MeasurementModel, State
