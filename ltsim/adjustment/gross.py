@@ -16,8 +16,9 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import Pairs, misses
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.blunders import FaceConfusion, WrongUnit
+from ltsim.effects.face_confusion import FaceConfusion
 from ltsim.effects.motions import exact_target_change
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar

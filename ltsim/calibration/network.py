@@ -35,7 +35,7 @@ from ltsim.calibration.result import (
     verdict_of,
 )
 from ltsim.calibration.worth import correction_of
-from ltsim.effects.ranges import RangeMode
+from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction

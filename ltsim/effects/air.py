@@ -11,9 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.atmosphere import AirGradient, Turbulence
-from ltsim.effects.ranges import StationWeather
+from ltsim.effects.air_gradient import AirGradient
 from ltsim.effects.rays import bending
+from ltsim.effects.station_weather import StationWeather
+from ltsim.effects.turbulence import Turbulence
 from ltsim.recording.setup import NonNegative, Section
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MILLIMETRE

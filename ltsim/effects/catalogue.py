@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
-from types import ModuleType
 from typing import Any, Self
 
 from ltsim.effects.effect import Effect, Stage
@@ -91,13 +90,6 @@ class Entry:
     kind: type[Effect]
     group: str
     origin: str
-
-
-def effects_in(*modules: ModuleType) -> tuple[type[Effect], ...]:
-    """The effects that files define, in their order: classes with a name."""
-    classes = [(module, thing) for module in modules for thing in vars(module).values() if isinstance(thing, type)]
-    own = [kind for module, kind in classes if issubclass(kind, Effect) and kind.__module__ == module.__name__]
-    return tuple(kind for kind in own if isinstance(kind.name, str))
 
 
 def installed() -> list[EntryPoint]:

@@ -14,10 +14,10 @@ from scipy import special
 
 from ltsim.adjustment.reliability import surprise
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.blunders import StationBump
+from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import station_design
-from ltsim.effects.ranges import RangeDrift
-from ltsim.effects.warming import IndexDrift
+from ltsim.effects.range_drift import RangeDrift
+from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.items import Family, Item, two_sided

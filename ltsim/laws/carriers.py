@@ -15,12 +15,13 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
-from ltsim.effects.atmosphere import AirGradient
-from ltsim.effects.circles import AzimuthEccentricity, ElevationEccentricity
+from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.effects.effect import Term
+from ltsim.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.effects.motions import station_design
-from ltsim.effects.reflectors import reflector_axes
 from ltsim.effects.signature import by_displacement, on_readings
+from ltsim.effects.smr_centring import reflector_axes
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, MICROMETRE, PPM

@@ -10,11 +10,15 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import BASELINE
-from ltsim.effects.circles import AzimuthEccentricity, AzimuthSecondOrder
+from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, one
-from ltsim.effects.misalignments import TransitOffset, TransitTilt, VerticalIndex
-from ltsim.effects.ranges import RangeOffset, RangeScale
+from ltsim.effects.range_offset import RangeOffset
+from ltsim.effects.range_scale import RangeScale
 from ltsim.effects.signature import PriorKind
+from ltsim.effects.transit_offset import TransitOffset
+from ltsim.effects.transit_tilt import TransitTilt
+from ltsim.effects.vertical_index import VerticalIndex
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
 from ltsim.kinematics.chain import Chain, point, point_and_derivatives

@@ -11,8 +11,8 @@ import pytest
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Estimated, refit
 from ltsim.effects.effect import Effect
-from ltsim.effects.ranges import RangeCyclic
-from ltsim.effects.warming import StationSettling
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.station_settling import StationSettling
 from ltsim.model.construction import misalignment
 from ltsim.solve.gauss_newton import Status
 from tests.networks import with_effect

@@ -11,8 +11,8 @@ import ltsim as lt
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.cli.main import run
 from ltsim.effects.effect import Effect
-from ltsim.effects.ranges import RangeCyclic
-from ltsim.effects.warming import StationSettling
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.station_settling import StationSettling
 from ltsim.errors import ModelError
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream

@@ -12,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Bench, Engine, recording_of
 from ltsim.campaigns.truth import BLOCK, Truth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.effects.warming import GaugeScale
+from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.evaluation.criteria import evaluate
 from ltsim.evaluation.share_removed import share_removed, target_error
 from ltsim.model.construction import dh, misalignment

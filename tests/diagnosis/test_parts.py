@@ -12,7 +12,7 @@ from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.schema import Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import law_sentence
-from ltsim.effects.warming import StationSettling
+from ltsim.effects.station_settling import StationSettling
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from ltsim.remedies.next_measurement import DECISIVE

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.effects.atmosphere import AirGradient, AirLayer, HeatPlume, Turbulence
+from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.ciddor import refractivity, temperature_sensitivity, vapour_pressure
+from ltsim.effects.heat_plume import HeatPlume
 from ltsim.effects.rays import bending, bent
+from ltsim.effects.turbulence import Turbulence
 from tests.effects.scenes import corrections, left_over, lengths, scene
 
 SCENE = scene()

@@ -14,10 +14,10 @@ from types import ModuleType
 import pytest
 
 from ltsim.effects import GROUPS
+from ltsim.effects.backlash import Backlash
+from ltsim.effects.beam_tilt import BeamTilt
 from ltsim.effects.catalogue import ADDED, PARTS, SHIPPED, Card, Catalogue
 from ltsim.effects.effect import Effect, Parameter, Stage
-from ltsim.effects.head import Backlash
-from ltsim.effects.misalignments import BeamTilt
 from ltsim.errors import ModelError
 
 CARD = """Cold: it is cold.

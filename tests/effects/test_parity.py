@@ -6,15 +6,32 @@ import numpy as np
 import pytest
 
 from ltsim.effects import BASELINE
-from ltsim.effects.atmosphere import AirGradient, AirLayer, HeatPlume
-from ltsim.effects.blunders import StationBump, StationLevelling
-from ltsim.effects.circles import AzimuthHarmonic, ElevationHarmonic
+from ltsim.effects.air_gradient import AirGradient
+from ltsim.effects.air_layer import AirLayer
+from ltsim.effects.azimuth_drift import AzimuthDrift
+from ltsim.effects.azimuth_harmonic import AzimuthHarmonic
+from ltsim.effects.bearing_wobble import BearingWobble
+from ltsim.effects.detector_offset import DetectorOffset
 from ltsim.effects.effect import Effect
-from ltsim.effects.head import BearingWobble, DetectorOffset, HeadSag
-from ltsim.effects.ranges import RangeCyclic, RangeDrift, RangeStep, RefractivityDrift, StationWeather
-from ltsim.effects.reflectors import SmrCentring, SmrDihedral
-from ltsim.effects.seats import NestLift, SmrOffset, TargetMoved, Window
-from ltsim.effects.warming import AzimuthDrift, IndexDrift, MeshExpansion, StationSettling
+from ltsim.effects.elevation_harmonic import ElevationHarmonic
+from ltsim.effects.head_sag import HeadSag
+from ltsim.effects.heat_plume import HeatPlume
+from ltsim.effects.index_drift import IndexDrift
+from ltsim.effects.mesh_expansion import MeshExpansion
+from ltsim.effects.nest_lift import NestLift
+from ltsim.effects.range_cyclic import RangeCyclic
+from ltsim.effects.range_drift import RangeDrift
+from ltsim.effects.range_step import RangeStep
+from ltsim.effects.refractivity_drift import RefractivityDrift
+from ltsim.effects.smr_centring import SmrCentring
+from ltsim.effects.smr_dihedral import SmrDihedral
+from ltsim.effects.smr_offset import SmrOffset
+from ltsim.effects.station_bump import StationBump
+from ltsim.effects.station_levelling import StationLevelling
+from ltsim.effects.station_settling import StationSettling
+from ltsim.effects.station_weather import StationWeather
+from ltsim.effects.target_moved import TargetMoved
+from ltsim.effects.window import Window
 from tests.effects.scenes import corrections, on_face, scene
 
 SCENE = scene()

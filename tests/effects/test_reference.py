@@ -7,34 +7,38 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.effects.blunders import (
-    FaceConfusion,
-    Outlier,
-    StationBump,
-    StationLevelling,
-    TargetSwap,
-    TimingLag,
-    WrongUnit,
-)
-from ltsim.effects.circles import EncoderInterpolation
-from ltsim.effects.head import Backlash
-from ltsim.effects.misalignments import VerticalIndex
-from ltsim.effects.noise import NoiseLevel, StationNoise
-from ltsim.effects.ranges import (
-    LONGEST,
-    SHORTEST,
-    DeadPath,
-    RangeCyclic,
-    RangeDrift,
-    RangeOffset,
-    RangeScale,
-    RangeStep,
-    RefractivityDrift,
-    StationWeather,
-)
-from ltsim.effects.reflectors import SmrCentring, SmrDihedral
-from ltsim.effects.seats import NestLift, SmrOffset, TargetMoved, Window
-from ltsim.effects.warming import AzimuthDrift, GaugeScale, GaugeShape, IndexDrift, MeshExpansion, StationSettling
+from ltsim.effects.azimuth_drift import AzimuthDrift
+from ltsim.effects.backlash import Backlash
+from ltsim.effects.dead_path import DeadPath
+from ltsim.effects.encoder_interpolation import EncoderInterpolation
+from ltsim.effects.face_confusion import FaceConfusion
+from ltsim.effects.gauge_scale import GaugeScale
+from ltsim.effects.gauge_shape import GaugeShape
+from ltsim.effects.index_drift import IndexDrift
+from ltsim.effects.mesh_expansion import MeshExpansion
+from ltsim.effects.nest_lift import NestLift
+from ltsim.effects.noise_level import NoiseLevel
+from ltsim.effects.outlier import Outlier
+from ltsim.effects.range_cyclic import LONGEST, SHORTEST, RangeCyclic
+from ltsim.effects.range_drift import RangeDrift
+from ltsim.effects.range_offset import RangeOffset
+from ltsim.effects.range_scale import RangeScale
+from ltsim.effects.range_step import RangeStep
+from ltsim.effects.refractivity_drift import RefractivityDrift
+from ltsim.effects.smr_centring import SmrCentring
+from ltsim.effects.smr_dihedral import SmrDihedral
+from ltsim.effects.smr_offset import SmrOffset
+from ltsim.effects.station_bump import StationBump
+from ltsim.effects.station_levelling import StationLevelling
+from ltsim.effects.station_noise import StationNoise
+from ltsim.effects.station_settling import StationSettling
+from ltsim.effects.station_weather import StationWeather
+from ltsim.effects.target_moved import TargetMoved
+from ltsim.effects.target_swap import TargetSwap
+from ltsim.effects.timing_lag import TimingLag
+from ltsim.effects.vertical_index import VerticalIndex
+from ltsim.effects.window import Window
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.units import FACTOR

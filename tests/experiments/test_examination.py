@@ -17,7 +17,7 @@ import pytest
 import ltsim as lt
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect
-from ltsim.effects.seats import NestLift
+from ltsim.effects.nest_lift import NestLift
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State, sightings_of

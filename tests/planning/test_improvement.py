@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.effects.ranges import RangeCyclic
+from ltsim.effects.range_cyclic import RangeCyclic
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import evaluate
 from ltsim.model.construction import misalignment

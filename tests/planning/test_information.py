@@ -7,8 +7,9 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.effects.ranges import RangeOffset, StationWeather
-from ltsim.effects.warming import IndexDrift
+from ltsim.effects.index_drift import IndexDrift
+from ltsim.effects.range_offset import RangeOffset
+from ltsim.effects.station_weather import StationWeather
 from ltsim.errors import NetworkError, SetupError
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import ideal, misalignment

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.effects.ranges import StationWeather
+from ltsim.effects.station_weather import StationWeather
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
 from ltsim.planning.floor import Area, inside

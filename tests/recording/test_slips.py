@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.effects.blunders import WrongUnit
+from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import ModelError, RecordError
 from ltsim.recording.native import write_recording
 from ltsim.recording.plausibility import slip_by_lengths

@@ -9,11 +9,12 @@ from scipy import stats
 from ltsim.adjustment.reliability import POWER, noncentrality, single_level
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.circles import ElevationEccentricity
-from ltsim.effects.head import HeadSag
-from ltsim.effects.misalignments import TransitOffset
-from ltsim.effects.noise import NoiseLevel
-from ltsim.effects.ranges import RangeStep, StationWeather
+from ltsim.effects.elevation_eccentricity import ElevationEccentricity
+from ltsim.effects.head_sag import HeadSag
+from ltsim.effects.noise_level import NoiseLevel
+from ltsim.effects.range_step import RangeStep
+from ltsim.effects.station_weather import StationWeather
+from ltsim.effects.transit_offset import TransitOffset
 from ltsim.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
 from ltsim.remedies.detectability import LEVEL, detectability, examine, likeness, search_noncentrality
