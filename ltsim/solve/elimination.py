@@ -183,11 +183,10 @@ def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None =
     row, data = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1])), matrix.data[begin:end]
     if columns is None:
         columns = np.unique(indices)
-    at = np.searchsorted(columns, indices)
-    there = np.append(columns, -1)[at] == indices
-    dense = np.zeros((high - low, len(columns)))
-    np.add.at(dense, (row[there], at[there]), data[there])
-    return dense, columns
+    at, width = np.searchsorted(columns, indices), len(columns) + 1  # the last column takes what stands in none
+    at[np.append(columns, -1)[at] != indices] = width - 1
+    dense = np.bincount(row * width + at, data, (high - low) * width).reshape(high - low, width)
+    return dense[:, :-1], columns
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
