@@ -18,7 +18,6 @@ from scipy import stats
 
 from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.precision import ellipsoids
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.verdict import verdict
 from ltsim.calibration import calibrate_network
@@ -182,7 +181,7 @@ WAYS: dict[str, dict[str, object]] = {
 def state_of(found: Adjustment) -> dict[str, object]:
     """The figures of an adjustment."""
     recording = found.recording
-    spread = ellipsoids(found.target_covariance).axes[:, 0]
+    spread = np.sqrt(np.linalg.eigvalsh(np.nan_to_num(found.target_covariance))[:, 2])
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
         "converged": found.solution.converged, "left_out": int(found.rejected.sum()), "dof": found.dof,

@@ -90,7 +90,7 @@ def calibrate_distance(
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
         criteria=result.criteria_of(recording, adjustment, built, values),
         outliers=result.outliers_of(adjustment),
-        lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
+        lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
         recording=source,
         notes=(*result.notes_on_modes(adjustment), *notes),
         adjustment=adjustment,

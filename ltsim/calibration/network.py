@@ -140,7 +140,7 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     held = adjustment.problem.prior.held
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)
-    prior = adjustment.problem.prior_sigma
+    prior = adjustment.problem.prior.sigma
     values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
     return Calibration(
         method=method,

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment, observable_name
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.known import KnownTest
-from ltsim.adjustment.screening import gross_pointings
+from ltsim.adjustment.snooping import screened
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
@@ -38,7 +38,7 @@ UP = np.array([False, False, True])
 def gross_rows(recording: Recording) -> Bools:
     """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
     tied, reached = tied_readings(recording)
-    return gross_pointings(tied, *reached)
+    return screened(tied, *reached)[1]
 
 
 def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:
@@ -90,7 +90,7 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        observable = observable_name(column)
+        observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
 
@@ -319,8 +319,7 @@ def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
-    every = np.arange(len(recording.stations)), np.arange(len(recording.targets))
-    if Frame.of(recording).hand(every[0], state.position, every[1], state.points)[1]:
+    if Frame.of(recording).tells_hand(state.position, state.points):
         return ()
     return (
         "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "

@@ -24,7 +24,7 @@ from ltsim.effects.verbs import effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law
-from ltsim.model.construction import Construction, built_construction
+from ltsim.model.construction import Construction, construction as construction_called
 from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
 
@@ -167,7 +167,7 @@ def _in_words(text: str, recording: Recording) -> Wanted:
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
     """The construction of a name; None for what the set-up states."""
     if name is not None:
-        return built_construction(name, harmonics, degree)
+        return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
         raise ModelError(f"{option('harmonics')} and {option('degree')} go with the construction dh")
     return None

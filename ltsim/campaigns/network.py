@@ -29,8 +29,7 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.solve.chain import inverse_of
-from ltsim.solve.design import as_dense
-from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
 
 CAP = 8
 RATE = 1e-3

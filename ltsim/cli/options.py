@@ -191,13 +191,14 @@ def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
 
 def in_axes(recording: Recording, frame: Path) -> Recording:
     """The recording with its datum in the axes of a file or a built-in scenario; raises RecordError or SetupError."""
-    from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three, read_axes
+    from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
+    from ltsim.recording.coordinates import read_points
     from ltsim.recording.settings import read_toml
     from ltsim.simulation.builtin import builtin_names
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return in_axes_of_points(recording, read_axes(frame), str(frame))
+            return in_axes_of_points(recording, read_points(frame, strict=False).by_name, str(frame))
         named = read_toml(frame, "frame")
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
             return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))

@@ -119,7 +119,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
     one, other = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
-        if first.problem.prior_sigma.shape != second.problem.prior_sigma.shape:
+        if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
             raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
         common.append(PRIORS)
     if one.gauge is not None and other.gauge is not None and _certificate(one.gauge) == _certificate(other.gauge):

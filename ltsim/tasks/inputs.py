@@ -127,7 +127,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
         (CONTROL, problem.control.count + problem.known_marks.count),
         ("levels", 2 * len(problem.levels)),
         ("", problem.structure.held),
-        (PRIORS, int(np.isfinite(problem.prior_sigma).sum())),
+        (PRIORS, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count

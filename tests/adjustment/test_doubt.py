@@ -7,8 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.curvature import BENT, curvature
-from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.doubt import BENT, curvature, doubts
 from ltsim.adjustment.verdict import Case, verdict
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar

@@ -124,9 +124,9 @@ def test_a_prior_of_a_parameter_that_does_not_exist_is_refused(recording: Record
 
 @pytest.mark.parametrize(("harmonics", "degree", "size"), [(0, 1, 24), (3, 2, 102), (4, 3, 132)])
 def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, size: int) -> None:
-    from ltsim.model.construction import built_construction, with_parameters
+    from ltsim.model.construction import construction, with_parameters
 
-    built = built_construction("dh", harmonics, degree)
+    built = construction("dh", harmonics, degree)
     assert built.size == size
     assert with_parameters("dh", built.names).names == built.names
 

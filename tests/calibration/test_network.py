@@ -58,7 +58,7 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
     covariance, prior = Network.of(adjustment).parameter_covariance()
     assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
-    assert np.array_equal(prior, adjustment.problem.prior_sigma)
+    assert np.array_equal(prior, adjustment.problem.prior.sigma)
 
 
 def test_null_space_of_the_paper_chain_is_named(make) -> None:
