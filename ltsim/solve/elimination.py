@@ -185,8 +185,8 @@ def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None =
         columns = np.unique(indices)
     at, width = np.searchsorted(columns, indices), len(columns) + 1  # the last column takes what stands in none
     at[np.append(columns, -1)[at] != indices] = width - 1
-    dense = np.bincount(row * width + at, data, (high - low) * width).reshape(high - low, width)
-    return dense[:, :-1], columns
+    dense: Floats = np.asarray(np.bincount(row * width + at, data, (high - low) * width), dtype=np.float64)
+    return dense.reshape(high - low, width)[:, :-1], columns
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
