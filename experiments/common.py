@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 import ltsim as lt
 from ltsim.arrays import Floats
 from ltsim.campaigns.statistics import Results
-from ltsim.pages.figures import Mean, Swept
+from ltsim.pages.figures.campaign import Mean, Swept
 from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -24,7 +24,7 @@ from experiments.common import (
 )
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures import Mean, by_setting
+from ltsim.pages.figures.campaign import Mean, by_setting
 from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import DEGREE, MICROMETRE

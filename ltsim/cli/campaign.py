@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import Jobs
 from ltsim.cli.places import Force
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError, StoppedError
@@ -44,30 +42,27 @@ class Backend(StrEnum):
     DASK = "dask"
 
 
+CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
+Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
+Rows = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
+]
+BackendName = Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")]
+Scheduler = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file.")
+]
+
+
 def campaign(
-    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")] = None,
-    show_example: Annotated[
-        bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
-    ] = None,
-    jobs: Jobs = 1,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue what the folder holds.")] = False,
-    backend: Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")] = (
-        Backend.LOCAL
-    ),
-    scheduler: Annotated[
-        str,
-        typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file."),
-    ] = "",
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Another value of a key, as trials=200 or work.faces=2."),
-    ] = None,
+    file: CampaignFile = None,
+    show_example: Example = False,
+    out: Rows = None,
+    backend: BackendName = Backend.LOCAL,
+    scheduler: Scheduler = "",
     force: Force = False,
     *,
     terminal: Terminal,
+    **options: Any,
 ) -> int:
     """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
 
@@ -96,16 +91,14 @@ def campaign(
     from ltsim.campaigns.store import Store
 
     folder = out or file.with_suffix("")
-    given = parsed(changes or [])
-    settings, scenarios = load_campaign(file, given)
+    settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    workers = Workers(jobs, backend.value, scheduler)
-    how: dict[str, Any] = {"workers": workers, "resume": resume, "force": force, "changes": given}
+    workers = Workers(options.pop("jobs"), backend.value, scheduler)
     if not compiled_before():
         terminal.note("compiling the solver, which takes half a minute: the first campaign of an installation does")
     try:
         with terminal.progress("trials", total) as advance:
-            outcome = run_campaign(file, folder, progress=advance, **how)
+            outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         kept = len(Store(folder).shards())
         raise StoppedError(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
@@ -128,20 +121,6 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
         f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, allowed {AGREED:g}; "
         'solver = "single" for the method calibrates every trial by the full one'
     )
-
-
-def parsed(changes: list[str]) -> dict[str, Any]:
-    """`KEY=VALUE` as key and value, which is read as in a file; what is no value there is a text. Raises SetupError."""
-    found = {}
-    for text in changes:
-        key, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not key or not value:
-            raise SetupError(f"--set '{text}': expected KEY=VALUE, such as work.faces=2")
-        try:
-            found[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            found[key] = value
-    return found
 
 
 def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[str, Any]) -> None:

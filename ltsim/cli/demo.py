@@ -12,7 +12,6 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import Seed
 from ltsim.cli.places import Force, claim_empty
 from ltsim.cli.terminal import Terminal
 from ltsim.recording.files import write_texts
@@ -51,10 +50,10 @@ class Step:
 
 def demo(
     out: Folder = Path("ltsim-demo"),
-    seed: Seed = 0,
     force: Force = False,
     *,
     terminal: Terminal,
+    **options: Annotated[Any, "simulate seed"],
 ) -> None:
     """Simulate, calibrate, repeat, hide an effect and diagnose it, and leave one page to open.
 
@@ -70,7 +69,7 @@ def demo(
     for number, step in enumerate(STEPS, start=1):
         began = time.perf_counter()
         with terminal.busy(step.title):
-            outcome = step.run(out, seed)
+            outcome = step.run(out, options["seed"])
         spent = time.perf_counter() - began
         terminal.say(f"{number}. {step.title} ({spent:.1f} s)\n   {outcome}")
         said.append({"step": step.title, "outcome": outcome, "seconds": round(spent, 2)})

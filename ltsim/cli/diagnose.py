@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import ltsim as lt
 from ltsim.chances import p_text
-from ltsim.cli.options import FramedReading, Out, Seed, Source
+from ltsim.cli.options import FramedReading, Out, Source
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
 
@@ -18,17 +17,6 @@ if TYPE_CHECKING:
 
 FailOnMismatch = Annotated[
     bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
-]
-Level = Annotated[
-    float, typer.Option(min=1e-3, max=0.5, help="False-alarm rate of the whole search on a clean recording.")
-]
-HistoryOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--history",
-        metavar="FILE",
-        help="An earlier calibration, or a history of them: what the instrument's constants are compared with.",
-    ),
 ]
 HeldOut = Annotated[
     bool | None,
@@ -42,15 +30,13 @@ HeldOut = Annotated[
 def diagnose(
     source: Source,
     out: Out = None,
-    level: Level = 0.05,
-    history: HistoryOption = None,
     held_out: HeldOut = None,
     fail_on_mismatch: FailOnMismatch = False,
-    seed: Seed = 0,
     *,
     reading: FramedReading,
     force: Force = False,
     terminal: Terminal,
+    **options: Any,
 ) -> int:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
 
@@ -64,7 +50,7 @@ def diagnose(
     claim(out, DiagnosisFile, COMPANIONS, force=force)
     recording = reading.open(source, terminal)
     with terminal.busy("diagnosing"):
-        found = lt.diagnose(recording, seed=seed, level=level, history=history, held_out=held_out)
+        found = lt.diagnose(recording, held_out=held_out, **options)
     content = found.file(recording) if out is None else write_diagnosis(found, out, recording)
     terminal.answer(content.content())
     show(terminal, found)

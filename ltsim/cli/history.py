@@ -10,9 +10,9 @@ import typer
 
 import ltsim as lt
 from ltsim.chances import p_is, p_text
-from ltsim.cli.options import NoiseFromData, Out, Reading, Robust
+from ltsim.cli.adjustment import calibration_of
+from ltsim.cli.options import Out, Reading
 from ltsim.cli.places import Force, claim
-from ltsim.cli.summary import calibration_of
 from ltsim.cli.terminal import Terminal, digits, table
 from ltsim.errors import LtsimError, RecordError
 from ltsim.notation import with_sigma
@@ -31,18 +31,6 @@ Sources = Annotated[
     ),
 ]
 EachSetUp = Annotated[bool, typer.Option("--each-set-up", help="Calibrate every set-up of a recording by itself.")]
-InstrumentName = Annotated[
-    str | None, typer.Option("--instrument", metavar="NAME", help="Which, where a calibration holds several.")
-]
-Dates = Annotated[
-    str | None,
-    typer.Option(
-        "--dates",
-        metavar="DATE,...",
-        help="When each was measured, such as 2026-05-31; default what their recordings state. Usual steps may grow "
-        "with the days between.",
-    ),
-]
 FailOnChange = Annotated[
     bool,
     typer.Option(
@@ -58,15 +46,12 @@ def history(
     sources: Sources,
     out: Out = None,
     each_set_up: EachSetUp = False,
-    instrument: InstrumentName = None,
-    dates: Dates = None,
     fail_on_change: FailOnChange = False,
-    robust: Robust = False,
-    noise_from_data: NoiseFromData = False,
     *,
     reading: Reading,
     force: Force = False,
     terminal: Terminal,
+    **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
     """Follow an instrument's parameters over calibrations: course, uncertainty, and whether it has changed since.
 
@@ -80,15 +65,15 @@ def history(
 
     claim(out, HistoryFile, ("history.svg",), force=force)
     named: list[tuple[str, Calibration]] = []
-    treated: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data}
+    instrument, dates = options.pop("instrument"), options.pop("dates")
     with terminal.progress("calibrating", len(sources)) as done:
         for source in sources:
-            named += _calibrations(terminal, source, reading, treated, each_set_up=each_set_up)
+            named += _calibrations(terminal, source, reading, options, each_set_up=each_set_up)
             done(1)
-    found = History.of(named, instrument, None if dates is None else [d.strip() for d in dates.split(",")])
+    found = History.of(named, instrument, dates)
     content = history_file(found)
     if out is not None:
-        from ltsim.pages.figures.history import history_figure
+        from ltsim.pages.figures.parameters import history_figure
         from ltsim.pages.style import svg
         from ltsim.recording.result_file import write_result
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -12,8 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
-from ltsim.cli.calibrate import Method, MethodOption, WithEffects
-from ltsim.cli.options import Out, Seed
+from ltsim.cli.options import Out
 from ltsim.cli.places import Force, claim, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
@@ -24,12 +22,6 @@ if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.schema import RecoveryFile
 
-Trials = Annotated[int, typer.Option("--trials", "-n", min=2, help="How many recordings to simulate.")]
-ConstructionChoice = Annotated[
-    str | None,
-    typer.Option("--construction", metavar="NAME", help="Of the calibrator; default that of the scenario."),
-]
-
 RecoverJobs = Annotated[
     int | None,
     typer.Option(
@@ -38,37 +30,8 @@ RecoverJobs = Annotated[
 ]
 
 
-class ErrorsMode(StrEnum):
-    """Which errors the instrument has."""
-
-    DRAWN = "drawn"
-    STATED = "stated"
-
-
-ErrorsOption = Annotated[
-    ErrorsMode | None,
-    typer.Option(
-        "--errors", help="Errors drawn from the prior, or as the scenario states them; default stated where it does."
-    ),
-]
 JunitFile = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI.")
-]
-CalibratorOption = Annotated[
-    str | None,
-    typer.Option(
-        "--calibrator",
-        metavar="'CMD {recording} {out}'",
-        help="Check a program of your own, which reads a recording and writes parameters as JSON, beside ltsim's.",
-    ),
-]
-ToleranceOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--tolerance",
-        metavar="NAME=QUANTITY",
-        help="Within which 95 % of a parameter's errors should lie, as beam-tilt='2 urad'; only such are checked then.",
-    ),
 ]
 MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
 FEW = 100
@@ -77,20 +40,13 @@ FEW = 100
 
 def recover(
     scenario: ScenarioName,
-    trials: Trials = 200,
-    method: MethodOption = Method.NETWORK,
-    construction: ConstructionChoice = None,
-    with_effects: WithEffects = None,
-    calibrator: CalibratorOption = None,
-    tolerance: ToleranceOption = None,
-    seed: Seed = 0,
     jobs: RecoverJobs = None,
-    errors: ErrorsOption = None,
     junit: JunitFile = None,
     out: Out = None,
     force: Force = False,
     *,
     terminal: Terminal,
+    **options: Any,
 ) -> None:
     """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
 
@@ -107,13 +63,10 @@ def recover(
     claim_file(junit, force=force)
     if junit is not None:
         _make_folder(junit.parent)
-    workers = jobs or (1 if trials < FEW else os.cpu_count() or 1)
-    how: dict[str, Any] = {"method": method.value, "construction": construction, "seed": seed, "jobs": workers}
-    how |= {"errors": None if errors is None else errors.value, "with_effects": with_effects or ()}
-    how |= {"calibrator": calibrator, "tolerance": _tolerances(tolerance or [])}
-    with terminal.progress("trials", trials) as step:
-        result = lt.recover(scenario, trials=trials, progress=step, **how)
-    content = recovery_file(result, seed)
+    workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
+    with terminal.progress("trials", options["trials"]) as step:
+        result = lt.recover(scenario, progress=step, jobs=workers, **options)
+    content = recovery_file(result, options["seed"])
     if out is not None:
         from ltsim.recording.result_file import write_result
 
@@ -128,7 +81,8 @@ def recover(
     if failures:
         raise typer.Exit(1)
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
-    terminal.say(f"{trials} trials, errors {MODES[result.errors]}: everything is recovered within {result.what}{rate}")
+    done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
+    terminal.say(f"{done}: everything is recovered within {result.what}{rate}")
 
 
 def _make_folder(folder: Path) -> None:
@@ -137,15 +91,6 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
         raise SetupError(f"{folder}: cannot be made ({problem.strerror})") from None
-
-
-def _tolerances(given: list[str]) -> dict[str, str]:
-    """`NAME=QUANTITY` as name and quantity; raises SetupError."""
-    parts = [text.partition("=") for text in given]
-    for text, (name, _, quantity) in zip(given, parts, strict=True):
-        if not name.strip() or not quantity.strip():
-            raise SetupError(f"--tolerance '{text}': expected NAME=QUANTITY, such as beam-tilt='2 urad'")
-    return {name.strip(): quantity.strip().strip("'\"") for name, _, quantity in parts}
 
 
 def recovery_file(result: Recovery, seed: int) -> RecoveryFile:

@@ -13,8 +13,9 @@ from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.chances import p_text, two_sided
 from ltsim.notation import number
-from ltsim.pages import figures, style
+from ltsim.pages import style
 from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
+from ltsim.pages.figures.parameters import ParameterRow, correlation_figure, parameter_figure
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
     TRUTH,
@@ -158,11 +159,11 @@ def _known_values(content: CalibrationFile) -> list[Table]:
     return table_of("How known values fit", shown, *fields, note=note, folds=False)
 
 
-def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[figures.ParameterRow]:
+def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[ParameterRow]:
     """Rows for the figure; of a simulated recording with the true values."""
     true = {} if truth is None else {n: v / FACTOR[truth.units[n]] for n, v in truth.instrument.items()}
     return [
-        figures.ParameterRow(
+        ParameterRow(
             f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma or 0.0, p.unit, p.prior_sigma,
             true.get(f"{p.name}@{p.instrument}" if p.instrument else p.name),
         )
@@ -176,7 +177,7 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
     note = "Corrections, truth minus reading, ± one sigma."
     blocks: list[Block] = [
-        picture("Instrument parameters", figures.parameters(rows), text),
+        picture("Instrument parameters", parameter_figure(rows), text),
         *table_of(
             "Parameters in numbers", content.parameters, "name=parameter", "instrument", "value",
             "prior_sigma=prior sigma", note=note,
@@ -186,7 +187,7 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
         covariance = np.array(content.covariance)
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         scale = np.where(sigma > 0, sigma, 1.0)
-        figure = figures.correlation([row.name for row in rows], covariance / np.outer(scale, scale))
+        figure = correlation_figure([row.name for row in rows], covariance / np.outer(scale, scale))
         text = "Two parameters near ±100 % can hardly be told apart with this network."
         blocks.append(picture("Correlation of the parameters", figure, text))
     return blocks

@@ -14,9 +14,8 @@ from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
 from ltsim.notation import number
-from ltsim.pages import figures
 from ltsim.pages.document import Block, Fact, Listing, Section, Table, mood, picture
-from ltsim.pages.figures.coverage import ALLOWED, coverage, uncovered
+from ltsim.pages.figures.campaign import ALLOWED, Distribution, coverage, distributions, uncovered
 from ltsim.pages.sections.sweep import cell_words, drawn, title, varied
 from ltsim.pages.words import count
 from ltsim.simulation.keys import meaning_of
@@ -183,18 +182,16 @@ def campaign_figure(results: Results) -> Figure:
             if column in results.columns:
                 return next(drawn(results, results.spread(column), label, None))[1]
     rows = _rows_of(results, list(results.columns), next(iter(cell_words(results))), {})
-    return figures.distributions(rows)
+    return distributions(rows)
 
 
-def _rows_of(
-    results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]
-) -> list[figures.Distribution]:
+def _rows_of(results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]) -> list[Distribution]:
     """The paper's criteria in one cell for the file's first method."""
     wanted = [c for c in columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
     return [
-        figures.Distribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
+        Distribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
         for c, v in values.items()
         if len(v) > 1
     ]
@@ -211,7 +208,7 @@ def _distributions(
         if rows:
             told = " Dashed: the paper's figures and the share of trials below them." if published else ""
             place = f", {names[cell]}" if len(names) > 1 else ""
-            blocks.append(picture(f"Distributions over trials: {method}{place}", figures.distributions(rows), told))
+            blocks.append(picture(f"Distributions over trials: {method}{place}", distributions(rows), told))
     return blocks
 
 

@@ -13,8 +13,10 @@ from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import Combination, DeterminedEntry
 from ltsim.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.model.construction import stated_construction
-from ltsim.pages import figures, style
+from ltsim.pages import style
 from ltsim.pages.document import Block, Detail, Note, Scene, Table, picture, table_of
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.figures.residuals import USUAL, residuals_by_covariate, residuals_by_station
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.words import natural
 from ltsim.pages.workshop import Workshop
@@ -45,11 +47,11 @@ def residual_blocks(after: Residuals, before: Residuals | None, *, what: str) ->
     """Residuals by station and against covariates; `what` names the difference between before and after."""
     compared = f" Grey: without {what}; blue: with." if before is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
-    drawn = figures.residuals_by_station(after, before)
+    drawn = residuals_by_station(after, before)
     blocks: list[Block] = [picture("Residuals by station", drawn, text + compared)]
-    if set(figures.USUAL) & set(after.covariates):
+    if set(USUAL) & set(after.covariates):
         text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
-        drawn = figures.residuals_by_covariate(after)
+        drawn = residuals_by_covariate(after)
         blocks.append(picture("Residuals against what they might depend on", drawn, text))
     return blocks
 
@@ -62,7 +64,7 @@ def workshop_blocks(workshop: Workshop, *, detail: Detail) -> list[Block]:
         "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
         "station hides it. "
     )
-    plan = picture("Floor plan", figures.floor_plan(workshop), text + " ".join(workshop.notes))
+    plan = picture("Floor plan", floor_plan(workshop), text + " ".join(workshop.notes))
     return [scene(workshop), plan] if detail == "turn" else [plan]
 
 

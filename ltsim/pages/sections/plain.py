@@ -15,10 +15,9 @@ from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
 from ltsim.fieldcheck.files import CheckFile
 from ltsim.notation import expanded, number, with_sigma
-from ltsim.pages import figures
 from ltsim.pages.document import Block, Fact, Note, Picture, Points, Section, Table, mood, picture, table_of
-from ltsim.pages.figures.acceptance import shares_of_limits
-from ltsim.pages.figures.history import history_figure, told_apart
+from ltsim.pages.figures.parameters import budget_figure, history_figure, told_apart
+from ltsim.pages.figures.points import displacement_figure, enlargement, shares_of_limits
 from ltsim.pages.style import svg_uri
 from ltsim.pages.words import count, duration, listing, natural, sentence
 from ltsim.planning.schema import NextFile
@@ -53,8 +52,8 @@ def _comparison(content: ComparisonFile, folder: Path) -> Section:
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     places, shifts, axes = (np.array([getattr(d, n) for d in points]) for n in ("place_mm", "shift_um", "semi_axes_um"))
     moved = np.array([d.moved for d in points], dtype=bool)
-    figure = figures.displacements(places, shifts, axes, moved, [d.target for d in points])
-    times = figures.enlargement(places, shifts, axes)
+    figure = displacement_figure(places, shifts, axes, moved, [d.target for d in points])
+    times = enlargement(places, shifts, axes)
     caption = f"Shift of each point, {times:.0f} times enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     heads = ("target", "moved", "shift_um=dx, dy, dz [um]", "sigma_um=sigma x, y, z [um]",
              "semi_axes_um=95 % ellipsoid [um]", "p_value", "visible_um=found with 80 % [um]")  # fmt: skip
@@ -131,7 +130,7 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     shown = content.results[:MOST_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
     shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
-    figure = figures.budget([f"{r.task}, {r.name}" for r in shown], shares)
+    figure = budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
     blocks.append(picture("Budget", figure, "Where each result's variance comes from; improve the widest bar first."))
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.pages import figures, style
+from ltsim.pages import style
 from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.figures.parameters import SigmaRow, sigma_figure
+from ltsim.pages.figures.plan import Layout, reflector_changes, trade_off, visibility_figure
 from ltsim.pages.planned import from_scenario
 from ltsim.pages.sections.network import scene, undetermined
 from ltsim.pages.words import count, duration
@@ -106,7 +109,7 @@ def _changes(folder: Path, content: PlanResult) -> list[Block]:
     file = companion(folder, "scenario.toml", content)
     if file is not None:
         ground = Floor.model_validate(content.settings.get("floor", {}))
-        figure = figures.reflector_changes(from_scenario(load_scenario(file)), changes, ground)
+        figure = reflector_changes(from_scenario(load_scenario(file)), changes, ground)
         text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
         blocks.append(picture("Where these reflectors are", figure, text))
     return blocks
@@ -158,13 +161,13 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
     ground = Floor.model_validate(content.settings.get("floor", {}))
-    floor = figures.floor_plan(workshop, reference=places, ground=ground)
+    floor = floor_plan(workshop, reference=places, ground=ground)
     blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
         blocks += [scene(workshop)] if detail == "turn" else []
     layout = planned(scenario)
     table = visibility_of(scenario, layout)
-    figure = figures.visibility(layout.stations, layout.targets, table.words())
+    figure = visibility_figure(layout.stations, layout.targets, table.words())
     blocks.append(picture("Who sees whom", figure, "A coloured cell with a letter says why a station misses a target."))
     return blocks
 
@@ -175,20 +178,18 @@ def _curve(content: PlanResult) -> list[Block]:
     for name in content.quality:
         label, factor = QUALITY.get(name, (name, 1.0))
         layouts = [
-            figures.Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
+            Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
             for o in content.tradeoff
             if (q := o.quality.get(name)) is not None
         ]
         own = content.quality[name]
         if len(layouts) < 2 or own is None:
             continue
-        layouts.append(figures.Layout("the plan", content.hours, factor * own, "chosen"))
+        layouts.append(Layout("the plan", content.hours, factor * own, "chosen"))
         reference = content.reference
         if reference is not None and reference.quality.get(name) is not None:
-            layouts.append(
-                figures.Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference")
-            )
-        figure = figures.trade_off(layouts, cost="time on the floor [h]", quality=label)
+            layouts.append(Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference"))
+        figure = trade_off(layouts, cost="time on the floor [h]", quality=label)
         text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
         blocks.append(picture(f"Cost against quality: {name}", figure, text))
     factor, unit = content.value_unit
@@ -213,12 +214,12 @@ def _parameters(content: PlanResult) -> list[Block]:
     """How well the instrument becomes known."""
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [
-        figures.SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
+        SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
         for p in content.parameters
         if p.prior_sigma and p.sigma > 0
     ]
     text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
-    return [picture("What will be known of the instrument", figures.sigmas(rows), text)] if rows else []
+    return [picture("What will be known of the instrument", sigma_figure(rows), text)] if rows else []
 
 
 def _expected(content: PlanResult) -> list[Block]:

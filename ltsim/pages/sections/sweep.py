@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.statistics import Results, Spread
-from ltsim.pages import figures
-from ltsim.pages.figures.by_factor import MOST_LINES, MOST_PANELS
+from ltsim.pages.figures.campaign import MOST_LINES, MOST_PANELS, Mean, Swept, by_factor, by_setting
 from ltsim.pages.words import typeset
 from ltsim.units import BY_ENDING
 
@@ -82,10 +81,8 @@ def drawn(
 
 def _list(results: Results, spreads: Sequence[Spread], label: str, published: float | None) -> tuple[str, Figure]:
     names = cell_words(results)
-    rows = [
-        figures.Mean(names[s.cell], s.method, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]) for s in spreads
-    ]
-    return _several(results), figures.by_setting(rows, label=label, published=published)
+    rows = [Mean(names[s.cell], s.method, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]) for s in spreads]
+    return _several(results), by_setting(rows, label=label, published=published)
 
 
 def _several(results: Results) -> str:
@@ -106,7 +103,7 @@ def _lines(
         shown = names[first : first + MOST_PANELS]
         part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
         chosen = [row for row in rows if row.panel in shown]
-        figure = figures.by_factor(chosen, label=label, axis=title(along), published=published)
+        figure = by_factor(chosen, label=label, axis=title(along), published=published)
         yield _several(results) + part, figure
 
 
@@ -126,8 +123,8 @@ def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
     return float(value) if factor.kind in ("number", "integer") and value is not None else factor.words(value)
 
 
-def _swept(s: Spread, x: float | str, line: str, panel: str) -> figures.Swept:
-    return figures.Swept(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
+def _swept(s: Spread, x: float | str, line: str, panel: str) -> Swept:
+    return Swept(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
 
 
 def _clouds(
@@ -139,4 +136,4 @@ def _clouds(
         for s in spreads
     ]
     text = "Each mark is one setting, against each factor. " + _several(results)
-    return text, figures.by_factor(rows, label=label, axis="", published=published, joined=False)
+    return text, by_factor(rows, label=label, axis="", published=published, joined=False)
