@@ -14,7 +14,7 @@ from ltsim.arrays import Floats
 from ltsim.geometry.alignment import align
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.planned import from_scenario
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.improvement import Predictor

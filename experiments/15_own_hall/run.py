@@ -13,7 +13,7 @@ from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
 from ltsim.pages.figures.plan import reflector_changes
-from ltsim.pages.planned import from_scenario
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.changes import Change
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.making import make_plan

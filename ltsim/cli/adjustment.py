@@ -10,8 +10,8 @@ import typer
 
 import ltsim as lt
 from ltsim.chances import AGREES, p_is, two_sided
-from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Out, PointsFile, Reading, Source
-from ltsim.cli.places import Force, claim, claim_file, claim_recording
+from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Out, Reading, Source
+from ltsim.cli.places import Force, claim, claim_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.notation import aligned, number, with_sigma
 from ltsim.units import ARCSECOND, MICROMETRE
@@ -46,7 +46,6 @@ def adjust(
     source: Source,
     *,
     out: Out = None,
-    points: PointsFile = None,
     reading: FramedReading,
     force: Force = False,
     terminal: Terminal,
@@ -58,18 +57,17 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    claim_results(out, points, adjusted=True, force=force)
+    claim_results(out, adjusted=True, force=force)
     recording = reading.open(source, terminal)
     with terminal.busy("adjusting"):
         found = lt.adjust(recording, **options)
-    finish(terminal, found, out, points)
+    finish(terminal, found, out)
 
 
 def calibrate(
     source: Source,
     *,
     out: Out = None,
-    points: PointsFile = None,
     reading: FramedReading,
     force: Force = False,
     terminal: Terminal,
@@ -81,11 +79,11 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    claim_results(out, points, adjusted=False, force=force)
+    claim_results(out, adjusted=False, force=force)
     recording = reading.open(source, terminal)
     with terminal.busy("calibrating"):
         found = lt.calibrate(recording, **options)
-    finish(terminal, found, out, points)
+    finish(terminal, found, out)
 
 
 def correct(
@@ -182,23 +180,18 @@ def verify(
     show_criteria(terminal, lt.verify(recording, nominal, found), recording, out)
 
 
-def claim_results(out: Path | None, points: Path | None, *, adjusted: bool, force: bool) -> None:
+def claim_results(out: Path | None, *, adjusted: bool, force: bool) -> None:
     """Make sure that a calibration, or a network `adjusted` without parameters, replaces nothing else."""
     from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 
     names = (TARGETS.file, RESIDUALS.file)
     claim(out, CalibrationFile, names, force=force, own=lambda found: (found.method == "adjustment") == adjusted)
-    claim_file(points, force=force)
 
 
-def finish(terminal: Terminal, calibration: Calibration, out: Path | None, points: Path | None = None) -> None:
+def finish(terminal: Terminal, calibration: Calibration, out: Path | None) -> None:
     """Write, then show."""
     from ltsim.calibration.files import calibration_file, write_calibration
 
-    if points is not None:
-        from ltsim.pages.points import write_points  # most runs need no export
-
-        write_points(calibration, points)
     content = calibration_file(calibration) if out is None else write_calibration(calibration, out)
     terminal.answer(content.content())
     show_calibration(terminal, calibration)

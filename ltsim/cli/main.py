@@ -25,7 +25,7 @@ UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.
 
 # To add a verb: a function of its name in one of these modules, and one line here.
 VERBS = {
-    "demo": ("demo", "simulate, calibrate, repeat, hide, diagnose: one page"),
+    "demo": ("simulate", "simulate, calibrate, repeat, hide, diagnose: one page"),
     "simulate": ("simulate", "measure a virtual workshop once"),
     "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
     "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),
@@ -33,14 +33,14 @@ VERBS = {
     "correct": ("adjustment", "write the recording that an ideal tracker would have made"),
     "evaluate": ("adjustment", "how far the stations disagree, before and after"),
     "verify": ("adjustment", "apply a calibration to another recording"),
-    "recover": ("recover", "is what was injected recovered? a check for CI"),
+    "recover": ("campaign", "is what was injected recovered? a check for CI"),
     "campaign": ("campaign", "many trials over a grid of settings, safely"),
     "compare": ("tasks", "did points move between two recordings"),
     "convert": ("convert", "read a recording in one format, write it in another"),
     "effects": ("effects", "the catalogue of physical effects"),
     "inject": ("simulate", "put a cause into a recording: would it be seen?"),
     "diagnose": ("diagnose", "do recording and model agree; if not, where and why"),
-    "history": ("history", "follow an instrument's parameters over calibrations"),
+    "history": ("diagnose", "follow an instrument's parameters over calibrations"),
     "plan": ("plan", "find a layout of stations and reflectors, or what to measure next"),
     "report": ("view", "one page that opens offline, about any folder of results"),
     "uncertainty": ("tasks", "what a task on a recording is worth: budget, verdict"),

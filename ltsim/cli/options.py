@@ -72,9 +72,6 @@ ControlFile = Annotated[
         "sigma_z_mm); an empty coordinate is not known. One that the readings contradict is named and left out.",
     ),
 ]
-PointsFile = Annotated[
-    Path | None, typer.Option("--points", metavar="FILE", help="Write the adjusted points too: .csv, .ply or .glb.")
-]
 
 
 def names_of(listed: str | None) -> tuple[str, ...] | None:

@@ -203,7 +203,7 @@ def pictures_of(made: Plan) -> dict[str, bytes]:
 
     from ltsim.pages.figures.floor_plan import floor_plan
     from ltsim.pages.figures.plan import Layout, trade_off
-    from ltsim.pages.planned import from_scenario
+    from ltsim.pages.workshop import from_scenario
     from ltsim.planning.files import planned_scenario
 
     layouts = []

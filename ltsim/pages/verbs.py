@@ -9,8 +9,7 @@ from pathlib import Path
 
 from ltsim.errors import require
 from ltsim.pages.page import report as write_report
-from ltsim.pages.planned import from_scenario, with_cad
-from ltsim.pages.workshop import Workshop, from_recording
+from ltsim.pages.workshop import Workshop, from_recording, from_scenario, with_cad
 from ltsim.recording import Recording
 from ltsim.recording.exchange import read
 from ltsim.recording.files import write_text

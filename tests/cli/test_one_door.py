@@ -12,7 +12,7 @@ import ltsim as lt
 from ltsim.cli.main import VERBS, verb_of
 from ltsim.cli.options import command_of
 
-TERMINAL = {"out", "force", "terminal", "points", "show", "page", "no_page"}
+TERMINAL = {"out", "force", "terminal", "show"}
 """Where results go and what is printed: the command's own affair."""
 READING = {"format_name", "hint", "columns", "frame", "control"}
 """How a recording is read: in Python an argument of `lt.read`."""

@@ -28,10 +28,9 @@ from ltsim.pages.figures import (
     points as points,
     residuals as misfits,
 )
-from ltsim.pages.planned import from_scenario
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.campaign import coverage_words
-from ltsim.pages.workshop import from_adjustment
+from ltsim.pages.workshop import from_adjustment, from_scenario
 from ltsim.planning.schema import ChangeEntry
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet

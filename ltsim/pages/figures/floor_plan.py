@@ -1,9 +1,10 @@
-"""The floor seen from above, as the paper's Figure 5: stations, shadow circles, targets, gauge."""
+"""The floor seen from above, as the paper's Figure 5, with names where there is room."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.pages.labels import Label, place_labels
 from ltsim.pages.style import (
     BLUE,
     CYCLE,
@@ -33,6 +33,52 @@ from ltsim.pages.workshop import Workshop
 from ltsim.planning.floor import Floor, FloorArea
 from ltsim.planning.outlines import distance
 from ltsim.units import DEGREE, MILLIMETRE
+
+TURNS = np.radians([0, 180, 90, 270])
+GAP = 6.0
+"""[pt] From a place to its name."""
+LETTER = (0.62, 1.25)
+"""Width and height of a letter over the font's."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """A name, its place (2,) in data units, its size [pt]; `bold` ones are printed strongly, `away` is tried first."""
+
+    text: str
+    place: Floats
+    size: float = 7.0
+    bold: bool = False
+    colour: str = "#4A5056"
+    away: float = 0.0
+
+
+def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
+    """Write labels beside markers (n, 2), the first ones first; the axes' limits must stand."""
+    figure.draw_without_rendering()
+    point = figure.dpi / 72.0
+    spots = ax.transData.transform(markers).reshape(-1, 2) / point
+    left, below = ax.get_window_extent().p0 / point
+    right, top = 72.0 * figure.get_size_inches()
+    numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
+    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
+    taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
+    for label in labels:
+        half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
+        for turn in label.away + TURNS:
+            way = np.array([np.cos(turn), np.sin(turn)])
+            offset = way * (GAP + half * np.abs(way))
+            middle = ax.transData.transform(label.place) / point + offset
+            box = np.concatenate([middle - half, middle + half])
+            if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
+                taken = np.concatenate([taken, box[None]])
+                ax.annotate(
+                    label.text, tuple(label.place), xytext=tuple(offset), textcoords="offset points", ha="center",
+                    va="center", fontsize=label.size, fontweight="bold" if label.bold else "normal",
+                    color=label.colour, zorder=8, in_layout=False,
+                )  # fmt: skip
+                break
+
 
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
 MOST_LABELS = 60

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.arrays import Bools, Floats
 from ltsim.fieldcheck.check import Check
-from ltsim.pages.labels import Label, place_labels
+from ltsim.pages.figures.floor_plan import Label, place_labels
 from ltsim.pages.style import (
     AFTER,
     BLUE,

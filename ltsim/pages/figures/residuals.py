@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Bools, Floats
-from ltsim.pages.labels import Label, place_labels
+from ltsim.pages.figures.floor_plan import Label, place_labels
 from ltsim.pages.residuals import COVARIATE_UNIT, Residuals
 from ltsim.pages.style import (
     AFTER,

@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 from ltsim.calibration.files import read_targets
-from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.calibration.schema import NOISE, OUTLIERS, RESIDUALS, TARGETS, CalibrationFile
 from ltsim.chances import p_text, two_sided
+from ltsim.evaluation.criteria import CRITERIA
 from ltsim.notation import number
 from ltsim.pages import style
-from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
+from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_block, table_of
 from ltsim.pages.figures.parameters import ParameterRow, correlation_figure, parameter_figure
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
@@ -144,19 +145,17 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
         blocks.append(Note("Targets without coordinates", text, "bad"))
-    fields = ("station", "target", "observable", "row", "size", "w", "left_out")
-    blocks += table_of("Readings that do not belong", content.outliers, *fields)
+    blocks += table_block("Readings that do not belong", OUTLIERS.filled(content.outliers))
     note = "The factor is on the stated standard deviation; the typical sigma is the median of a reading that results."
-    heads = ("observable=readings", "instrument", "factor", "typical=typical sigma", "redundancy")
-    return blocks + table_of("Noise found from the readings", content.noise, *heads, note=note)
+    return blocks + table_block("Noise found from the readings", NOISE.filled(content.noise), note=note)
 
 
 def _known_values(content: CalibrationFile) -> list[Table]:
     """How control points and other known values fit."""
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
-    fields = ("kind", "name", "component", "residual", "error", "minimal_detectable", "redundancy", "w", "left_out")
-    return table_of("How known values fit", shown, *fields, note=note, folds=False)
+    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable", "unit", "redundancy")
+    return table_of("How known values fit", shown, *fields, "w", "left_out", note=note, folds=False)
 
 
 def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[ParameterRow]:
@@ -178,10 +177,8 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
     note = "Corrections, truth minus reading, ± one sigma."
     blocks: list[Block] = [
         picture("Instrument parameters", parameter_figure(rows), text),
-        *table_of(
-            "Parameters in numbers", content.parameters, "name=parameter", "instrument", "value",
-            "prior_sigma=prior sigma", note=note,
-        ),
+        *table_of("Parameters in numbers", content.parameters, "name=parameter", "instrument", "value+-sigma", "unit",
+                  "prior_sigma=prior sigma", note=note),
     ]  # fmt: skip
     if len(content.covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.covariance)
@@ -198,15 +195,13 @@ def _criteria(content: CalibrationFile) -> list[Table]:
     rows = [
         [
             name.replace("_", " "),
-            *(number(size) for size in (e.before.mean_um, e.after.mean_um, e.before.max_um, e.after.max_um)),
-            "–" if e.improvement_percent is None else f"{e.improvement_percent:.1f} %",
+            *(e.before.mean_um, e.before.max_um, e.after.mean_um, e.after.max_um, e.improvement_percent),
         ]
         for name, e in content.criteria.items()
         if e.before.mean_um is not None and e.after.mean_um is not None
     ]
-    header = ["criterion", "mean before [um]", "after [um]", "largest before [um]", "after [um]", "better by"]
     text = "How far stations disagree about distances between reflectors and about their coordinates."
-    return [Table("Criteria before and after calibration", header, rows, note=text)] if rows else []
+    return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
 
 
 def _stations(content: CalibrationFile) -> list[Table]:

@@ -78,7 +78,9 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}, with the findings modelled"
-        blocks += table_of(title, entry.parameters, "name=constant", "value")
+        blocks += table_of(
+            title, entry.parameters, "name value sigma unit", name={"title": "constant"}, value={"sigma": "sigma"}
+        )
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     blocks += _limits(content)
     blocks += target_table(companion(folder, TARGETS.file, content), note="Adjusted with the findings modelled.")
@@ -235,7 +237,7 @@ def _limits(content: DiagnosisFile) -> list[Block]:
         "large; to be named it may have to be larger."
     )
     title = "Smallest size that is found"
-    return blocks + table_of(title, content.detectable, "effect", "parameter", "size", note=note)
+    return blocks + table_of(title, content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
 def _hidden(size: float | None) -> str:

@@ -39,9 +39,15 @@ def _check(content: CheckFile, folder: Path) -> Section:
     drawn = companion(folder, "check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
     blocks: list[Block] = [] if drawn is None else [Picture("At a glance", svg_uri(drawn.read_text("utf-8")), caption)]
-    fields = ("station", "kind=test", "sentence=what was found", "targets", "p_value")
+    heads = {
+        "kind": {"title": "test", "kind": "text"},
+        "sentence": {"title": "what was found"},
+        "targets": {"kind": "text"},
+    }
     for title, passed in (("Against going on", False), ("Tests that are kept", True)):
-        blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields)
+        blocks += table_of(
+            title, [i for i in content.items if i.passed is passed], "station kind sentence targets p_value", **heads
+        )
     failed = sum(not item.passed for item in content.items)
     facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
@@ -55,9 +61,9 @@ def _comparison(content: ComparisonFile, folder: Path) -> Section:
     figure = displacement_figure(places, shifts, axes, moved, [d.target for d in points])
     times = enlargement(places, shifts, axes)
     caption = f"Shift of each point, {times:.0f} times enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
-    heads = ("target", "moved", "shift_um=dx, dy, dz [um]", "sigma_um=sigma x, y, z [um]",
-             "semi_axes_um=95 % ellipsoid [um]", "p_value", "visible_um=found with 80 % [um]")  # fmt: skip
-    table = table_of("Every point", points, *heads, marked=lambda d: d.moved, folds=False)
+    heads = ("target", "moved", "shift_um=dx, dy, dz", "sigma_um=sigma x, y, z", "semi_axes_um=95 % ellipsoid")
+    tests = ("p_value", "visible_um=found with 80 %")
+    table = table_of("Every point", points, *heads, *tests, marked=lambda d: d.moved, folds=False)
     facts = [
         Fact("points", str(len(points))),
         Fact("moved", str(int(moved.sum())), mood(not moved.any())),
@@ -82,7 +88,7 @@ def _acceptance(content: AcceptanceFile, folder: Path) -> Section:
         picture("Errors over limits", shares_of_limits(content), caption),
         Table("Groups", ["tests", "number", "all pass"], groups, note=note),
         *table_of(
-            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2) [um]", "limit_um", "passes",
+            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
             marked=lambda t: not predicted and t.passes < 1,
         ),
         *table_of(
@@ -135,7 +141,8 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
-        blocks += table_of(f"Budget of {r.task}, {r.name} [{r.unit}]", [p for p in r.budget if p.share > 1e-3], *fields)
+        title, sources = f"Budget of {r.task}, {r.name} [{r.unit}]", [p for p in r.budget if p.share > 1e-3]
+        blocks += table_of(title, sources, *fields)
     by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or sentences[0]
@@ -195,8 +202,8 @@ def _history(content: HistoryFile, folder: Path) -> Section:
         Table("Has it changed?", ["from", "to", "above all", "χ² / parameters", "p"], rows, 3,
               "Marked where the chance of such differences without a change is under 1 %.", marked),
         *drawn,
-        *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference=step",
-                  "usual=its usual step", "p_value"),
+        *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
+                  "usual=its usual step", "unit", "p_value"),
         Table("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
               [[p.name, _last(p), number(p.mean), number(p.spread), p_text(p.constant.p_value)] for p in known]),
         Table("Fits of the calibrations", ["calibration", "χ²", "degrees of freedom", "sigma0"],

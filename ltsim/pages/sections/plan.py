@@ -12,9 +12,9 @@ from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Sec
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.figures.parameters import SigmaRow, sigma_figure
 from ltsim.pages.figures.plan import Layout, reflector_changes, trade_off, visibility_figure
-from ltsim.pages.planned import from_scenario
 from ltsim.pages.sections.network import scene, undetermined
 from ltsim.pages.words import count, duration
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.floor import Floor
 from ltsim.planning.schema import LayoutEntry, OptionEntry, PlanResult
 from ltsim.recording.result_file import companion, read_result

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ltsim.pages.document import Block, Document, Note, Points, Section, Table, picture
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.page import render, versions
-from ltsim.pages.planned import from_scenario
 from ltsim.pages.words import duration
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import planned_scenario
 from ltsim.planning.planner import Plan
 from ltsim.planning.work_order import checks, settings_of
