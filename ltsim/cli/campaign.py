@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
@@ -138,16 +139,22 @@ def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[s
         terminal.note(note)
     again = f", {outcome.kept} were finished before" if outcome.kept else ""
     terminal.say(f"{outcome.shards} shards written to {outcome.folder}{again}\n")
-    settings = [[f.words(level[f.name]) for f in results.factors] for level in results.levels]
-    names = [f.name for f in results.factors]
-    shown = [c for c in summary["columns"] if c["column"] in SHOWN]
-    if len(summary["ends"]) > MOST_ROWS:
-        failed = sum(e["failed"] for e in summary["ends"])
-        terminal.say(f"{len(settings)} cells, {sum(e['trials'] for e in summary['ends'])} trials, {failed} failed\n")
+    names = " ".join(f.name for f in results.factors)
+    ends, cells = results.table("ends"), results.table("summary")
+    if len(ends.rows) > MOST_ROWS:
+        trials, failed = (sum(ends.column(name)) for name in ("trials", "failed"))
+        terminal.say(f"{len(results.levels)} cells, {trials} trials, {failed} failed\n")
+        settings = [[f.words(level[f.name]) for f in results.factors] for level in results.levels]
+        shown = [c for c in summary["columns"] if c["column"] in SHOWN]
         heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
-        terminal.say(table(heads, by_factor(names, settings, shown), left=4))
+        terminal.say(table(heads, by_factor(names.split(), settings, shown), left=4))
     else:
-        _by_cell(terminal, names, settings, summary["ends"], shown)
+        terminal.say(ends.only(f"{names} method trials failed by_full_solver checked largest_difference_sigma").text())
+        at = cells.header.index("column")
+        chosen = replace(cells, rows=tuple(row for row in cells.rows if row[at] in SHOWN))
+        quantiles = "quantile_5_percent quantile_50_percent quantile_95_percent"
+        terminal.say("\n" + chosen.only(f"{names} method column mean low high {quantiles}").text())
+        terminal.say("low, high: 95 % confidence of the mean; quantiles are of the trials")
     terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")
 
 
@@ -161,34 +168,6 @@ def by_factor(names: list[str], settings: list[list[str]], shown: list[dict[str,
         [name, level, method, column, *(f"{value:.3f}" for value in (sum(means) / len(means), min(means), max(means)))]
         for (column, name, level, method), means in groups.items()
     ]
-
-
-def _by_cell(
-    terminal: Terminal,
-    names: list[str],
-    settings: list[list[str]],
-    ends: list[dict[str, Any]],
-    shown: list[dict[str, Any]],
-) -> None:
-    rows = [
-        [
-            *settings[e["cell"]],
-            e["method"],
-            *(str(e[key]) for key in ("trials", "failed", "by_full_solver", "checked")),
-            "" if e["largest_difference_sigma"] is None else f"{e['largest_difference_sigma']:.1e}",
-        ]
-        for e in ends
-    ]
-    header = [*names, "method", "trials", "failed", "full solver", "verified", "largest difference [sigma]"]
-    terminal.say(table(header, rows, left=len(names) + 1))
-    rows = [
-        [*settings[c["cell"]], c["method"], c["column"], f"{c['mean']:.3f}", f"{c['low']:.3f} to {c['high']:.3f}"]
-        + ["" if c["quantiles"][k] is None else f"{c['quantiles'][k]:.2f}" for k in (1, 3, 5)]
-        for c in shown
-    ]
-    if rows:
-        heads = [*names, "method", "statistic", "mean", "95 % confidence", "5 %", "50 %", "95 %"]
-        terminal.say("\n" + table(heads, rows, left=len(names) + 2))
 
 
 RecoverJobs = Annotated[

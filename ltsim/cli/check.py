@@ -108,7 +108,6 @@ def changes(source: Path) -> Iterator[None]:
 
 
 def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
-    """Names, sizes and times of the files."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     found = []
     for file in files:

@@ -13,7 +13,7 @@ from ltsim.chances import p_is, p_text
 from ltsim.cli.adjustment import calibration_of
 from ltsim.cli.options import FramedReading, Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, digits, table
+from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import LtsimError, RecordError
 from ltsim.notation import with_sigma
 
@@ -211,11 +211,10 @@ def show_history(terminal: Terminal, found: History) -> None:
         if not test.dof:
             silent.append(parameter.name)
             continue
-        value, sigma = digits(found.values[-1, k] / parameter.factor, found.sigma[-1, k] / parameter.factor)
+        last = with_sigma(found.values[-1, k] / parameter.factor, found.sigma[-1, k] / parameter.factor)
         mean, spread = found.population.mean[k] / parameter.factor, found.population.spread[k] / parameter.factor
-        constant = p_text(test.p_value)
-        rows.append([parameter.name, parameter.unit, value, sigma, f"{mean:.2f}", f"{spread:.2f}", constant])
-    header = ("parameter", "unit", "last", "sigma", "mean", "spread", "p constant")
+        rows.append([parameter.name, parameter.unit, last, f"{mean:.2f}", f"{spread:.2f}", p_text(test.p_value)])
+    header = ("parameter", "unit", "last", "mean", "spread", "p constant")
     terminal.say(f"{len(found)} calibrations, {found.labels[0]} to {found.labels[-1]}\n")
     terminal.say(table(header, rows, left=2))
     if silent:

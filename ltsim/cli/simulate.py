@@ -98,7 +98,6 @@ def simulate(
 
 
 def _spelled_out(scenario: str) -> str:
-    """The scenario of a file, every setting spelled out."""
     from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 
     return scenario_to_toml(load_scenario(scenario))

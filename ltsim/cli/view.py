@@ -123,7 +123,6 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
 
 
 def _has_screen() -> bool:
-    """Whether a window can open."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 

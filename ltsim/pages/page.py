@@ -227,7 +227,6 @@ def _about(parts: list[Part], sections: list[Section], given: About) -> list[tup
 
 
 def _parts(folder: Path, recording: Path | None) -> list[Part]:
-    """What a folder and the folders in it hold, in the order of the page."""
     inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
     found = [
         Part(place, kind, recording or _recording_of(place, folder))

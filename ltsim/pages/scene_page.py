@@ -60,7 +60,6 @@ def picture_and_page(workshop: Workshop) -> tuple[bytes, scene3d.Legend, str]:
 
 
 def _page(plotter: pv.Plotter, workshop: Workshop, legend: scene3d.Legend) -> str:
-    """The page of a scene, whose places are rounded."""
     step = 2.0 ** np.floor(np.log2(workshop.size / FINEST))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
@@ -77,7 +76,6 @@ def _page(plotter: pv.Plotter, workshop: Workshop, legend: scene3d.Legend) -> st
 
 
 def _overlay(title: str, legend: scene3d.Legend) -> str:
-    """Title, what the signs mean, the colour bar, and how to turn the scene."""
     lines = "".join(f"<p>{escape(line)}</p>" for line in legend.lines)
     parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
     if legend.bar is not None:

@@ -225,12 +225,10 @@ def _to_plan(
 
 
 def _plan(setup: Setup, station: str) -> tuple[float, float, float] | None:
-    """Position [mm] on the floor plan, if the set-up has one."""
     return setup.stations[station].position_mm if station in setup.stations else None
 
 
 def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
-    """(T, 3) unit vectors, NaN where unknown."""
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -259,7 +257,6 @@ def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float
 
 
 def _floor_between(floor: Floats, planes: list[tuple[int, float, float]]) -> Floats:
-    """The floor's outline (4, 2), ending at the walls."""
     (x0, y0), (x1, y1) = floor.min(axis=0), floor.max(axis=0)
     sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     sides |= {(axis, side): place for axis, side, place in planes}
@@ -332,7 +329,6 @@ def with_cad(workshop: Workshop, file: Path, unit: str | None = None, up: str | 
 
 
 def _sights(layout: Layout, table: Visibility) -> Sights:
-    """Pairs that see each other, with the elevation of the beam."""
     station, target = np.nonzero(table.visible)
     elevation = table.elevation[station, target] / DEGREE
     return Sights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

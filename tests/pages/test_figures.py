@@ -54,7 +54,7 @@ def correlation_figure() -> Figure:
 
 def by_setting() -> Figure:
     rows = [
-        sweeps.Mean(f"noise {s} {MARKUP}", method, 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
+        sweeps.Swept(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
         for s in range(3)
         for method in ("network", "distance")
     ]

@@ -100,7 +100,6 @@ def by_factor(
 
 
 def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[str], *, joined: bool) -> None:
-    """The points of one line with their intervals."""
     if not rows:
         return
     place = np.array([words.index(row.x) if isinstance(row.x, str) else row.x for row in rows], dtype=np.float64)
@@ -146,39 +145,27 @@ def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, join
 MOST_SETTINGS = 40
 
 
-@dataclass(frozen=True)
-class Mean:
-    """Mean of one statistic in one setting by one method, its 95 % interval and the middle 90 % of the trials."""
-
-    setting: str
-    method: str
-    mean: float
-    low: float
-    high: float
-    five: float
-    ninety_five: float
-
-
 @styled
-def by_setting(rows: Sequence[Mean], *, label: str, published: float | None = None) -> Figure:
+def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = None) -> Figure:
     """A row a setting: marks are means with 95 % intervals, thin lines the middle 90 % of the trials.
 
     Parameters
     ----------
-    rows : sequence of Mean
+    rows : sequence of Swept
+        `x` is the setting, `line` the method.
     label : str
         The statistic with its unit.
     published : float, optional
         A published figure to compare with.
     """
-    settings = list(dict.fromkeys(row.setting for row in rows))[:MOST_SETTINGS]
-    methods = list(dict.fromkeys(row.method for row in rows))
+    settings = list(dict.fromkeys(str(row.x) for row in rows))[:MOST_SETTINGS]
+    methods = list(dict.fromkeys(row.line for row in rows))
     figure = new_figure(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     ax = figure.subplots()
     places = dict(zip(settings, category_rows(ax, settings), strict=True))
     for m, method in enumerate(methods):
-        mine = [row for row in rows if row.method == method and row.setting in places]
-        y = np.array([places[row.setting] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
+        mine = [row for row in rows if row.line == method and str(row.x) in places]
+        y = np.array([places[str(row.x)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
         colour = CYCLE[m % len(CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
         ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, lw=0.9, label=ninety)
@@ -237,7 +224,6 @@ def distributions(rows: Sequence[Distribution], *, source: str = "the paper") ->
 
 
 def _panel(ax: Axes, row: Distribution, source: str) -> None:
-    """One histogram."""
     values = row.values[np.isfinite(row.values)]
     low, high = np.percentile(values, [0.25, 99.75])
     if row.published is not None:

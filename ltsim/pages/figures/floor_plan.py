@@ -194,7 +194,6 @@ def _limits(workshop: Workshop) -> Floats:
 
 
 def _shadows(ax: Axes, workshop: Workshop) -> None:
-    """Circles on the floor that no reflector may stand in."""
     for k, opening in enumerate(workshop.openings):
         style = (
             {"facecolor": "#D55E0022", "edgecolor": RED, "linestyle": "-"}
@@ -207,7 +206,6 @@ def _shadows(ax: Axes, workshop: Workshop) -> None:
 
 
 def _obstacles(ax: Axes, workshop: Workshop) -> None:
-    """What stands in the way, as its shadow at noon."""
     if len(workshop.obstacles):
         ax.add_collection(
             PolyCollection(
@@ -247,7 +245,6 @@ def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
 
 
 def _gauge(ax: Axes, workshop: Workshop) -> None:
-    """Lines of known length."""
     for k, (a, b) in enumerate(workshop.gauge):
         ends = workshop.points[[a, b], :2]
         ax.plot(ends[:, 0], ends[:, 1], color=GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None)
@@ -317,7 +314,6 @@ def _joined(names: list[str]) -> str:
 
 
 def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
-    """Stations with a tick to azimuth zero."""
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
     tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
     order: Ints = np.arange(len(workshop.stations))
@@ -344,7 +340,6 @@ def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
 
 
 def _station_labels(workshop: Workshop) -> list[Label]:
-    """Names of stations, away from their ticks."""
     return [
         Label(shorten(name, 16), place[:2], 9.0, bold=True, colour=INK, away=float(yaw) + 1.25 * np.pi)
         for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
@@ -352,7 +347,6 @@ def _station_labels(workshop: Workshop) -> list[Label]:
 
 
 def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
-    """Entries of a legend: where each tripod goes."""
     lines = [
         f"{shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)

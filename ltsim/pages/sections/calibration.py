@@ -92,7 +92,6 @@ def calibration_section(
 
 
 def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None) -> str:
-    """The first sentences: what came out, with its unit and its uncertainty."""
     size = count(len(content.stations), "station")
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
@@ -120,7 +119,6 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
 
 
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
-    """Figures at a glance."""
     fit, found = content.fit, content.noise_estimated
     p = None if found or fit.p_value is None else two_sided(fit.p_value)
     facts = [
@@ -151,7 +149,6 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
 
 
 def _known_values(content: CalibrationFile) -> list[Table]:
-    """How control points and other known values fit."""
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable", "unit", "redundancy")
@@ -171,7 +168,6 @@ def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list
 
 
 def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
-    """Figure and table of the parameters, and how they hang together."""
     rows = parameter_rows(content, truth)
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
     note = "Corrections, truth minus reading, ± one sigma."
@@ -191,7 +187,6 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
 
 
 def _criteria(content: CalibrationFile) -> list[Table]:
-    """The paper's criteria before and after."""
     rows = [
         [
             name.replace("_", " "),
@@ -205,7 +200,6 @@ def _criteria(content: CalibrationFile) -> list[Table]:
 
 
 def _stations(content: CalibrationFile) -> list[Table]:
-    """Where they stand."""
     header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
     rows = [
         [s.name, *(style.fixed(v, 3) for v in s.position_mm),
@@ -240,7 +234,6 @@ def _covariance(sigma: Floats) -> Floats:
 
 
 def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
-    """Lines of sight with the size of their normalised residuals."""
     if residuals is None:
         return None
     station, target = (

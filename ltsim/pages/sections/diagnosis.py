@@ -97,7 +97,6 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
 
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
-    """Figures at a glance."""
     test = content.global_test
     verdict = mood(content.verdict == "consistent")
     facts = [
@@ -193,7 +192,6 @@ def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Bloc
 
 
 def _place(where: Where) -> str:
-    """Where a finding acts, in words."""
     parts = [
         f"{word} {listing(list(names))}"
         for word, names in (
@@ -213,7 +211,6 @@ def _place_of(effect: Any) -> str:
 
 
 def _fit(content: DiagnosisFile) -> list[Block]:
-    """Fit before and after."""
     if content.fit is None:
         return []
     pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
@@ -280,7 +277,6 @@ def _pair_rows(hidden: AppliedEffect | None, found: Finding | None) -> list[list
 
 
 def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) -> list[Block]:
-    """What a hidden effect did to the readings, and what the finding of its name says that it did."""
     found = next((f for f in content.findings if f.effect == hidden.effect.name), None)
     if pair is None or found is None:
         return []

@@ -166,7 +166,6 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
 
 
 def _contents(recording: Recording) -> str:
-    """One sentence about the size of a recording."""
     faces = "two faces" if (recording.face == 2).any() else "one face"
     time = f" over {duration(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
     return (
@@ -176,7 +175,6 @@ def _contents(recording: Recording) -> str:
 
 
 def _table(recording: Recording) -> Table:
-    """One row a station."""
     rows = []
     for s, name in enumerate(recording.stations):
         here = recording.station == s
@@ -188,7 +186,6 @@ def _table(recording: Recording) -> Table:
 
 
 def _settings(folder: Path) -> Block:
-    """The set-up file as it stands."""
     file = folder / "setup.toml"
     if not file.is_file():
         return Note("Set-up", "There is no set-up file: the default noise and priors were used.")

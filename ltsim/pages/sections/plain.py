@@ -226,7 +226,6 @@ def _last(course: Any) -> str:
 
 
 def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
-    """What the instrument did, in words."""
     since = content.since_first
     tested = f"(χ² {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
     if events:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.pages import style
-from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture
+from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture, table_of
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.figures.parameters import SigmaRow, sigma_figure
 from ltsim.pages.figures.plan import Layout, reflector_changes, trade_off, visibility_figure
@@ -116,7 +116,6 @@ def _changes(folder: Path, content: PlanResult) -> list[Block]:
 
 
 def _facts(content: PlanResult) -> list[Fact]:
-    """Figures at a glance."""
     facts = [
         Fact("stations", str(len(content.stations))),
         Fact("pointings", str(content.pointings)),
@@ -137,7 +136,6 @@ def _facts(content: PlanResult) -> list[Fact]:
 
 
 def _stations(content: PlanResult) -> Table:
-    """Where the tripods go."""
     rows = [
         [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
          " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
@@ -173,7 +171,6 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
 
 
 def _curve(content: PlanResult) -> list[Block]:
-    """What a better layout costs."""
     blocks: list[Block] = []
     for name in content.quality:
         label, factor = QUALITY.get(name, (name, 1.0))
@@ -206,12 +203,10 @@ def _curve(content: PlanResult) -> list[Block]:
 
 
 def _way(option: OptionEntry) -> str:
-    """A way of working in a few letters."""
     return f"{option.stations}s {option.faces}f {option.repeats}r"
 
 
 def _parameters(content: PlanResult) -> list[Block]:
-    """How well the instrument becomes known."""
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [
         SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
@@ -223,7 +218,6 @@ def _parameters(content: PlanResult) -> list[Block]:
 
 
 def _expected(content: PlanResult) -> list[Block]:
-    """Expected improvement by the paper's criteria."""
     named: list[tuple[str, LayoutEntry | None]] = [("this plan", content), ("reference layout", content.reference)]
     rows = [
         [layout, name, style.number(e.before_um), style.number(e.after_um), f"{e.improvement_percent:.1f} %"]
@@ -238,19 +232,11 @@ def _expected(content: PlanResult) -> list[Block]:
 def _effects(content: PlanResult) -> list[Block]:
     """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
     blocks: list[Block] = []
-    if content.detectable:
-        rows = [
-            [d.effect, d.parameter, *(style.number(v, 2) for v in (d.best, d.typical, d.worst)),
-             d.worst_at or "", style.number(d.plausible, 2), style.unit_text(d.unit)]
-            for d in content.detectable
-        ]  # fmt: skip
-        header = ["effect", "parameter", "best", "typical", "worst", "worst at", "plausible", "unit"]
-        note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
-        blocks.append(Table("Smallest effects that would be found", header, rows, 2, note))
-    if content.alike:
-        rows = [[a.effect, a.taken_for, f"{100 * a.share:.0f} %"] for a in content.alike]
-        note = "Share of the first effect's trace that the second one explains."
-        blocks.append(Table("Effects that look alike here", ["effect", "taken for", "alike"], rows, 2, note))
+    note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
+    fields = ("effect", "parameter", "best", "typical", "worst", "worst_at", "plausible", "unit")
+    blocks += table_of("Smallest effects that would be found", content.detectable, *fields, note=note)
+    note = "Share of the first effect's trace that the second one explains."
+    blocks += table_of("Effects that look alike here", content.alike, "effect", "taken_for", "share=alike", note=note)
     if content.silent:
         blocks.append(Points("Effects that would leave no trace", content.silent))
     return blocks
