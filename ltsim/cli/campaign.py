@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.schema import RecoveryFile
     from ltsim.campaigns.statistics import Results
+    from ltsim.results import Table
 
 
 AGREED = 1e-3
@@ -140,7 +141,7 @@ def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[s
     again = f", {outcome.kept} were finished before" if outcome.kept else ""
     terminal.say(f"{outcome.shards} shards written to {outcome.folder}{again}\n")
     names = " ".join(f.name for f in results.factors)
-    ends, cells = results.table("ends"), results.table("summary")
+    ends, cells = (_worded(results, results.table(name)) for name in ("ends", "summary"))
     if len(ends.rows) > MOST_ROWS:
         trials, failed = (sum(ends.column(name)) for name in ("trials", "failed"))
         terminal.say(f"{len(results.levels)} cells, {trials} trials, {failed} failed\n")
@@ -156,6 +157,17 @@ def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[s
         terminal.say("\n" + chosen.only(f"{names} method column mean low high {quantiles}").text())
         terminal.say("low, high: 95 % confidence of the mean; quantiles are of the trials")
     terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")
+
+
+def _worded(results: Results, made: Table) -> Table:
+    """A table of cells with their settings in words."""
+    words = {f.name: f.words for f in results.factors}
+    columns = tuple(replace(c, kind="text") if c.name in words else c for c in made.columns)
+    rows = (
+        tuple(words[c.name](value) if c.name in words else value for c, value in zip(columns, row, strict=True))
+        for row in made.rows
+    )
+    return replace(made, columns=columns, rows=tuple(rows))
 
 
 def by_factor(names: list[str], settings: list[list[str]], shown: list[dict[str, Any]]) -> list[list[str]]:

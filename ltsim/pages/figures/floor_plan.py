@@ -85,7 +85,7 @@ MOST_LABELS = 60
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
 MOST_PLACES = 16
-WIDE, HEIGHTS = 6.0, (3.6, 6.6)
+WIDE, HEIGHTS = 4.3, (3.6, 6.6)
 """Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""

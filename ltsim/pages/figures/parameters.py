@@ -252,5 +252,5 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     ax.set_xlim(0, 100)
     ax.set_xlabel("share of the variance [%]")
     ax.grid(visible=False, axis="y")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure

@@ -161,6 +161,6 @@ def _course(ax: Axes, check: Check) -> None:
     ax.set_title("What each pointing misses")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
-    ax.set_ylim(bottom=0)
+    ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="upper right", ncols=4)
+        ax.legend(loc="upper right", ncols=5)

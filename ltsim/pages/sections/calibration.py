@@ -151,7 +151,16 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
 def _known_values(content: CalibrationFile) -> list[Table]:
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
-    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable", "unit", "redundancy")
+    fields = (
+        "kind",
+        "name",
+        "component",
+        "residual",
+        "error+-sigma_error",
+        "minimal_detectable=detectable",
+        "unit",
+        "redundancy",
+    )
     return table_of("How known values fit", shown, *fields, "w", "left_out", note=note, folds=False)
 
 

@@ -100,8 +100,8 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean(s: Spread) -> str:
-    return f"{number(s.mean)} (95 %: {number(s.low)} to {number(s.high)})"
+def _mean(s: Spread, level: str = "95 %: ") -> str:
+    return f"{number(s.mean)} ({level}{number(s.low)} to {number(s.high)})"
 
 
 def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
@@ -256,10 +256,14 @@ def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block
     names, blocks = cell_words(results), []
     for share in SHARES:
         entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
-        rows = [[names[of[0].cell], of[0].method, *map(_mean, of)] for of in zip(*entries, strict=all(entries))]
+        rows = [
+            [names[of[0].cell], of[0].method, *(_mean(s, "") for s in of)] for of in zip(*entries, strict=all(entries))
+        ]
         named = "new point" if share.startswith("new_point") else "point"
         header = ["setting", "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
-        note = f"{_meaning(share)}. Noise floor: readings corrected by the true parameters."
+        note = (
+            f"{_meaning(share)}. Noise floor: readings corrected by the true parameters. In brackets: 95 % of the mean."
+        )
         if rows:
             blocks.append(Table(f"Error of a {named}", header, rows, text_columns=2, note=note))
     return blocks

@@ -39,15 +39,9 @@ def _check(content: CheckFile, folder: Path) -> Section:
     drawn = companion(folder, "check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
     blocks: list[Block] = [] if drawn is None else [Picture("At a glance", svg_uri(drawn.read_text("utf-8")), caption)]
-    heads = {
-        "kind": {"title": "test", "kind": "text"},
-        "sentence": {"title": "what was found"},
-        "targets": {"kind": "text"},
-    }
+    fields = ("station", "kind=test", "sentence=what was found", "targets", "p_value")
     for title, passed in (("Against going on", False), ("Tests that are kept", True)):
-        blocks += table_of(
-            title, [i for i in content.items if i.passed is passed], "station kind sentence targets p_value", **heads
-        )
+        blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields)
     failed = sum(not item.passed for item in content.items)
     facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
@@ -141,7 +135,10 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
-        title, sources = f"Budget of {r.task}, {r.name} [{r.unit}]", [p for p in r.budget if p.share > 1e-3]
+        title, sources = (
+            f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else ""),
+            [p for p in r.budget if p.share > 1e-3],
+        )
         blocks += table_of(title, sources, *fields)
     by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
