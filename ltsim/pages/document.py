@@ -184,7 +184,7 @@ def table_of(
         (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
         known = type(rows[0]).model_fields.get(name)
         first = getattr(rows[0], name)
-        kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
+        kind: results.Kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
         about = (known.description or "") if known else ""
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []

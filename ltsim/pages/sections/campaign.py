@@ -253,7 +253,8 @@ def _column_words(column: str) -> str:
 
 def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
     """Errors before and after calibration beside what no parameter removes: a total says little without its floor."""
-    names, blocks = cell_words(results), []
+    names = cell_words(results)
+    blocks: list[Block] = []
     for share in SHARES:
         entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
         rows = [

@@ -78,9 +78,7 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}, with the findings modelled"
-        blocks += table_of(
-            title, entry.parameters, "name value sigma unit", name={"title": "constant"}, value={"sigma": "sigma"}
-        )
+        blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     blocks += _limits(content)
     blocks += target_table(companion(folder, TARGETS.file, content), note="Adjusted with the findings modelled.")

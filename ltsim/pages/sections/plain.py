@@ -135,11 +135,8 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
-        title, sources = (
-            f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else ""),
-            [p for p in r.budget if p.share > 1e-3],
-        )
-        blocks += table_of(title, sources, *fields)
+        head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
+        blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
     by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or sentences[0]
